@@ -1,0 +1,274 @@
+"""Every value of the system, one section a component; `paper` holds Sec. VI-A, `fast` (the default) what people use."""
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from idfslam.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """The implicit map: one network of T-SDF and colour."""
+
+    encoding: Literal["positional", "grid"] = "grid"
+    """How a position [m] becomes features: NeRF's frequencies, or a multi-resolution feature grid."""
+    truncation: float = 0.10
+    """Truncation distance tr [m] (Sec. VI-A)."""
+    position_frequencies: int = 8
+    """Frequencies of the positional encoding of a position."""
+    direction_frequencies: int = 4
+    """Frequencies of the positional encoding of a view direction; 0: colour does not depend on it."""
+    layers: int = 2
+    """Hidden layers of the trunk (Sec. IV: 8)."""
+    width: int = 32
+    """Width of the trunk (Sec. IV: 256)."""
+    skip: int = 0
+    """The layer at which the encoded position is fed in again; 0: nowhere."""
+    colour_width: int = 32
+    """Width of the colour head's hidden layer."""
+    levels: int = 8
+    """Levels of the feature grid."""
+    features: int = 2
+    """Features a level of the grid."""
+    coarsest: float = 0.48
+    """Edge of the coarsest level's cells [m]."""
+    finest: float = 0.02
+    """Edge of the finest level's cells [m]."""
+    table_log2: int = 15
+    """Entries of a level's table at the start, as a power of two; tables double as the scene grows."""
+    table_log2_max: int = 18
+    """Up to here a table doubles; past it entries are shared."""
+
+
+@dataclass(frozen=True)
+class MapperConfig:
+    """How the map and the keyframe poses are optimised (Sec. IV)."""
+
+    supervision: Literal["rendering", "samples"] = "samples"
+    """Volume rendering (Eqs. 1-3), or T-SDF and colour of the samples themselves."""
+    pixels: int = 1024
+    """B: pixels a step, spread over the keyframes of the step."""
+    samples: int = 12
+    """Stratified samples a ray."""
+    importance_samples: int = 0
+    """Further samples around the rendered surface."""
+    sharpness: float = 1.0
+    """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
+    photometric_weight: float = 0.1
+    """w_p of Eq. 3."""
+    free_space_weight: float = 10.0
+    """w_fs of Eq. 2."""
+    truncation_weight: float = 6000.0
+    """w_tr of Eq. 2."""
+    active_sampling: bool = True
+    """Choose pixels by the loss of their 8 x 8 image cell."""
+    cells: int = 8
+    """Cells a side for active sampling."""
+    learning_rate: float = 0.01
+    """Adam's rate for the map."""
+    first_iterations: int = 100
+    """Steps on the first frame."""
+    iterations: int = 10
+    """Steps a map update."""
+    pose_optimisation: bool = True
+    """Refine the poses of keyframes against the map (Eq. 4)."""
+    pose_iterations: int = 50
+    """Steps of the pose optimisation."""
+    pose_learning_rate: float = 0.005
+    """Adam's first rate for the pose."""
+    pose_decay: float = 0.7
+    """The pose's rate is multiplied by this ..."""
+    pose_decay_every: int = 10
+    """... every so many steps."""
+    gradient_clip: float = 0.0
+    """Largest norm of the map's gradient; 0: not clipped."""
+    warm_up: int = 0
+    """Steps over which the learning rate rises to its value."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Arithmetic of the matrix products; auto: bf16 where the machine is good at it."""
+
+
+@dataclass(frozen=True)
+class KeyframeConfig:
+    """When a frame is kept, and which of the kept ones are replayed (Sec. IV-C)."""
+
+    translation: float = 0.15
+    """Motion since the last keyframe [m] that asks for a new one."""
+    rotation: float = 12.0
+    """Rotation since the last keyframe [degrees] that asks for a new one."""
+    culling: bool = True
+    """Drop a new keyframe that a stored one covers."""
+    cull: float = 0.5
+    """sigma_cull: covisibility above which a new keyframe is dropped."""
+    covisible: float = 0.3
+    """sigma_covis: covisibility above which two keyframes are connected."""
+    occlusion: bool = False
+    """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
+    replay: int = 10
+    """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """The neural tracker (Sec. V)."""
+
+    height: int = 120
+    """Rows of the images that features are computed on; the width follows the camera."""
+    matches: int = 200
+    """K: correspondences kept, the best by ratio weight."""
+    grid: int = 4
+    """At most K / grid^2 correspondences from a cell of a grid x grid image; 1: no limit."""
+    subsets: int = 100
+    """Random subsets tried by the robust Procrustes."""
+    subset_share: float = 0.05
+    """Share of the correspondences in a subset."""
+    inlier_distance: float = 0.05
+    """A correspondence this close [m] after alignment is an inlier."""
+    min_inliers: int = 30
+    """Fewer inliers: lost."""
+    min_inlier_share: float = 0.2
+    """Smaller share of inliers among the correspondences: lost."""
+    weights: Path | None = None
+    """Weights of the feature extractor; none given: those shipped with the package."""
+
+
+@dataclass(frozen=True)
+class FinetuneConfig:
+    """Online finetuning of the tracker's out-conv (Sec. V-B, Eqs. 6-8)."""
+
+    enabled: bool = True
+    """Finetune on frames that are not keyframes."""
+    keyframes: int = 10
+    """N_kf: keyframes that must be stored before it starts."""
+    learning_rate: float = 1e-4
+    """Adam's rate."""
+    photometric_weight: float = 0.1
+    """w_p of Eq. 6."""
+    depth_weight: float = 1.0
+    """w_d of Eq. 6."""
+    correspondence_weight: float = 0.1
+    """w_r of Eq. 6."""
+    pixels: int = 256
+    """Pixels rendered for Eqs. 1 and 7."""
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """Second-order alignment of every frame to the map (not in the paper)."""
+
+    enabled: bool = True
+    """Align every frame to the map; off: the tracker's pose stands, as in the paper."""
+    points: int = 4000
+    """Depth points of a frame that are aligned."""
+    iterations: int = 12
+    """Largest number of Gauss-Newton steps."""
+    colour_weight: float = 0.05
+    """Weight of a unit colour difference against a metre of distance."""
+    robust: float = 0.02
+    """Scale of the robust weights [m]."""
+    min_overlap: float = 0.3
+    """Smaller share of points that fall where the map is known: lost."""
+
+
+@dataclass(frozen=True)
+class MeshConfig:
+    """Extraction of the surface."""
+
+    resolution: float = 0.02
+    """Edge of the marching-cubes cells [m]."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """All of it."""
+
+    preset: str = "fast"
+    """The preset that these values came from."""
+    seed: int = 0
+    """Seed of every random choice."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the networks run; auto: a GPU when there is one."""
+    field: FieldConfig = field(default_factory=FieldConfig)
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    finetune: FinetuneConfig = field(default_factory=FinetuneConfig)
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+
+
+FAST = Config()
+
+PAPER = Config(
+    preset="paper",
+    field=FieldConfig(encoding="positional", truncation=0.10, layers=8, width=256, skip=5, colour_width=128),
+    mapper=MapperConfig(
+        supervision="rendering",
+        pixels=1024,
+        samples=128,
+        importance_samples=16,
+        learning_rate=0.005,
+        first_iterations=500,
+        iterations=100,
+        pose_learning_rate=0.005,
+        gradient_clip=1.0,
+        warm_up=20,
+    ),
+    keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10),
+    tracker=TrackerConfig(matches=200, grid=4),
+    finetune=FinetuneConfig(keyframes=10, learning_rate=1e-4),
+    alignment=AlignmentConfig(enabled=False),
+)
+
+PRESETS = {"fast": FAST, "paper": PAPER}
+
+
+def dump(config: Config) -> dict[str, Any]:
+    """Plain values, ready for YAML."""
+    return {k: {n: str(v) if isinstance(v, Path) else v for n, v in s.items()} if isinstance(s, dict) else s for k, s in asdict(config).items()}
+
+
+def load(path: Path) -> Config:
+    """A config from YAML: the named preset with the file's values in place of its own.
+
+    Raises ConfigError for a file that is no YAML mapping, and for unknown sections, keys or presets.
+    """
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML ({error}); expected a config such as a run's config.yaml") from error
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: found {type(values).__name__}, expected a mapping of config sections")
+    return update(preset(str(values.get("preset", "fast"))), values, path)
+
+
+def preset(name: str) -> Config:
+    """The preset of that name. Raises ConfigError if there is none."""
+    if name not in PRESETS:
+        raise ConfigError(f"preset '{name}' does not exist; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def update(config: Any, values: dict[str, Any], where: Path | str) -> Any:
+    """`config` with nested `values` in place; raises ConfigError for a key it does not have."""
+    changes: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in config.__dataclass_fields__:
+            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(config.__dataclass_fields__)}")
+        old = getattr(config, key)
+        if hasattr(old, "__dataclass_fields__"):
+            if not isinstance(value, dict):
+                raise ConfigError(f"{where}: '{key}' is {value!r}, expected a section of {', '.join(old.__dataclass_fields__)}")
+            changes[key] = update(old, value, where)
+        elif key == "weights":
+            changes[key] = Path(value) if value else None
+        elif isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+            changes[key] = float(value)
+        elif type(old) is not type(value):
+            raise ConfigError(f"{where}: '{key}' is {value!r}, expected a value like {old!r}")
+        else:
+            changes[key] = value
+    return replace(config, **changes)

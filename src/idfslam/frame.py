@@ -1,0 +1,46 @@
+"""What a recording yields and what the system keeps of it."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One RGB-D image, undistorted, depth registered to colour."""
+
+    index: int
+    timestamp: float  # [s]
+    colour: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
+    depth: NDArray[np.float32]  # (H, W) z-depth [m], 0 = no reading
+    camera: Camera
+
+    @staticmethod
+    def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
+        """A frame that could not be read: black, without depth; the system treats it as lost."""
+        shape = (camera.height, camera.width)
+        return Frame(index, timestamp, np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), camera)
+
+
+class Status(str, Enum):
+    """How a frame's pose was found."""
+
+    OK = "ok"
+    DEGENERATE = "degenerate"  # the geometry leaves a direction free (a bare wall): tracker and colour decided
+    LOST = "lost"  # no evidence for any pose: the last motion was carried on
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What `Slam.process` says of a frame."""
+
+    index: int
+    timestamp: float  # [s]
+    T_wc: NDArray[np.float64]  # (4, 4)
+    status: Status
+    keyframe: bool
+    losses: dict[str, float]

@@ -1,0 +1,91 @@
+"""SE(3) as plain (..., 4, 4) tensors; increments are 6-vectors (translation first, then rotation) [m, rad].
+
+`T_ab` maps points of frame b into frame a, so that adjacent letters cancel: `T_wk @ T_kc = T_wc`.
+"""
+
+import torch
+from torch import Tensor
+
+_SMALL = 1e-3  # below this angle [rad] the closed forms lose digits in float32: Taylor series instead
+
+
+def hat(omega: Tensor) -> Tensor:
+    """(..., 3) -> (..., 3, 3): the skew matrix with `hat(a) @ b = a x b`."""
+    x, y, z = omega.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+
+
+def _coefficients(theta2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """sin(t)/t, (1-cos t)/t^2, (t-sin t)/t^3 from t^2, smooth (also in their gradients) at zero."""
+    small = theta2 < _SMALL**2
+    safe = torch.where(small, torch.ones_like(theta2), theta2)
+    theta = safe.sqrt()
+    a = torch.where(small, 1 - theta2 / 6 + theta2**2 / 120, theta.sin() / theta)
+    b = torch.where(small, 0.5 - theta2 / 24 + theta2**2 / 720, 2 * (theta / 2).sin() ** 2 / safe)
+    c = torch.where(small, 1 / 6 - theta2 / 120 + theta2**2 / 5040, (theta - theta.sin()) / (safe * theta))
+    return a, b, c
+
+
+def exp(xi: Tensor) -> Tensor:
+    """Increment (..., 6) -> transform (..., 4, 4); differentiable at zero."""
+    v, omega = xi[..., :3], xi[..., 3:]
+    a, b, c = (k[..., None, None] for k in _coefficients((omega * omega).sum(-1)))
+    W = hat(omega)
+    WW = W @ W
+    eye = torch.eye(3, dtype=xi.dtype, device=xi.device)
+    R = eye + a * W + b * WW
+    t = (eye + b * W + c * WW) @ v[..., None]
+    bottom = torch.zeros_like(xi[..., :4])[..., None, :] + torch.tensor([0.0, 0, 0, 1], dtype=xi.dtype, device=xi.device)
+    return torch.cat([torch.cat([R, t], -1), bottom], -2)
+
+
+def log(T: Tensor) -> Tensor:
+    """Transform (..., 4, 4) -> increment (..., 6), `exp(log(T)) = T`; rotation angle in [0, pi)."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    vee = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1) / 2
+    sine = vee.norm(dim=-1)
+    cosine = (R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    theta = torch.atan2(sine, cosine)
+    scale = torch.where(sine < 1e-6, torch.ones_like(sine), theta / sine.clamp(min=1e-12))
+    omega = vee * scale[..., None]
+    near_pi = (sine < 1e-3) & (cosine < 0)  # there the skew part vanishes: the axis comes from R + I
+    if bool(near_pi.any()):
+        S = R + torch.eye(3, dtype=T.dtype, device=T.device)
+        column = S.gather(-1, S.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None].expand(*S.shape[:-1], 1))[..., 0]
+        axis = column / column.norm(dim=-1, keepdim=True)
+        sign = torch.where((axis * vee).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+        omega = torch.where(near_pi[..., None], axis * sign * theta[..., None], omega)
+    W = hat(omega)
+    theta2 = (omega * omega).sum(-1)
+    a, b, _ = _coefficients(theta2)
+    small = theta2 < _SMALL**2
+    d = torch.where(small, 1 / 12 + theta2 / 720, (1 - a / (2 * b)) / torch.where(small, torch.ones_like(theta2), theta2))
+    eye = torch.eye(3, dtype=T.dtype, device=T.device)
+    v = (eye - W / 2 + d[..., None, None] * (W @ W)) @ t[..., None]
+    return torch.cat([v[..., 0], omega], -1)
+
+
+def inverse(T: Tensor) -> Tensor:
+    """(..., 4, 4): the closed form, `T_ab -> T_ba`."""
+    R_t = T[..., :3, :3].mT
+    top = torch.cat([R_t, -R_t @ T[..., :3, 3:]], -1)
+    return torch.cat([top, T[..., 3:, :]], -2)
+
+
+def transform(T_ab: Tensor, points_b: Tensor) -> Tensor:
+    """Points (..., N, 3) of frame b into frame a."""
+    return points_b @ T_ab[..., :3, :3].mT + T_ab[..., None, :3, 3]
+
+
+def angle(T: Tensor) -> Tensor:
+    """Rotation angle (...) [rad] of transforms (..., 4, 4)."""
+    return log(T)[..., 3:].norm(dim=-1)
+
+
+def orthonormal(T: Tensor) -> Tensor:
+    """The nearest rigid transform: rounding that long products pile up is taken out of the rotation by SVD."""
+    U, _, Vt = torch.linalg.svd(T[..., :3, :3].double())
+    out = T.clone()
+    out[..., :3, :3] = (U @ Vt).to(T.dtype)
+    return out
