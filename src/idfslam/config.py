@@ -1,6 +1,6 @@
 """Every value of the system, one section a component; `paper` holds Sec. VI-A, `fast` (the default) what people use."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -169,8 +169,16 @@ class AlignmentConfig:
     """Weight of a unit colour difference against a metre of distance."""
     robust: float = 0.02
     """Scale of the robust weights [m]."""
+    colour_robust: float = 0.1
+    """Scale of the robust weights of colour, in [0, 1]."""
+    prior: tuple[float, ...] = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)
+    """Information per point that holds the pose to its guess (shift, turn): it decides only what nothing else does."""
+    converged: float = 1e-5
+    """Steps below this [m, rad] end the iteration."""
     min_overlap: float = 0.3
     """Smaller share of points that fall where the map is known: lost."""
+    min_stiffness: float = 1e-3
+    """Less information of depth in some direction, per point: degenerate."""
 
 
 @dataclass(frozen=True)
@@ -191,13 +199,13 @@ class Config:
     """Seed of every random choice."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the networks run; auto: a GPU when there is one."""
-    field: FieldConfig = field(default_factory=FieldConfig)
-    mapper: MapperConfig = field(default_factory=MapperConfig)
-    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    finetune: FinetuneConfig = field(default_factory=FinetuneConfig)
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    mesh: MeshConfig = field(default_factory=MeshConfig)
+    field: FieldConfig = FieldConfig()
+    mapper: MapperConfig = MapperConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    finetune: FinetuneConfig = FinetuneConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
+    mesh: MeshConfig = MeshConfig()
 
 
 FAST = Config()
