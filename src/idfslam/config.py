@@ -1,8 +1,9 @@
 """Every value of the system, one section a component; `paper` holds Sec. VI-A, `fast` (the default) what people use."""
 
-from dataclasses import asdict, dataclass, replace
+import math
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -109,6 +110,8 @@ class KeyframeConfig:
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
     replay: int = 10
     """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
+    replay_connected: int = 0
+    """Keyframes connected to the newest that each step trains on too (not in the paper: 0)."""
 
 
 @dataclass(frozen=True)
@@ -121,16 +124,30 @@ class TrackerConfig:
     """K: correspondences kept, the best by ratio weight."""
     grid: int = 4
     """At most K / grid^2 correspondences from a cell of a grid x grid image; 1: no limit."""
+    query_stride: int = 4
+    """Every so many rows and columns a pixel asks for its nearest neighbours; 1: all of them."""
+    target_stride: int = 2
+    """Every so many rows and columns a pixel may be the answer; 1: all of them."""
+    mutual: bool = True
+    """Keep a match only if its answer, asked back, returns; off: the matches of both directions together, as in the paper."""
     subsets: int = 100
     """Random subsets tried by the robust Procrustes."""
     subset_share: float = 0.05
     """Share of the correspondences in a subset."""
+    truncation: float = 0.1
+    """A correspondence's residual counts no more than this [m] in choosing the best subset; 0: no such limit."""
+    refits: int = 3
+    """Rounds of Procrustes on all inliers after the best subset."""
     inlier_distance: float = 0.05
     """A correspondence this close [m] after alignment is an inlier."""
     min_inliers: int = 30
     """Fewer inliers: lost."""
     min_inlier_share: float = 0.2
     """Smaller share of inliers among the correspondences: lost."""
+    min_extent: float = 0.05
+    """Inliers that spread less than this [m] across their main direction: lost."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Arithmetic of the feature extractor; auto: bf16 where the machine is good at it."""
     weights: Path | None = None
     """Weights of the feature extractor; none given: those shipped with the package."""
 
@@ -193,7 +210,7 @@ class MeshConfig:
 class Config:
     """All of it."""
 
-    preset: str = "fast"
+    preset: Literal["fast", "paper"] = "fast"
     """The preset that these values came from."""
     seed: int = 0
     """Seed of every random choice."""
@@ -226,7 +243,7 @@ PAPER = Config(
         warm_up=20,
     ),
     keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10),
-    tracker=TrackerConfig(matches=200, grid=4),
+    tracker=TrackerConfig(matches=200, grid=4, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0),
     finetune=FinetuneConfig(keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),
 )
@@ -234,23 +251,51 @@ PAPER = Config(
 PRESETS = {"fast": FAST, "paper": PAPER}
 
 
-def dump(config: Config) -> dict[str, Any]:
+RUN_SECTIONS = ("recording", "versions")  # what a run's config.yaml tells beside the values: no part of a Config
+_AT_LEAST_ONE = {
+    *("field.layers", "field.width", "field.levels", "field.features", "mapper.pixels", "mapper.samples", "mapper.cells"),
+    *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "finetune.pixels"),
+}
+_ABOVE_ZERO = {"field.truncation", "field.coarsest", "field.finest", "mapper.sharpness", "mesh.resolution", "tracker.inlier_distance"}
+
+
+def dump(config: Any) -> dict[str, Any]:
     """Plain values, ready for YAML."""
-    return {k: {n: str(v) if isinstance(v, Path) else v for n, v in s.items()} if isinstance(s, dict) else s for k, s in asdict(config).items()}
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(inner) for key, inner in value.items()}
+        if isinstance(value, tuple):
+            return list(value)
+        return str(value) if isinstance(value, Path) else value
+
+    values: dict[str, Any] = plain(asdict(config))
+    return values
 
 
-def load(path: Path) -> Config:
-    """A config from YAML: the named preset with the file's values in place of its own.
+def load(path: Path, *, base: str | None = None) -> Config:
+    """A config from YAML: the file's values over those of the preset `base`; without one, over the preset that the file names.
 
-    Raises ConfigError for a file that is no YAML mapping, and for unknown sections, keys or presets.
+    Raises ConfigError for a file that is no YAML mapping, for unknown sections, keys or presets, and for values that cannot be.
     """
+    values = {key: value for key, value in read_yaml(path).items() if key not in RUN_SECTIONS}
+    if base is not None:
+        values["preset"] = base
+    return check(update(preset(str(values.get("preset", "fast"))), values, path))
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file. Raises ConfigError if it cannot be read or is something else."""
     try:
-        values = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML ({error}); expected a config such as a run's config.yaml") from error
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; expected a YAML file such as a run's config.yaml") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        line = " ".join(str(error).split())
+        raise ConfigError(f"{path}: is not YAML ({line}); expected a file such as a run's config.yaml") from error
     if not isinstance(values, dict):
         raise ConfigError(f"{path}: found {type(values).__name__}, expected a mapping of config sections")
-    return update(preset(str(values.get("preset", "fast"))), values, path)
+    return values
 
 
 def preset(name: str) -> Config:
@@ -261,22 +306,55 @@ def preset(name: str) -> Config:
 
 
 def update(config: Any, values: dict[str, Any], where: Path | str) -> Any:
-    """`config` with nested `values` in place; raises ConfigError for a key it does not have."""
+    """`config` with nested `values` in place; raises ConfigError for a key it does not have or a value of another type."""
+    hints = get_type_hints(type(config))
     changes: dict[str, Any] = {}
     for key, value in values.items():
-        if key not in config.__dataclass_fields__:
-            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(config.__dataclass_fields__)}")
+        if key not in hints:
+            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(hints)}")
         old = getattr(config, key)
-        if hasattr(old, "__dataclass_fields__"):
-            if not isinstance(value, dict):
-                raise ConfigError(f"{where}: '{key}' is {value!r}, expected a section of {', '.join(old.__dataclass_fields__)}")
+        if not is_dataclass(old):
+            changes[key] = _read(value, hints[key], old, f"{where}: '{key}'")
+        elif isinstance(value, dict):
             changes[key] = update(old, value, where)
-        elif key == "weights":
-            changes[key] = Path(value) if value else None
-        elif isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
-            changes[key] = float(value)
-        elif type(old) is not type(value):
-            raise ConfigError(f"{where}: '{key}' is {value!r}, expected a value like {old!r}")
         else:
-            changes[key] = value
+            raise ConfigError(f"{where}: '{key}' is {value!r}, expected a section of {', '.join(get_type_hints(type(old)))}")
     return replace(config, **changes)
+
+
+def _read(value: Any, hint: Any, old: Any, name: str) -> Any:
+    """A value from YAML as the type `hint` asks for it."""
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise ConfigError(f"{name} is {value!r}; choose one of {', '.join(map(str, get_args(hint)))}")
+        return value
+    if Path in get_args(hint):
+        if value is not None and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}, expected a path")
+        return Path(value) if value else None
+    numeric = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is float and numeric:
+        return float(value)
+    if get_origin(hint) is tuple and isinstance(value, list) and all(isinstance(v, int | float) for v in value):
+        return tuple(float(v) for v in value)
+    if type(value) is not hint:
+        raise ConfigError(f"{name} is {value!r}, expected a value like {old!r}")
+    return value
+
+
+def check(config: Config) -> Config:
+    """The same config, if its numbers can be: finite, none negative, counts at least 1 where nothing works without.
+
+    Raises ConfigError for the first that cannot.
+    """
+    for section, values in asdict(config).items():
+        for key, value in values.items() if isinstance(values, dict) else [("", values)]:
+            name = f"{section}.{key}" if key else section
+            numbers = value if isinstance(value, tuple) else (value,)
+            if any(isinstance(v, int | float) and (not math.isfinite(v) or v < 0) for v in numbers):
+                raise ConfigError(f"{name} is {value}, expected a finite number of at least 0")
+            if name in _AT_LEAST_ONE and value < 1:
+                raise ConfigError(f"{name} is {value}, expected at least 1")
+            if name in _ABOVE_ZERO and value <= 0:
+                raise ConfigError(f"{name} is {value}, expected more than 0")
+    return config
