@@ -1,0 +1,125 @@
+"""The losses of the paper: of the map and the keyframe poses (Eqs. 1-4), of the tracker's finetuning (Eqs. 7, 8).
+
+Units. The field's T-SDF is in units of the truncation distance tr. Free-space residuals T_s - tr stay in that unit (target 1); truncation
+residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the paper leaves unnamed and which are the defaults here.
+
+The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them.
+`LossWeights.squared` chooses; the printed form is the default. `LossWeights.balance` multiplies the free-space and the truncation loss each
+by the other class's share of the samples, as the published code of [25] does; it is in neither paper's equations.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from idfslam.mapping.rendering import Rendered
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of Eqs. 2 and 3 and the form of their residuals."""
+
+    photometric: float = 0.1  # w_p
+    free_space: float = 10.0  # w_fs, on units of tr
+    truncation: float = 6000.0  # w_tr, on metres
+    squared: bool = False  # squared norms, as in [25]
+    balance: bool = True  # class balance, as in the code of [25]
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What a step minimises (`total`), its parts before weighting, and each ray's share for active sampling."""
+
+    total: Tensor  # () Eq. 3
+    photometric: Tensor  # () Eq. 1
+    free_space: Tensor  # () Eq. 2 [tr]
+    truncation: Tensor  # () Eq. 2 [m]
+    per_ray: Tensor  # (B,) detached; their mean is `total`
+
+
+def photometric_residuals(colour: Tensor, target: Tensor, *, squared: bool = False) -> Tensor:
+    """The terms of Eq. 1: norms (B,) of the differences between colours (B, 3)."""
+    difference = colour - target
+    return (difference * difference).sum(-1) if squared else torch.linalg.vector_norm(difference, dim=-1)
+
+
+def geometric_residuals(
+    sdf: Tensor, depths: Tensor, target_depth: Tensor, truncation: float, *, squared: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr], truncation (B,) [m], and the share of S^fs in S^fs + S^tr.
+
+    sdf (B, S) [tr], depths (B, S) [m], target_depth (B,) [m]. S^fs: samples before the near end of the truncation region, where T should be
+    tr. S^tr: samples within tr of the measured depth, where T should be the measured minus the sample's depth. A ray without a sample in a
+    class, or without depth (0), has 0 there.
+    """
+    distance = target_depth[:, None] - depths  # [m], positive before the surface
+    measured = target_depth[:, None] > 0
+    free = (measured & (distance > truncation)).to(sdf.dtype)
+    near = (measured & (distance.abs() <= truncation)).to(sdf.dtype)
+    free_residual = (sdf - 1) * free
+    near_residual = (sdf * truncation - distance) * near
+    power = torch.square if squared else torch.abs
+    free_mean = power(free_residual).sum(1) / free.sum(1).clamp(min=1)
+    near_mean = power(near_residual).sum(1) / near.sum(1).clamp(min=1)
+    return free_mean, near_mean, free.sum() / (free.sum() + near.sum()).clamp(min=1)
+
+
+def _weighted(photometric: Tensor, free_space: Tensor, truncation: Tensor, free_share: Tensor, weights: LossWeights) -> Losses:
+    """Eq. 3 from per-ray terms (B,)."""
+    free_balance, near_balance = (1 - free_share, free_share) if weights.balance else (1.0, 1.0)
+    geometric = weights.free_space * free_balance * free_space + weights.truncation * near_balance * truncation
+    per_ray = geometric + weights.photometric * photometric
+    return Losses(per_ray.mean(), photometric.mean(), free_space.mean(), truncation.mean(), per_ray.detach())
+
+
+def rendering_losses(
+    rendered: Rendered, target_colour: Tensor, target_depth: Tensor, truncation: float, weights: LossWeights | None = None
+) -> Losses:
+    """Eqs. 1-3 of B rendered rays against colours (B, 3) and depths (B,) [m], 0 = no reading; such a ray counts by its colour alone."""
+    weights = weights or LossWeights()
+    photometric = photometric_residuals(rendered.colour, target_colour, squared=weights.squared)
+    free_space, near, free_share = geometric_residuals(rendered.sdf, rendered.depths, target_depth, truncation, squared=weights.squared)
+    return _weighted(photometric, free_space, near, free_share, weights)
+
+
+def sample_losses(
+    sdf: Tensor,
+    colour: Tensor,
+    target_sdf: Tensor,
+    target_colour: Tensor,
+    in_truncation: Tensor,
+    truncation: float,
+    weights: LossWeights | None = None,
+) -> Losses:
+    """The same losses without rendering: the samples themselves are held against their targets. All means are over their own class.
+
+    sdf, target_sdf (B, S) [tr], colour (B, S, 3), target_colour (B, 3), in_truncation (B, S) bool: samples near the measured surface, whose
+    colour counts too. The rest is free space, where the target is usually 1.
+    """
+    weights = weights or LossWeights()
+    power = torch.square if weights.squared else torch.abs
+    near = in_truncation.to(sdf.dtype)
+    free = 1 - near
+    near_count, free_count = near.sum(1).clamp(min=1), free.sum(1).clamp(min=1)
+    residual = sdf - target_sdf
+    photometric = photometric_residuals(colour, target_colour[:, None], squared=weights.squared)
+    return _weighted(
+        (photometric * near).sum(1) / near_count,
+        (power(residual) * free).sum(1) / free_count,
+        (power(residual * truncation) * near).sum(1) / near_count,
+        free.mean(),
+        weights,
+    )
+
+
+def depth_loss(depth: Tensor, target_depth: Tensor) -> Tensor:
+    """Eq. 7: mean |D - D^| [m] over the rays (B,) that have a reading (target > 0); 0 if none has."""
+    measured = target_depth > 0
+    return ((depth - target_depth).abs() * measured).sum() / measured.sum().clamp(min=1)
+
+
+def correspondence_loss(points_r: Tensor, points_c: Tensor, T_rc: Tensor, weights: Tensor) -> Tensor:
+    """Eq. 8: mean of w ||p_r - T_rc p_c|| [m] over correspondences: points (C, 3) [m] of the two frames, weights (C,)."""
+    aligned = points_c @ T_rc[:3, :3].mT + T_rc[:3, 3]
+    return (weights * torch.linalg.vector_norm(points_r - aligned, dim=-1)).mean()

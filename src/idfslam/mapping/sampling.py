@@ -1,0 +1,87 @@
+"""Active sampling (Sec. IV-A, from iMAP): an image is divided into cells; a cell's share of the pixels follows its share of the loss.
+
+For the pose (Sec. IV-B) the shares are inverted: more pixels where the map is already good.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class CellPixels:
+    """The pixels of an image that may be drawn, sorted by cell. Built once an image; 4 bytes a pixel."""
+
+    order: Tensor  # (P,) int32 v * width + u, cell after cell
+    starts: Tensor  # (cells^2,) where a cell begins in `order`
+    counts: Tensor  # (cells^2,) pixels of a cell
+    height: int
+    width: int
+    cells: int
+
+
+def cell_of(uv: Tensor, height: int, width: int, cells: int) -> Tensor:
+    """The cell (N,), counted row by row, of integer pixels uv (N, 2)."""
+    return (uv[:, 1] * cells // height) * cells + uv[:, 0] * cells // width
+
+
+def group_pixels(allowed: Tensor, cells: int) -> CellPixels:
+    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells."""
+    height, width = allowed.shape
+    v, u = allowed.nonzero(as_tuple=True)
+    cell = cell_of(torch.stack([u, v], -1), height, width, cells)
+    order = cell.argsort(stable=True)
+    counts = torch.bincount(cell, minlength=cells * cells)
+    return CellPixels((v * width + u)[order].int(), counts.cumsum(0) - counts, counts, height, width, cells)
+
+
+def initial_cell_losses(cells: int, device: torch.device | str = "cpu") -> Tensor:
+    """Equal losses (cells, cells): before anything is known, pixels are drawn evenly."""
+    return torch.ones(cells, cells, device=device)
+
+
+def update_cell_losses(cell_losses: Tensor, uv: Tensor, per_ray: Tensor, height: int, width: int) -> Tensor:
+    """Each cell's mean (cells, cells) of the losses per_ray (N,) of its pixels uv (N, 2); a cell without pixels keeps its last."""
+    cells = cell_losses.shape[0]
+    cell = cell_of(uv, height, width, cells)
+    counts = torch.bincount(cell, minlength=cells * cells)
+    sums = cell_losses.new_zeros(cells * cells).index_add_(0, cell, per_ray.to(cell_losses.dtype))
+    means = (sums / counts.clamp(min=1)).view(cells, cells)
+    return torch.where(counts.view(cells, cells) > 0, means, cell_losses)
+
+
+def cell_shares(cell_losses: Tensor, *, invert: bool = False) -> Tensor:
+    """Shares (cells, cells) of the pixels, summing to 1: in proportion to the loss, or to its reciprocal for the pose.
+
+    A loss below a hundredth of the mean counts as that hundredth, so that no cell is forgotten and, inverted, none takes all.
+    """
+    mean = cell_losses.mean()
+    if mean <= 0:
+        return torch.full_like(cell_losses, 1 / cell_losses.numel())
+    losses = cell_losses.clamp(min=float(mean) / 100)
+    parts = 1 / losses if invert else losses
+    return parts / parts.sum()
+
+
+def allot(shares: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """How many of `count` pixels each cell gets, (cells^2,): its share, rounded up or down by chance so that they add up to `count`."""
+    offset = torch.rand((), generator=generator, device=shares.device, dtype=torch.float64)
+    ends = shares.flatten().double().cumsum(0)
+    passed = (ends / ends[-1] * count - offset).ceil().clamp(0, count)  # draws k with k + offset below a cell's end
+    return passed.diff(prepend=passed.new_zeros(1)).long()
+
+
+def draw_pixels(pixels: CellPixels, shares: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """`count` pixels (count, 2) int64 (u, v): allotted to cells by `shares` (cells, cells), even within a cell, with replacement.
+
+    The shares of cells without an allowed pixel go to the others; an image without any gives no pixels, (0, 2).
+    """
+    possible = shares.flatten() * (pixels.counts > 0)
+    if not bool((possible > 0).any()):
+        return torch.zeros(0, 2, dtype=torch.int64, device=shares.device)
+    cell = torch.repeat_interleave(allot(possible, count, generator))
+    chance = torch.rand(count, generator=generator, device=shares.device)
+    within = (chance * pixels.counts[cell]).long().clamp(max=pixels.counts[cell] - 1)
+    flat = pixels.order[pixels.starts[cell] + within].long()
+    return torch.stack([flat % pixels.width, flat // pixels.width], -1)
