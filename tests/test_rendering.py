@@ -67,7 +67,7 @@ def test_zero_crossing() -> None:
 
 
 def test_weights_by_hand() -> None:
-    # s = 2: sigmoid(2 D) sigmoid(-2 D) is 1/4 at 0, 0.104994 at D = +-1, cut beyond the crossing at 1.0 m + 0.1 m: the sample at 1.2 m gets 0.
+    # s = 2: sigmoid(2 D) sigmoid(-2 D) is 1/4 at 0, 0.104994 at D = +-1, cut beyond the crossing at 1.0 m + 0.1 m: 0 at 1.2 m.
     sdf = torch.tensor([[1.0, 0, -1, -1]])
     depths = torch.tensor([[0.9, 1.0, 1.1, 1.2]])
     bell = torch.tensor([[0.104994, 0.25, 0.104994, 0]])

@@ -47,7 +47,7 @@ def photometric_residuals(colour: Tensor, target: Tensor, *, squared: bool = Fal
 def geometric_residuals(
     sdf: Tensor, depths: Tensor, target_depth: Tensor, truncation: float, *, squared: bool = False
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr], truncation (B,) [m], and the share of S^fs in S^fs + S^tr.
+    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr], truncation (B,) [m]; and S^fs's share of all.
 
     sdf (B, S) [tr], depths (B, S) [m], target_depth (B,) [m]. S^fs: samples before the near end of the truncation region, where T should be
     tr. S^tr: samples within tr of the measured depth, where T should be the measured minus the sample's depth. A ray without a sample in a

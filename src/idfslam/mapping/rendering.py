@@ -58,13 +58,10 @@ def world_rays(T_wc: Tensor, camera: Camera, uv: Tensor) -> tuple[Tensor, Tensor
 
 
 def stratified_depths(near: float, far: Tensor, samples: int, generator: torch.Generator | None = None) -> Tensor:
-    """One depth in each of `samples` equal parts of [near, far], far (B,) [m] -> (B, samples) [m]; the parts' middles without a generator."""
+    """One depth in each of `samples` equal parts of [near, far], far (B,) [m] -> (B, samples) [m]; without a generator their middles."""
     shape = (far.shape[0], samples)
-    if generator is None:
-        jitter = far.new_full(shape, 0.5)
-    else:
-        jitter = torch.rand(shape, generator=generator, dtype=far.dtype, device=far.device)
-    share = (torch.arange(samples, dtype=far.dtype, device=far.device) + jitter) / samples
+    jitter = torch.full(shape, 0.5) if generator is None else torch.rand(shape, generator=generator, device=generator.device)
+    share = (torch.arange(samples, dtype=far.dtype, device=far.device) + jitter.to(far)) / samples
     return near + (far - near)[:, None] * share
 
 
@@ -87,7 +84,7 @@ def importance_depths(depths: Tensor, weights: Tensor, samples: int, generator: 
 
 
 def zero_crossing(sdf: Tensor, depths: Tensor) -> Tensor:
-    """Depth (B,) [m] of the first change from positive to not positive along the rays (B, S), linearly interpolated; inf where there is none."""
+    """Depth (B,) [m] of the first change from positive to not positive along rays (B, S), linearly interpolated; inf if none."""
     front, behind = sdf[:, :-1], sdf[:, 1:]
     crosses = (front > 0) & (behind <= 0)
     first = crosses.int().argmax(1, keepdim=True)  # argmax gives the first of equals
@@ -101,9 +98,9 @@ def zero_crossing(sdf: Tensor, depths: Tensor) -> Tensor:
 def render_weights(sdf: Tensor, depths: Tensor, truncation: float, sharpness: float) -> Tensor:
     """Weights (B, S) of samples with T-SDF `sdf` (B, S) [tr] at `depths` (B, S) [m]: a bell over the surface, summing to 1.
 
-    w = sigmoid(s D/tr) sigmoid(-s D/tr), zero beyond the first zero crossing + tr, so that surfaces behind the first do not shine through.
-    With s = 1 free space (D = tr) keeps 0.197 of the surface's 0.25, and rendered depth is pulled towards the camera by metres; the published
-    code of [25] divides by tr twice, which is s = 1/tr (10 for tr = 0.1 m).
+    w = sigmoid(s D/tr) sigmoid(-s D/tr), zero beyond the first zero crossing + tr, so that no surface shines through another. With s = 1
+    free space (D = tr) keeps 0.197 of the surface's 0.25, and rendered depth is pulled towards the camera by metres; the published code of
+    [25] divides by tr twice, which is s = 1/tr (10 for tr = 0.1 m).
     """
     bell = torch.sigmoid(sharpness * sdf) * torch.sigmoid(-sharpness * sdf)
     limit = zero_crossing(sdf.detach(), depths.detach()) + truncation
