@@ -1,0 +1,75 @@
+import math
+import time
+
+import pytest
+import torch
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.covisibility import covisibility
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+
+
+def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: float = 0.0) -> torch.Tensor:
+    """T_kn of a translation [m] and a rotation [rad] about y."""
+    T = se3.exp(torch.tensor([0, 0, 0, 0, turn, 0]))
+    T[:3, 3] = torch.tensor([x, y, z])
+    return T
+
+
+def test_wall_by_hand() -> None:
+    # A wall at 2 m: 1 m sideways moves its pixels by 500 * 1 / 2 = 250 of 640 columns, so 390 / 640 stay; 0.96 m upwards by 240 of 480
+    # rows: half stays. Facing away (half a turn): none. The same place: all.
+    T_kn = torch.stack([shifted(), shifted(x=1.0), shifted(x=-1.0), shifted(y=0.96), shifted(turn=math.pi), shifted(x=10.0)])
+    shares = covisibility(torch.full((480, 640), 2.0), CAMERA, T_kn, CAMERA, subsample=1)
+    torch.testing.assert_close(shares, torch.tensor([1, 390 / 640, 390 / 640, 0.5, 0, 0]), atol=1e-3, rtol=0)
+
+
+def test_subsampling_changes_little() -> None:
+    depth = torch.full((480, 640), 2.0)
+    T_kn = torch.stack([shifted(x=0.4, turn=0.2), shifted(y=0.3, z=0.5)])
+    fine, coarse = (covisibility(depth, CAMERA, T_kn, CAMERA, subsample=s) for s in (1, 8))
+    torch.testing.assert_close(fine, coarse, atol=0.02, rtol=0)
+
+
+def test_only_pixels_with_depth_count() -> None:
+    # The right half has no reading; a move of 250 px to the right keeps the whole left half (320 + 250 < 640) ...
+    depth = torch.full((480, 640), 2.0)
+    depth[:, 320:] = 0
+    assert float(covisibility(depth, CAMERA, shifted(x=1.0)[None], CAMERA)[0]) == 1
+    # ... and to the left 70 of its 320 columns.
+    assert float(covisibility(depth, CAMERA, shifted(x=-1.0)[None], CAMERA, subsample=1)[0]) == pytest.approx(70 / 320, abs=1e-3)
+
+
+def test_no_depth_sees_nothing() -> None:
+    assert covisibility(torch.zeros(480, 640), CAMERA, shifted().expand(3, 4, 4), CAMERA).tolist() == [0, 0, 0]
+
+
+def test_occlusion() -> None:
+    # The new keyframe sees a wall at 4 m; the stored one, at the same place, saw a board at 1 m before its left half and has no reading
+    # in the right half's upper half.
+    depth = torch.full((480, 640), 4.0)
+    stored = torch.full((1, 480, 640), 4.0)
+    stored[:, :, :320] = 1.0
+    stored[:, :240, 320:] = 0
+    assert float(covisibility(depth, CAMERA, shifted()[None], CAMERA)[0]) == 1
+    assert float(covisibility(depth, CAMERA, shifted()[None], CAMERA, stored)[0]) == 0.5
+
+
+def test_other_camera() -> None:
+    # Half the field of view in each direction: a quarter of the pixels.
+    narrow = Camera(320, 240, 500.0, 500.0, 159.5, 119.5)
+    shares = covisibility(torch.full((480, 640), 2.0), CAMERA, shifted()[None], narrow, subsample=1)
+    assert float(shares[0]) == pytest.approx(0.25, abs=1e-3)
+
+
+def test_a_hundred_keyframes_at_once_equal_one_by_one() -> None:
+    depth = 1 + torch.rand(240, 320, generator=torch.Generator().manual_seed(0))
+    camera = CAMERA.resized(320, 240)
+    T_kn = se3.exp(torch.randn(100, 6, generator=torch.Generator().manual_seed(1)) * 0.3)
+    together = covisibility(depth, camera, T_kn, camera)
+    torch.testing.assert_close(together, torch.cat([covisibility(depth, camera, T[None], camera) for T in T_kn]))
+    start = time.perf_counter()
+    covisibility(depth, camera, T_kn, camera)
+    assert time.perf_counter() - start < 0.5  # about 2 ms on an idle core
