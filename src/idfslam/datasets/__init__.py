@@ -1,0 +1,82 @@
+"""Recordings in the layouts of the field, opened lazily. A layout is one file beside this one and one line in READERS."""
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from idfslam.datasets import folder, icl_nuim, replica, scannet, seven_scenes, tum
+from idfslam.datasets.calibration import Calibration, override
+from idfslam.datasets.prefetch import Prefetch
+from idfslam.datasets.recording import Dataset, Reader, Recording, Selection
+from idfslam.errors import ConfigError, RecordingError
+
+__all__ = ["FORMATS", "Dataset", "Prefetch", "Recording", "Selection", "open_recording"]
+
+_SYNTHETIC = re.compile(r"synthetic(?::(?P<seed>\d+))?(?P<noise>:kinect)?")
+
+READERS: tuple[Reader, ...] = (  # in the order in which they are tried
+    scannet.READER,
+    replica.READER,
+    seven_scenes.READER,
+    icl_nuim.READER,
+    tum.READER,
+    folder.READER,
+)
+FORMATS = (*(reader.name for reader in READERS), "synthetic")
+
+
+def open_recording(
+    path: Path | str,
+    *,
+    format: str | None = None,
+    camera: Mapping[str, float | None] | None = None,
+    depth_scale: float | None = None,
+    start: int = 0,
+    frames: int | None = None,
+    stride: int = 1,
+) -> Dataset:
+    """Opens a recording, recognised by what lies in it, or generates one: `synthetic[:SEED][:kinect]`.
+
+    path: a folder, a .sens file, or the name of a synthetic room.
+    format: one of FORMATS, where the layout is not recognised or is mistaken for another.
+    camera: any of fx, fy, cx, cy [px] (and depth_scale), over what the recording says. All four together state the pinhole
+        camera of the images as they are, without distortion.
+    depth_scale: units of the depth images per metre, over what the recording says.
+    start, frames, stride: every stride-th frame from `start`, `frames` of them (all that there are if None), numbered from 0.
+
+    Raises RecordingError where the recording as a whole cannot be used, ConfigError where an argument is out of range.
+    """
+    given = override(camera, depth_scale)
+    if format is not None and format not in FORMATS:
+        raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
+    if format == "synthetic" or (format is None and _SYNTHETIC.fullmatch(str(path)) and not Path(path).exists()):
+        dataset = _open_synthetic(str(path), given)
+    else:
+        place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
+        dataset = _reader(place, format).open(place, given)
+    return Selection(dataset, start=start, frames=frames, stride=stride)
+
+
+def _reader(path: Path, format: str | None) -> Reader:
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder, expected a recording or synthetic[:SEED][:kinect]")
+    if format is not None:
+        return next(reader for reader in READERS if reader.name == format)
+    for reader in READERS:
+        if reader.recognises(path):
+            return reader
+    content = ", ".join(sorted(entry.name for entry in path.iterdir())[:6]) if path.is_dir() else "a file"
+    layouts = "; ".join(f"{reader.name} ({reader.layout})" for reader in READERS)
+    raise RecordingError(f"{path}: not a known recording: found {content or 'an empty folder'}, expected one of {layouts}")
+
+
+def _open_synthetic(path: str, given: Calibration) -> Dataset:
+    from idfslam.datasets.synthetic import SyntheticRoom  # compiles its ray caster: only where it is asked for
+
+    name = _SYNTHETIC.fullmatch(path)
+    if name is None:
+        raise RecordingError(f"{path}: not a synthetic room, expected synthetic[:SEED][:kinect]")
+    if given != Calibration():
+        raise ConfigError(f"{path}: a synthetic room has its own camera and depth, expected no override: leave the camera's values out")
+    return SyntheticRoom(seed=int(name["seed"] or 0), noise=name["noise"] is not None)

@@ -1,0 +1,131 @@
+"""What is known of a recording's camera, by whom, and which statement wins."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from idfslam.errors import ConfigError, RecordingError
+from idfslam.geometry.camera import Camera
+
+GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
+CAMERA_FILES = ("intrinsics.txt", "camera-intrinsics.txt", "calibration.txt", "calib.txt", "camera.txt")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One statement about the camera: the user's, a file's or a publication's; None where it says nothing."""
+
+    fx: float | None = None  # [px], like fy, cx, cy
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    width: int | None = None  # [px] of the images it holds for
+    height: int | None = None
+    distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3]
+    depth_scale: float | None = None  # units of the depth images per metre
+    source: str = "the command line"
+
+    @property
+    def complete(self) -> bool:
+        """Whether it states a whole pinhole camera."""
+        return None not in (self.fx, self.fy, self.cx, self.cy)
+
+    def over(self, other: "Calibration") -> "Calibration":
+        """This statement, filled up from a weaker one.
+
+        A whole camera stands alone: it says nothing of distortion where there is none, and only the depth scale is filled up.
+        """
+        scale = other.depth_scale if self.depth_scale is None else self.depth_scale
+        if self.complete:
+            return replace(self, depth_scale=scale)
+        said = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source" and getattr(self, f.name) is not None}
+        return replace(other, **said)
+
+    def camera(self, width: int, height: int, recording: str) -> Camera:
+        """The camera of images `width` x `height` [px].
+
+        Raises RecordingError where the camera is unknown, stated for another image size, or impossible.
+        """
+        if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
+            missing = ", ".join(name for name in ("fx", "fy", "cx", "cy") if getattr(self, name) is None)
+            raise RecordingError(f"{recording}: the camera is unknown ({missing} missing): {GIVE_CAMERA}")
+        size = (self.width or width, self.height or height)
+        if size != (width, height):
+            expected = f"the camera of {self.source} is for {size[0]}x{size[1]}"
+            raise RecordingError(f"{recording}: images are {width}x{height}, but {expected}: {GIVE_CAMERA} of these images")
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))) or min(self.fx, self.fy) <= 0:
+            found = f"fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy}"
+            raise RecordingError(f"{recording}: {self.source} says {found}: expected finite numbers with fx and fy above 0 (y points down)")
+        if not (0 <= self.cx < width and 0 <= self.cy < height):
+            found = f"the principal point ({self.cx}, {self.cy}) of {self.source} lies outside the {width}x{height} images"
+            raise RecordingError(f"{recording}: {found}: {GIVE_CAMERA} in pixels of these images")
+        return Camera(width, height, float(self.fx), float(self.fy), float(self.cx), float(self.cy))
+
+    def scale(self, recording: str) -> float:
+        """Units of the depth images per metre; raises RecordingError where unknown or not positive."""
+        if self.depth_scale is None or not (math.isfinite(self.depth_scale) and self.depth_scale > 0):
+            found = f"the depth scale is {self.depth_scale}"
+            raise RecordingError(f"{recording}: {found}, expected units per metre above 0: give --camera.depth-scale")
+        return self.depth_scale
+
+
+def override(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
+    """The user's own statement: any of fx, fy, cx, cy, depth_scale; None where not given. Raises ConfigError for other keys."""
+    given = {key: value for key, value in (camera or {}).items() if value is not None}
+    allowed = ("fx", "fy", "cx", "cy", "depth_scale")
+    if unknown := [key for key in given if key not in allowed]:
+        raise ConfigError(f"camera: unknown value '{unknown[0]}', expected any of {', '.join(allowed)}")
+    scale = given.get("depth_scale") if depth_scale is None else depth_scale
+    return Calibration(given.get("fx"), given.get("fy"), given.get("cx"), given.get("cy"), depth_scale=scale)
+
+
+def read_cam_params(*folders: Path) -> Calibration:
+    """cam_params.json of the first of the folders that has one: {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}."""
+    path = next((folder / "cam_params.json" for folder in folders if (folder / "cam_params.json").is_file()), None)
+    if path is None:
+        return Calibration()
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))["camera"]
+        fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
+        width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
+        scale = float(values["scale"]) if "scale" in values else None
+        distortion = tuple(float(value) for value in values.get("distortion", ())) or None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        found = f"{type(error).__name__} {error}"
+        raise RecordingError(
+            f'{path}: {found}, expected {{"camera": {{"w", "h", "fx", "fy", "cx", "cy", "scale"}}}} with numbers'
+        ) from error
+    _check_distortion(distortion, path)
+    return Calibration(fx, fy, cx, cy, width, height, distortion, scale, source=str(path))
+
+
+def read_camera_file(folder: Path, names: tuple[str, ...] = CAMERA_FILES) -> Calibration:
+    """The first of the named text files: a 3x3 or 4x4 matrix K, or one line `fx fy cx cy [k1 k2 p1 p2 [k3]]`; # starts a comment."""
+    path = next((folder / name for name in names if (folder / name).is_file()), None)
+    if path is None:
+        return Calibration()
+    lines = [line.split("#")[0].replace(",", " ").split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    try:
+        rows = [[float(number) for number in line] for line in lines if line]
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}, expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3]]") from error
+    if len(rows) == 1 and len(rows[0]) in (4, 8, 9):
+        fx, fy, cx, cy, *distortion = rows[0]
+        return Calibration(fx, fy, cx, cy, distortion=tuple(distortion) or None, source=str(path))
+    if [len(row) for row in rows] not in ([3] * 3, [4] * 3, [4] * 4):
+        found = f"{len(rows)} rows of {sorted({len(row) for row in rows})} numbers"
+        raise RecordingError(f"{path}: {found}, expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3]]")
+    K = np.array(rows)
+    if not np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
+        raise RecordingError(f"{path}: not a pinhole matrix, expected rows fx 0 cx, 0 fy cy, 0 0 1")
+    fx, fy, cx, cy = (float(value) for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    return Calibration(fx, fy, cx, cy, source=str(path))
+
+
+def _check_distortion(distortion: tuple[float, ...] | None, path: Path) -> None:
+    if distortion is not None and len(distortion) not in (4, 5):
+        raise RecordingError(f"{path}: {len(distortion)} distortion values, expected k1 k2 p1 p2 [k3]")

@@ -1,0 +1,116 @@
+"""Colour and depth images: read, validated and converted. Everything wrong with one image is a FrameError of one line."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import FrameError, RecordingError
+from idfslam.geometry.camera import Camera
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"}
+SATURATED = 65535  # "invalid" in 7-Scenes, the end of the range elsewhere: no reading
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """Called with i: colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of pair i."""
+
+    pairs: list[tuple[Path, Path]]
+
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        colour, depth = self.pairs[i]
+        raw = decode_depth(_read(depth), str(depth))  # first: it tells swapped folders apart
+        return decode_colour(_read(colour), str(colour)), raw
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FrameError(f"{path}: {error.strerror}, expected an image") from error
+
+
+def decode_colour(data: bytes, source: str) -> NDArray[np.uint8]:
+    """Encoded image -> (H, W, 3) uint8 BGR as stored (EXIF rotation would part it from the depth); `source` names it in messages."""
+    if data.startswith(_PNG) and data[24:26] == b"\x10\x00":  # bit depth 16, grey
+        raise FrameError(f"{source}: a 16-bit grey image, expected colour: are the colour and depth images swapped?")
+    image = _decode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source)
+    return np.asarray(image, np.uint8)
+
+
+def decode_depth(data: bytes, source: str) -> NDArray[np.uint16]:
+    """Encoded image -> (H, W) uint16 as stored; `source` names it in messages."""
+    image = _decode(data, cv2.IMREAD_UNCHANGED, source)
+    if image.ndim != 2 and image.dtype == np.uint8:
+        raise FrameError(f"{source}: a colour image, expected 16-bit depth: are the colour and depth images swapped?")
+    if image.ndim != 2 or image.dtype != np.uint16:
+        found = f"{8 * image.dtype.itemsize}-bit, {image.shape[2] if image.ndim == 3 else 1} channel(s)"
+        raise FrameError(f"{source}: depth of {found}, expected one channel of 16 bits: export the depth as 16-bit PNG")
+    return np.asarray(image, np.uint16)
+
+
+def _decode(data: bytes, flags: int, source: str) -> NDArray[np.generic]:
+    # OpenCV fills up the rest of a file that was cut off and reports success, so the end marks are looked for here.
+    cut = (data.startswith(_PNG) and b"IEND" not in data[-64:]) or (data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:])
+    image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if image is None:
+        what = "empty" if not data else "cut off" if cut else "not a readable image"
+        raise FrameError(f"{source}: {what} ({len(data)} bytes): copy the recording again or leave the frame out")
+    return np.asarray(image)
+
+
+def rgb(bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H, W, 3) uint8 BGR -> float32 RGB in [0, 1]."""
+    unit: NDArray[np.float32] = np.multiply(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.float32(1 / 255), dtype=np.float32)
+    return unit
+
+
+def metres(raw: NDArray[np.uint16], scale: float) -> NDArray[np.float32]:
+    """(H, W) uint16 -> float32 [m]; 0 where there is no reading."""
+    depth: NDArray[np.float32] = np.multiply(raw, np.float32(1 / scale), dtype=np.float32)
+    depth[raw == SATURATED] = 0
+    return depth
+
+
+class Undistortion:
+    """Colour (linear) and depth (nearest: depths of two surfaces must not mix) resampled to the pinhole camera without distortion."""
+
+    def __init__(self, camera: Camera, distortion: tuple[float, ...]) -> None:
+        K, size = camera.matrix().numpy(), (camera.width, camera.height)
+        x, y = cv2.initUndistortRectifyMap(K, np.array(distortion), None, K, size, cv2.CV_32FC1)
+        self._linear = cv2.convertMaps(x, y, cv2.CV_16SC2)
+        self._nearest = (x, y)
+
+    def __call__(self, bgr: NDArray[np.uint8], raw: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        colour = cv2.remap(bgr, *self._linear, cv2.INTER_LINEAR)
+        depth = cv2.remap(raw, *self._nearest, cv2.INTER_NEAREST)
+        return np.asarray(colour, np.uint8), np.asarray(depth, np.uint16)
+
+
+def numbered(folder: Path, pattern: str = "*") -> dict[float, Path]:
+    """The images of a folder by the last number in their names, in its order."""
+    found: dict[float, Path] = {}
+    for path in folder.glob(pattern):
+        if path.suffix.lower() in SUFFIXES and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
+            number = float(numbers[-1])
+            if number in found:
+                raise RecordingError(f"{folder}: {found[number].name} and {path.name} have the same number: remove one")
+            found[number] = path
+    return dict(sorted(found.items()))
+
+
+def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> list[tuple[Path, Path]]:
+    """Colour and depth images with equal numbers; raises RecordingError where one lacks the other or there are none."""
+    if not colour and not depth:
+        raise RecordingError(f"{folder}: no numbered images, expected colour and 16-bit depth images")
+    if alone := sorted(colour.keys() ^ depth.keys()):
+        path = colour.get(alone[0]) or depth[alone[0]]
+        counts = f"{len(colour)} colour and {len(depth)} depth images"
+        raise RecordingError(f"{folder}: {counts}, {path.parent.name}/{path.name} has no partner: expected pairs of equal numbers")
+    return [(colour[number], depth[number]) for number in colour]

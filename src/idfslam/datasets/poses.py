@@ -1,0 +1,98 @@
+"""Reference poses from text files: camera-to-world, metres; a matrix of NaN where a frame has none."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idfslam.errors import RecordingError
+
+_RIGID = 1e-2  # published files round their numbers: R^T R may miss the identity by this much
+_UNIT = 1e-2  # the same for the length of a quaternion
+
+
+def read_matrix(path: Path) -> NDArray[np.float64]:
+    """One pose (4, 4) from a file of 16 numbers; inf and nan are allowed (no pose)."""
+    rows = _rows(path)
+    numbers = [number for row in rows for number in row]
+    if len(numbers) != 16:
+        raise RecordingError(f"{path}: {len(numbers)} numbers, expected a 4x4 camera-to-world matrix")
+    return np.array(numbers).reshape(4, 4)
+
+
+def read_matrices(path: Path) -> NDArray[np.float64]:
+    """Poses (N, 4, 4), one in each line of 16 numbers."""
+    rows = _rows(path)
+    for line, row in enumerate(rows, 1):
+        if len(row) != 16:
+            raise RecordingError(f"{path}: pose {line} has {len(row)} numbers, expected the 16 of a 4x4 camera-to-world matrix")
+    return np.array(rows).reshape(-1, 4, 4)
+
+
+def read_freiburg(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Stamps (N,) [s] and poses (N, 4, 4) from TUM's lines `stamp tx ty tz qx qy qz qw`, sorted by stamp."""
+    rows = _rows(path)
+    for line, row in enumerate(rows, 1):
+        if len(row) != 8:
+            raise RecordingError(f"{path}: pose {line} has {len(row)} numbers, expected stamp tx ty tz qx qy qz qw")
+    table = np.array(rows).reshape(-1, 8)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    poses = np.full((len(table), 4, 4), np.nan)
+    known = np.isfinite(table).all(1)
+    lengths = np.linalg.norm(table[known, 4:], axis=1)
+    if np.any(np.abs(lengths - 1) > _UNIT):
+        worst = lengths[np.abs(lengths - 1).argmax()]
+        raise RecordingError(f"{path}: a quaternion has length {worst:.3g}, expected 1 in stamp tx ty tz qx qy qz qw")
+    poses[known] = np.eye(4)
+    poses[known, :3, :3] = Rotation.from_quat(table[known, 4:]).as_matrix()
+    poses[known, :3, 3] = table[known, 1:4]
+    return table[:, 0], poses
+
+
+def at_stamps(
+    stamps: NDArray[np.float64], poses: NDArray[np.float64], wanted: NDArray[np.float64], tolerance: float
+) -> NDArray[np.float64]:
+    """The pose nearest in time to each of the wanted stamps (N,) [s]: (N, 4, 4), NaN where none lies within the tolerance [s]."""
+    right = np.searchsorted(stamps, wanted).clip(1, max(len(stamps) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(stamps) - 1)
+    nearest = np.where(np.abs(stamps[left] - wanted) <= np.abs(stamps[right] - wanted), left, right)
+    found: NDArray[np.float64] = poses[nearest].copy()
+    found[np.abs(stamps[nearest] - wanted) > tolerance] = np.nan
+    return found
+
+
+def checked(poses: NDArray[np.float64], *, count: int, source: Callable[[int], str]) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) with every matrix that is not finite made NaN throughout; `source(i)` names pose i in messages.
+
+    Raises RecordingError where there are not `count` poses, a pose is not rigid, or no pose at all is finite.
+    """
+    if len(poses) != count:
+        raise RecordingError(f"{source(0)}: {len(poses)} poses for {count} frames, expected one for each: complete or remove them")
+    poses = poses.copy()
+    known = np.isfinite(poses).all((1, 2))
+    poses[~known] = np.nan
+    if not known.any():
+        raise RecordingError(f"{source(0)}: none of the {count} poses is finite: remove them to run without ground truth")
+    R = poses[known, :3, :3]
+    residual = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max((1, 2))
+    bad = (residual > _RIGID) | (np.linalg.det(R) < 0) | (np.abs(poses[known, 3] - [0, 0, 0, 1]).max(1) > 1e-6)
+    if bad.any():
+        first = int(np.flatnonzero(known)[bad.argmax()])
+        raise RecordingError(
+            f"{source(first)}: pose {first} is not a rigid transform, expected camera-to-world: correct or remove the poses"
+        )
+    return poses
+
+
+def _rows(path: Path) -> list[list[float]]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}, expected a file of poses") from error
+    try:
+        return [[float(number) for number in line.split()] for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}, expected numbers of camera-to-world poses") from error

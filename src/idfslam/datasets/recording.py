@@ -1,0 +1,146 @@
+"""What every reader yields: a recording opened lazily, and a selection of its frames."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.images import Undistortion, metres, rgb
+from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
+
+FPS = 30.0  # of recordings without stamps
+_PROBES = 5  # a recording is unusable if none of so many frames spread over it can be read
+
+ReadImages = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint16]]]  # i -> colour (H, W, 3) BGR, depth (H, W)
+
+
+class Dataset(Protocol):
+    """N frames in the order of time; `dataset[i]` raises FrameError for one bad frame."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def camera(self) -> Camera: ...
+
+    @property
+    def timestamps(self) -> NDArray[np.float64]: ...  # (N,) [s]
+
+    @property
+    def ground_truth(self) -> NDArray[np.float64] | None: ...  # (N, 4, 4) camera-to-world, NaN where a frame has none
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int) -> Frame: ...
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One layout: its name for --format, what it looks like, whether a path has it, and how to open it."""
+
+    name: str
+    layout: str
+    recognises: Callable[[Path], bool]
+    open: Callable[[Path, Calibration], Dataset]  # the calibration is the user's override
+
+
+class Recording:
+    """A recording whose images are decoded when asked for; one frame is read at opening to see that it can be used.
+
+    Raises RecordingError where the camera is unknown or does not fit, or no frame can be read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        read: ReadImages,
+        *,
+        timestamps: NDArray[np.float64],  # (N,) [s]
+        ground_truth: NDArray[np.float64] | None,  # (N, 4, 4) camera-to-world
+        calibration: Calibration,
+    ) -> None:
+        self.name, self.timestamps, self.ground_truth = name, timestamps, ground_truth
+        self._read = read
+        height, width = self._probe()
+        self.camera = calibration.camera(width, height, name)
+        self._scale = calibration.scale(name)
+        distorted = calibration.distortion is not None and any(calibration.distortion)
+        self._undistort = Undistortion(self.camera, calibration.distortion or ()) if distorted else None
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def __getitem__(self, i: int) -> Frame:
+        """Frame i, from -N to N-1; raises FrameError where its images are missing, damaged or without depth."""
+        i = range(len(self))[i]
+        bgr, raw = self._checked(i)
+        if raw.shape != (self.camera.height, self.camera.width):
+            expected = f"the recording's {self.camera.width}x{self.camera.height}"
+            raise FrameError(f"{self.name}: frame {i} is {raw.shape[1]}x{raw.shape[0]}, expected {expected}")
+        if self._undistort is not None:
+            bgr, raw = self._undistort(bgr, raw)
+        return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera)
+
+    def _checked(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        bgr, raw = self._read(i)
+        if bgr.shape[:2] != raw.shape:
+            sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]} and depth {raw.shape[1]}x{raw.shape[0]}"
+            raise FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: register the depth to the colour camera")
+        if not raw.any():
+            raise FrameError(f"{self.name}: frame {i} has no depth (all zero), expected readings of a depth camera")
+        return bgr, raw
+
+    def _probe(self) -> tuple[int, int]:
+        """Height and width [px] by the first of a few frames that can be read."""
+        if not len(self):
+            raise RecordingError(f"{self.name}: no frames")
+        first: FrameError | None = None
+        for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
+            try:
+                height, width = self._checked(int(i))[1].shape
+            except FrameError as error:
+                first = first or error
+            else:
+                return height, width
+        raise RecordingError(str(first)) from first
+
+
+class Selection:
+    """Every `stride`-th frame of a dataset from `start`, at most to `frames` of them, numbered from 0.
+
+    Raises ConfigError where it reaches beyond the dataset.
+    """
+
+    def __init__(self, dataset: Dataset, *, start: int = 0, frames: int | None = None, stride: int = 1) -> None:
+        count = len(dataset)
+        if not 0 <= start < count:
+            raise ConfigError(f"start {start} lies outside the {count} frames of {dataset.name}: choose 0 to {count - 1}")
+        if stride < 1:
+            raise ConfigError(f"stride {stride}, expected at least 1")
+        indices = np.arange(start, count, stride)
+        if frames is not None and not 1 <= frames <= len(indices):
+            found = f"frames {frames} from start {start} with stride {stride}"
+            raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")
+        self._dataset, self._indices = dataset, indices[:frames]
+        self.name, self.camera = dataset.name, dataset.camera
+        self.timestamps = dataset.timestamps[self._indices]
+        truth = dataset.ground_truth
+        self.ground_truth = None if truth is None else truth[self._indices]
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, i: int) -> Frame:
+        i = range(len(self))[i]
+        return replace(self._dataset[int(self._indices[i])], index=i)
+
+
+def regular_stamps(count: int) -> NDArray[np.float64]:
+    """(N,) [s]: index / 30 Hz, for recordings without stamps."""
+    return np.arange(count) / FPS

@@ -1,0 +1,100 @@
+"""TUM RGB-D: rgb.txt, depth.txt and groundtruth.txt list stamped files; depth in 1/5000 m (Sturm et al., IROS 2012)."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.recording import Reader, Recording
+from idfslam.errors import RecordingError
+
+TOLERANCE = 0.02  # [s] between a colour image and the depth image or pose that belongs to it
+
+# The published calibration of the three cameras, by the number in "freiburgN". Depth is registered to colour.
+FREIBURG = {
+    "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), source="freiburg1, as published"),
+    "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172), source="freiburg2, as published"),
+    "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480, source="freiburg3, as published"),
+}
+
+
+def recognises(path: Path) -> bool:
+    return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
+
+
+def open_tum(path: Path, override: Calibration) -> Recording:
+    """A frame's stamp is that of its colour image; its reference pose is the nearest in time within 20 ms."""
+    for name in ("rgb.txt", "depth.txt"):
+        if not (path / name).is_file():
+            raise RecordingError(f"{path}: {name} is missing, expected rgb.txt and depth.txt")
+    colour, depth = read_list(path / "rgb.txt"), read_list(path / "depth.txt")
+    timestamps = np.array([stamp for stamp, _ in colour])
+    pairs = associate(timestamps, np.array([stamp for stamp, _ in depth]), TOLERANCE)
+    if not pairs:
+        raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
+    timestamps = timestamps[[i for i, _ in pairs]]
+    known = re.search(r"freiburg([123])", path.name)
+    published = FREIBURG[known[1]] if known else Calibration()
+    files = override.over(read_cam_params(path)).over(read_camera_file(path))
+    return Recording(
+        path.name,
+        ImageFiles([(colour[i][1], depth[k][1]) for i, k in pairs]),
+        timestamps=timestamps,
+        ground_truth=read_ground_truth(path / "groundtruth.txt", timestamps),
+        calibration=files.over(published).over(Calibration(depth_scale=5000)),
+    )
+
+
+def read_list(path: Path) -> list[tuple[float, Path]]:
+    """(stamp [s], image) of every line `stamp file`, sorted by stamp; # starts a comment."""
+    entries = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        try:
+            stamp = float(words[0])
+        except ValueError:
+            stamp = np.nan
+        if len(words) < 2 or not np.isfinite(stamp):
+            raise RecordingError(f"{path}: line {number} is '{line.strip()}', expected a stamp in seconds and a file")
+        entries.append((stamp, path.parent / words[1]))
+    if not entries:
+        raise RecordingError(f"{path}: empty, expected lines of a stamp in seconds and a file")
+    return sorted(entries)
+
+
+def associate(a: NDArray[np.float64], b: NDArray[np.float64], tolerance: float) -> list[tuple[int, int]]:
+    """Pairs (i, k), sorted by i, of sorted stamps a (N,) and b (M,) [s] within the tolerance, the closest first, each used once."""
+    first, last = np.searchsorted(b, a - tolerance), np.searchsorted(b, a + tolerance, side="right")
+    candidates = sorted((abs(a[i] - b[k]), i, k) for i in range(len(a)) for k in range(first[i], last[i]))
+    used_a: set[int] = set()
+    used_b: set[int] = set()
+    pairs = []
+    for _, i, k in candidates:
+        if i not in used_a and k not in used_b:
+            used_a.add(i)
+            used_b.add(k)
+            pairs.append((i, k))
+    return sorted(pairs)
+
+
+def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(N, 4, 4), NaN where no pose lies within 20 ms; None without the file."""
+    if not path.is_file():
+        return None
+    stamps, reference = poses.read_freiburg(path)
+    if not len(stamps):
+        raise RecordingError(f"{path}: empty, expected lines of stamp tx ty tz qx qy qz qw: fill or remove it")
+    found = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
+    if not np.isfinite(found).all((1, 2)).any():
+        span = f"poses from {stamps[0]:.3f} to {stamps[-1]:.3f} s, images from {timestamps[0]:.3f} to {timestamps[-1]:.3f} s"
+        raise RecordingError(f"{path}: {span}: no finite pose within {1000 * TOLERANCE:.0f} ms of an image: correct or remove the file")
+    return poses.checked(found, count=len(timestamps), source=lambda _: str(path))
+
+
+READER = Reader("tum", "rgb.txt, depth.txt", recognises, open_tum)
