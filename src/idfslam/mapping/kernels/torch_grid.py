@@ -1,0 +1,89 @@
+"""Multi-resolution hash grid in plain torch: the reference that the Numba and Triton kernels are tested against.
+
+The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space: the lattice of every
+level is infinite and its vertices are hashed into a table of S = 2^k entries. The grid modules share one contract of five functions,
+`forward`, `jacobian`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables` (L, S, F) and `cells` (L,)
+[m]; features come out level-major, (N, L * F). Any floating dtype works here; the other implementations take float32.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x share a cache line
+
+
+def hash_vertices(vertices: Tensor, size: int) -> Tensor:
+    """Table entries (...) of integer lattice vertices (..., 3).
+
+    The low bits of a product do not depend on its high ones, so 64-bit integers give what uint32 with wrap-around gives. The entry is
+    the hash modulo a power of two: twice the table repeated twice holds the same value at the new entry as at the old one.
+    """
+    x, y, z = (vertices * torch.tensor(PRIMES, device=vertices.device)).unbind(-1)
+    return (x ^ y ^ z) & (size - 1)
+
+
+def locate(points: Tensor, cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Entries (N, L, 8) of the corners around each point, x changing fastest, and the position (N, L, 3) within the cell, 0..1."""
+    position = points[:, None, :] * (1 / cells)[None, :, None]
+    lower = position.detach().floor()
+    steps = torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1
+    return hash_vertices(lower.long()[:, :, None, :] + steps, size), position - lower
+
+
+def gather(tables: Tensor, entries: Tensor) -> Tensor:
+    """Values (N, L, 8, F) of the tables at the entries (N, L, 8)."""
+    levels = torch.arange(tables.shape[0], device=tables.device)[None, :, None]
+    return tables[levels, entries]
+
+
+def axis_weights(fraction: Tensor) -> Tensor:
+    """The factors (N, L, 8, 3) whose product over the last axis is the trilinear weight of each corner."""
+    steps = (torch.arange(8, device=fraction.device)[:, None] >> torch.arange(3, device=fraction.device) & 1).bool()
+    return torch.where(steps, fraction[:, :, None, :], 1 - fraction[:, :, None, :])
+
+
+def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
+    """Features (N, L * F), trilinear in each cell; differentiable by autograd as it stands."""
+    entries, fraction = locate(points, cells, tables.shape[1])
+    weights = axis_weights(fraction).prod(-1)
+    return (weights[..., None] * gather(tables, entries)).sum(2).flatten(1)
+
+
+def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Tensor]:
+    """Features (N, L * F) and their derivative by the points (N, L * F, 3) [1/m]."""
+    entries, fraction = locate(points, cells, tables.shape[1])
+    values, factors = gather(tables, entries), axis_weights(fraction)
+    signs = torch.where(torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1 == 1, 1.0, -1.0)
+    others = torch.stack([factors[..., [1, 2]].prod(-1), factors[..., [0, 2]].prod(-1), factors[..., [0, 1]].prod(-1)], -1)
+    slopes = signs.to(others.dtype) * others / cells[None, :, None, None]
+    features = (factors.prod(-1)[..., None] * values).sum(2)
+    return features.flatten(1), torch.einsum("nlcf,nlcd->nlfd", values, slopes).flatten(1, 2)
+
+
+def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor) -> None:
+    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
+    levels, size, width = grad_tables.shape
+    entries, fraction = locate(points, cells, size)
+    weights = axis_weights(fraction).prod(-1)
+    added = weights[..., None] * grad_features.reshape(-1, levels, 1, width)
+    entries = entries + size * torch.arange(levels, device=points.device)[None, :, None]
+    grad_tables.view(-1, width).index_add_(0, entries.flatten(), added.reshape(-1, width))
+
+
+def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
+    """Gradient by the points (N, 3), given that by the features (N, L * F)."""
+    return torch.einsum("nk,nkd->nd", grad_features, jacobian(points, tables, cells)[1])
+
+
+def adam_step(
+    tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, *, step: int, learning_rate: float, betas: tuple[float, float], eps: float
+) -> None:
+    """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
+    touched = grad != 0
+    m.copy_(torch.where(touched, betas[0] * m + (1 - betas[0]) * grad, m))
+    v.copy_(torch.where(touched, betas[1] * v + (1 - betas[1]) * grad * grad, v))
+    denominator = v.sqrt() / math.sqrt(1 - betas[1] ** step) + eps
+    tables.sub_(torch.where(touched, learning_rate / (1 - betas[0] ** step) * m / denominator, 0.0))
+    grad.zero_()
