@@ -20,7 +20,7 @@ class FieldConfig:
     """Truncation distance tr [m] (Sec. VI-A)."""
     position_frequencies: int = 8
     """Frequencies of the positional encoding of a position."""
-    direction_frequencies: int = 4
+    direction_frequencies: int = 0
     """Frequencies of the positional encoding of a view direction; 0: colour does not depend on it."""
     layers: int = 2
     """Hidden layers of the trunk (Sec. IV: 8)."""
@@ -50,19 +50,19 @@ class MapperConfig:
 
     supervision: Literal["rendering", "samples"] = "samples"
     """Volume rendering (Eqs. 1-3), or T-SDF and colour of the samples themselves."""
-    pixels: int = 1024
-    """B: pixels a step, spread over the keyframes of the step."""
-    samples: int = 12
+    pixels: int = 512
+    """B: pixels an image and step (Sec. VI-A: 1024)."""
+    samples: int = 6
     """Stratified samples a ray."""
-    importance_samples: int = 0
+    importance_samples: int = 3
     """Further samples around the rendered surface."""
     sharpness: float = 1.0
     """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
-    photometric_weight: float = 0.1
+    photometric_weight: float = 0.5
     """w_p of Eq. 3."""
-    free_space_weight: float = 10.0
+    free_space_weight: float = 1.0
     """w_fs of Eq. 2."""
-    truncation_weight: float = 6000.0
+    truncation_weight: float = 10.0
     """w_tr of Eq. 2."""
     active_sampling: bool = True
     """Choose pixels by the loss of their 8 x 8 image cell."""
@@ -74,7 +74,7 @@ class MapperConfig:
     """Steps on the first frame."""
     iterations: int = 10
     """Steps a map update."""
-    pose_optimisation: bool = True
+    pose_optimisation: bool = False
     """Refine the poses of keyframes against the map (Eq. 4)."""
     pose_iterations: int = 50
     """Steps of the pose optimisation."""
@@ -84,6 +84,12 @@ class MapperConfig:
     """The pose's rate is multiplied by this ..."""
     pose_decay_every: int = 10
     """... every so many steps."""
+    table_rate: float = 0.01
+    """Adam's rate for the feature grid."""
+    free_margin: float = 0.6
+    """In free space the T-SDF, in units of tr, should be no less (samples supervision)."""
+    every: int = 4
+    """A map update on every so many frames, keyframe or not; 0: on keyframes alone, as in the paper."""
     gradient_clip: float = 0.0
     """Largest norm of the map's gradient; 0: not clipped."""
     warm_up: int = 0
@@ -102,15 +108,15 @@ class KeyframeConfig:
     """Rotation since the last keyframe [degrees] that asks for a new one."""
     culling: bool = True
     """Drop a new keyframe that a stored one covers."""
-    cull: float = 0.5
+    cull: float = 0.8
     """sigma_cull: covisibility above which a new keyframe is dropped."""
     covisible: float = 0.3
     """sigma_covis: covisibility above which two keyframes are connected."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
-    replay: int = 10
+    replay: int = 2
     """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
-    replay_connected: int = 0
+    replay_connected: int = 2
     """Keyframes connected to the newest that each step trains on too (not in the paper: 0)."""
 
 
@@ -192,8 +198,12 @@ class AlignmentConfig:
     """Information per point that holds the pose to its guess (shift, turn): it decides only what nothing else does."""
     converged: float = 1e-5
     """Steps below this [m, rad] end the iteration."""
+    min_points: int = 100
+    """Fewer points with depth: lost."""
     min_overlap: float = 0.3
     """Smaller share of points that fall where the map is known: lost."""
+    doubtful_overlap: float = 0.6
+    """Smaller overlap: the neural tracker is asked for a second guess."""
     min_stiffness: float = 1e-3
     """Less information of depth in some direction, per point: degenerate."""
 
@@ -229,12 +239,17 @@ FAST = Config()
 
 PAPER = Config(
     preset="paper",
-    field=FieldConfig(encoding="positional", truncation=0.10, layers=8, width=256, skip=5, colour_width=128),
+    field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
     mapper=MapperConfig(
         supervision="rendering",
         pixels=1024,
         samples=128,
         importance_samples=16,
+        photometric_weight=0.1,
+        free_space_weight=10.0,
+        truncation_weight=6000.0,
+        every=0,
+        pose_optimisation=True,
         learning_rate=0.005,
         first_iterations=500,
         iterations=100,
@@ -242,7 +257,7 @@ PAPER = Config(
         gradient_clip=1.0,
         warm_up=20,
     ),
-    keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10),
+    keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10, replay_connected=0),
     tracker=TrackerConfig(matches=200, grid=4, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0),
     finetune=FinetuneConfig(keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),

@@ -1,0 +1,74 @@
+"""Online finetuning of the out-conv to the scene (Sec. V-B): the losses of Eq. 6 and one step on them."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from idfslam.config import FinetuneConfig
+from idfslam.errors import DivergedError
+from idfslam.geometry import se3
+from idfslam.tracking.description import Described
+from idfslam.tracking.matching import Matches
+
+Render = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""The frozen map seen from T_wc (4, 4) at pixels (B, 2) of the recording's image: colour (B, 3), depth (B,) [m].
+
+Differentiable in the pose.
+"""
+
+
+def photometric_loss(rendered: Tensor, measured: Tensor) -> Tensor:
+    """Eq. 1: mean over the pixels (B, 3) of |I - I_measured|_2."""
+    return (rendered - measured).norm(dim=-1).mean()
+
+
+def depth_loss(rendered: Tensor, measured: Tensor) -> Tensor:
+    """Eq. 7: mean over the pixels (B,) of |D - D_measured| [m]."""
+    return (rendered - measured).abs().mean()
+
+
+def correspondence_loss(T_rc: Tensor, points_c: Tensor, points_r: Tensor, weight: Tensor) -> Tensor:
+    """Eq. 8: mean over the correspondences (M, 3), (M,) of w |p_r - T_rc p_c|_2 [m]."""
+    return (weight * (points_r.to(T_rc) - se3.transform(T_rc, points_c.to(T_rc))).norm(dim=-1)).mean()
+
+
+def finetuning_losses(
+    current: Described,
+    reference: Described,
+    matches: Matches,
+    T_rc: Tensor,
+    T_wr: Tensor,
+    *,
+    render: Render,
+    pixels: int,
+    generator: torch.Generator,
+) -> dict[str, Tensor]:
+    """The three losses of Eq. 6 for a pair of keyframes, rendered at T_wr @ T_rc on `pixels` random pixels with depth."""
+    points = current.points.flatten(0, 1)
+    valid = current.valid.flatten().nonzero()[:, 0]
+    chosen = valid[torch.randint(len(valid), (pixels,), generator=generator).to(valid.device)]
+    uv, depth = current.source.project(points[chosen])
+    colour, rendered = render((T_wr.to(T_rc) @ T_rc).to(points.dtype), uv)
+    points_r = reference.points.flatten(0, 1)[matches.keyframe]
+    return {
+        "photometric": photometric_loss(colour, current.colour.flatten(1).mT[chosen]),
+        "depth": depth_loss(rendered, depth),
+        "correspondence": correspondence_loss(T_rc, points[matches.frame], points_r, matches.weight),
+    }
+
+
+def finetune_step(optimiser: torch.optim.Optimizer, losses: dict[str, Tensor], config: FinetuneConfig) -> dict[str, float]:
+    """One step on Eq. 6's weighted sum; the losses as numbers. Raises DivergedError, before the step, for one that is not finite."""
+    values = {name: float(loss.detach()) for name, loss in losses.items()}
+    for name, value in values.items():
+        if not torch.isfinite(torch.tensor(value)):
+            raise DivergedError(
+                f"finetuning: the {name} loss is {value}; lower --finetune.learning-rate or turn it off by --no-finetune.enabled"
+            )
+    weights = {"photometric": config.photometric_weight, "depth": config.depth_weight, "correspondence": config.correspondence_weight}
+    total = torch.stack([weights[name] * loss.double() for name, loss in losses.items()]).sum()
+    optimiser.zero_grad(set_to_none=True)
+    total.backward()
+    optimiser.step()
+    return values

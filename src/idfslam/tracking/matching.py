@@ -1,0 +1,105 @@
+"""Correspondences by nearest neighbours in feature space (Sec. V, V-A): both ways, ratio weights, spread over the image."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_CHUNK = 256  # queries a matrix product: their similarities stay in the cache
+
+
+@dataclass(frozen=True)
+class Matches:
+    """M correspondences between the pixels of a frame and of a keyframe, as indices into the flattened images."""
+
+    frame: Tensor  # (M,) int64
+    keyframe: Tensor  # (M,) int64
+    weight: Tensor  # (M,) in [0, 1], differentiable in the features
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, chosen: Tensor) -> "Matches":
+        return Matches(self.frame[chosen], self.keyframe[chosen], self.weight[chosen])
+
+
+@torch.no_grad()
+def nearest(queries: Tensor, targets: Tensor, k: int) -> Tensor:
+    """The k targets (M, C) nearest in cosine to each of the queries (N, C), unit rows: indices (N, k), best first.
+
+    Memory is bounded: a chunk of queries at a time.
+    """
+    return torch.cat([(chunk @ targets.mT).topk(k, dim=-1).indices for chunk in queries.split(_CHUNK)])
+
+
+def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tensor:
+    """w = 1 - d1/d2 with d = 1 - cosine, of each query's two neighbours (N, 2); (N,), differentiable [31]."""
+    distance = 1 - (queries[:, None] * targets[neighbours]).sum(-1)
+    first, second = distance.clamp(min=1e-6).unbind(-1)
+    return (1 - first / second).clamp(min=0)
+
+
+def _lattice(valid: Tensor, stride: int) -> Tensor:
+    """Flat indices of the valid pixels (H, W) on every `stride`-th row and column."""
+    flat = torch.arange(valid.numel(), device=valid.device).view_as(valid)[stride // 2 :: stride, stride // 2 :: stride]
+    return flat[valid.flatten()[flat]]
+
+
+def _directed(source: Tensor, target: Tensor, queries: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
+    """For pixels `queries` of features (N, C) the nearest of the pixels `candidates` of `target`, and the ratio weights."""
+    chosen, field = source[queries], target[candidates]
+    neighbours = nearest(chosen.detach(), field.detach(), 2)
+    return candidates[neighbours[:, 0]], ratio_weights(chosen, field, neighbours)
+
+
+def match(
+    frame: Tensor,
+    keyframe: Tensor,
+    frame_valid: Tensor,
+    keyframe_valid: Tensor,
+    *,
+    query_stride: int = 1,
+    target_stride: int = 1,
+    mutual: bool = False,
+) -> Matches:
+    """Nearest neighbours of unit features (C, H, W) among the pixels with depth (H, W), from each image to the other.
+
+    Strides thin the lattice of pixels that ask and of pixels that may answer; 1 and 1 is the paper's full search.
+    `mutual` keeps the frame's matches whose answer, asked back, returns to within one query of where it came from, instead of
+    adding the keyframe's own matches. Empty if either image has fewer than two candidates.
+    """
+    width = frame_valid.shape[1]
+    f, k = frame.flatten(1).mT, keyframe.flatten(1).mT
+    frame_targets, keyframe_targets = _lattice(frame_valid, target_stride), _lattice(keyframe_valid, target_stride)
+    if min(len(frame_targets), len(keyframe_targets)) < 2:
+        none = frame_targets[:0]
+        return Matches(none, none, f.new_zeros(0))
+    queries = _lattice(frame_valid, query_stride)
+    answers, weight = _directed(f, k, queries, keyframe_targets)
+    if mutual:
+        back, back_weight = _directed(k, f, answers, frame_targets)
+        near = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs()) <= max(
+            query_stride, target_stride
+        )
+        return Matches(queries, answers, torch.minimum(weight, back_weight))[near]
+    asked = _lattice(keyframe_valid, query_stride)
+    found, back_weight = _directed(k, f, asked, frame_targets)
+    return Matches(torch.cat([queries, found]), torch.cat([answers, asked]), torch.cat([weight, back_weight]))
+
+
+def spread(matches: Matches, shape: tuple[int, int], *, limit: int, grid: int) -> Matches:
+    """The best `limit` = K matches by weight, at most K / grid^2 (rounded up) of them from a cell of the frame's image (H, W) (Sec. V-A).
+
+    `grid` = 1 is [31]'s plain top K.
+    """
+    height, width = shape
+    row, column = matches.frame // width * grid // height, matches.frame % width * grid // width
+    best = matches.weight.detach().argsort(descending=True, stable=True)
+    cell = (row * grid + column)[best]
+    by_cell = cell.argsort(stable=True)  # cells together, each in order of weight
+    counts = torch.bincount(cell, minlength=grid * grid)
+    first = counts.cumsum(0) - counts
+    rank = torch.empty_like(cell)
+    rank[by_cell] = torch.arange(len(cell), device=cell.device) - first[cell[by_cell]]
+    return matches[best[rank < math.ceil(limit / grid**2)][:limit]]

@@ -1,0 +1,87 @@
+"""Rigid registration of weighted correspondences (Sec. V): weighted Procrustes, made robust by random subsets [31]."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from idfslam.geometry import se3
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The transform found and what supports it."""
+
+    T_ab: Tensor  # (4, 4) float64, differentiable in points and weights
+    inliers: Tensor  # (M,) bool
+    rmse: float  # of the inliers' distances [m]; nan without any
+
+
+def procrustes(source: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+    """The rigid T (..., 4, 4) float64 that minimises sum w |target - T source|^2; points (..., M, 3), weights (..., M).
+
+    Closed form by SVD of the weighted covariance, reflections excluded; differentiable where its singular values differ.
+    """
+    source, target, weight = source.double(), target.double(), weight.double()
+    share = (weight / weight.sum(-1, keepdim=True).clamp(min=1e-12))[..., None]
+    source_mean, target_mean = (share * source).sum(-2), (share * target).sum(-2)
+    covariance = (share * (target - target_mean[..., None, :])).mT @ (source - source_mean[..., None, :])
+    U, _, Vt = torch.linalg.svd(covariance)
+    sign = torch.ones_like(source_mean)
+    sign[..., 2] = torch.det(U.detach() @ Vt.detach()).sign()
+    R = U @ (sign[..., None] * Vt)
+    t = target_mean - (R @ source_mean[..., None])[..., 0]
+    bottom = torch.zeros_like(R[..., :1, :1]).expand(*R.shape[:-2], 1, 4) + R.new_tensor([0.0, 0, 0, 1])
+    return torch.cat([torch.cat([R, t[..., None]], -1), bottom], -2)
+
+
+def residuals(T_ab: Tensor, source: Tensor, target: Tensor) -> Tensor:
+    """|target - T source| [m]: (..., M) for transforms (..., 4, 4) and points (M, 3)."""
+    return (target.double() - se3.transform(T_ab, source.double())).norm(dim=-1)
+
+
+@torch.no_grad()
+def best_subset(
+    source: Tensor, target: Tensor, weight: Tensor, *, subsets: int, share: float, truncation: float, generator: torch.Generator
+) -> Tensor:
+    """Indices (n,) of the random subset whose Procrustes leaves the least weighted residual over ALL matches [31].
+
+    `truncation` [m] caps a match's residual, so that outliers count alike however far off; 0: not capped.
+    """
+    size = max(3, round(share * len(weight)))
+    keys = torch.rand(subsets, len(weight), generator=generator).to(weight.device)
+    chosen = keys.topk(min(size, len(weight)), dim=-1).indices
+    T_ab = procrustes(source[chosen], target[chosen], weight[chosen])
+    residual = residuals(T_ab, source, target)
+    if truncation > 0:
+        residual = residual.clamp(max=truncation)
+    return chosen[(weight * residual).sum(-1).argmin()]
+
+
+def register(
+    source: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    *,
+    subsets: int,
+    share: float,
+    inlier_distance: float,
+    generator: torch.Generator,
+    truncation: float = 0.0,
+    refits: int = 0,
+) -> Registration:
+    """T_ab from points b `source` (M, 3) to points a `target` (M, 3) [m] with weights (M,), M >= 3, some of them outliers.
+
+    The best of `subsets` random subsets of `share` of the matches gives the transform; each of `refits` rounds then repeats Procrustes
+    on all inliers, those within `inlier_distance` [m]. Gradients flow through the winning fit (and the refits).
+    """
+    chosen = best_subset(source, target, weight, subsets=subsets, share=share, truncation=truncation, generator=generator)
+    T_ab = procrustes(source[chosen], target[chosen], weight[chosen])
+    for _ in range(refits):
+        inliers = residuals(T_ab.detach(), source, target) < inlier_distance
+        if int(inliers.sum()) < 3:
+            break
+        T_ab = procrustes(source[inliers], target[inliers], weight[inliers])
+    distance = residuals(T_ab.detach(), source, target)
+    inliers = distance < inlier_distance
+    return Registration(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))

@@ -1,0 +1,109 @@
+"""The neural tracker (Sec. V): features, matches and robust Procrustes give a frame's pose in its reference keyframe."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.config import FinetuneConfig, TrackerConfig
+from idfslam.frame import Frame, Status
+from idfslam.tracking.description import Described, reduced
+from idfslam.tracking.features import folded, inference_dtype, load_extractor
+from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
+from idfslam.tracking.matching import Matches, match, spread
+from idfslam.tracking.registration import Registration, register
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """A frame's pose in a keyframe, and the evidence for it."""
+
+    T_kc: NDArray[np.float64]  # (4, 4); the identity if there were too few matches to say anything
+    status: Status  # OK or LOST
+    matches: int  # correspondences that the registration was given
+    inliers: int  # of them, those it explains
+    rmse: float  # of the inliers' distances [m]; nan without any
+
+
+def spans_plane(points: Tensor, extent: float) -> bool:
+    """Whether points (M, 3) spread (standard deviation) by more than `extent` [m] in two directions; on a line a rotation stays free."""
+    centred = (points - points.mean(0)).double()
+    return float(torch.linalg.svdvals(centred)[1]) > extent * len(points) ** 0.5
+
+
+class Tracker:
+    """Tracks frames against keyframes; the extractor's out-conv learns the scene by `finetune`.
+
+    Deterministic given the seed. Raises ConfigError if the weights cannot be used.
+    """
+
+    def __init__(self, config: TrackerConfig, finetune: FinetuneConfig, device: torch.device | str = "cpu", seed: int = 0) -> None:
+        self.config, self.finetuning, self.device = config, finetune, torch.device(device)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.extractor = load_extractor(config.weights).to(self.device).requires_grad_(False)
+        self.dtype = inference_dtype(config.precision, self.device)
+        self.inference = folded(self.extractor, self.dtype)
+        learning = self.extractor.out_conv.requires_grad_(True)
+        self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
+
+    @torch.no_grad()
+    def describe(self, frame: Frame) -> Described:
+        """The frame's trunk features and points at the tracker's resolution; callers keep it for as long as the frame is a reference."""
+        image, depth, camera = reduced(frame, self.config.height)
+        colour = torch.from_numpy(image).to(self.device).permute(2, 0, 1)
+        trunk = self.inference.trunk(colour[None].to(self.dtype, memory_format=torch.channels_last))[0]
+        return Described(trunk, colour, camera.backproject(torch.from_numpy(depth).to(self.device)), camera, frame.camera)
+
+    @torch.no_grad()
+    def track(self, frame: Described, keyframe: Described) -> TrackingResult:
+        """The frame's pose in the keyframe; LOST without the matches, inliers or spread that a pose needs."""
+        matches = self._match(frame, keyframe)
+        if len(matches) < max(3, self.config.min_inliers):
+            return TrackingResult(np.eye(4), Status.LOST, len(matches), 0, float("nan"))
+        found = self._register(matches, frame, keyframe)
+        inliers = int(found.inliers.sum())
+        supported = inliers >= max(3, self.config.min_inliers, self.config.min_inlier_share * len(matches))
+        supported = supported and spans_plane(frame.points.flatten(0, 1)[matches.frame[found.inliers]], self.config.min_extent)
+        return TrackingResult(found.T_ab.cpu().numpy(), Status.OK if supported else Status.LOST, len(matches), inliers, found.rmse)
+
+    def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
+        """One step of Eq. 6 on a random pair of consecutive keyframes with poses (N, 4, 4); its losses by name.
+
+        None where finetuning is off, while there are fewer than N_kf keyframes, and for a pair with too few matches.
+        Raises DivergedError for a loss that is not finite.
+        """
+        config = self.finetuning
+        if not config.enabled or len(keyframes) < max(2, config.keyframes):
+            return None
+        i = int(torch.randint(len(keyframes) - 1, (), generator=self.generator))
+        reference, current = keyframes[i], keyframes[i + 1]
+        matches = self._match(current, reference)
+        if len(matches) < max(3, self.config.min_inliers):
+            return None
+        T_rc, T_wr = self._register(matches, current, reference).T_ab, torch.as_tensor(T_wk[i], device=self.device)
+        losses = finetuning_losses(current, reference, matches, T_rc, T_wr, render=render, pixels=config.pixels, generator=self.generator)
+        return finetune_step(self.optimiser, losses, config)
+
+    def _match(self, frame: Described, keyframe: Described) -> Matches:
+        config = self.config
+        a, b = (self.extractor.head(described.trunk[None].float())[0] for described in (frame, keyframe))
+        strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
+        found = match(a, b, frame.valid, keyframe.valid, mutual=config.mutual, **strides)
+        return spread(found, (a.shape[1], a.shape[2]), limit=config.matches, grid=config.grid)
+
+    def _register(self, matches: Matches, frame: Described, keyframe: Described) -> Registration:
+        config = self.config
+        return register(
+            frame.points.flatten(0, 1)[matches.frame],
+            keyframe.points.flatten(0, 1)[matches.keyframe],
+            matches.weight,
+            subsets=config.subsets,
+            share=config.subset_share,
+            truncation=config.truncation,
+            refits=config.refits,
+            inlier_distance=config.inlier_distance,
+            generator=self.generator,
+        )

@@ -1,0 +1,162 @@
+"""The tracker as a whole: a shifted view is found, evidence decides on LOST, finetuning changes the out-conv alone."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from torch import Tensor
+
+from idfslam.config import FinetuneConfig, TrackerConfig
+from idfslam.errors import DivergedError
+from idfslam.frame import Frame, Status
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.tracking.description import subsampled_depth
+from idfslam.tracking.finetuning import correspondence_loss, depth_loss, photometric_loss
+from idfslam.tracking.tracker import Tracker, spans_plane
+
+CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
+CONFIG = TrackerConfig(height=72, query_stride=2)
+NO_FINETUNING = FinetuneConfig(enabled=False)
+
+
+NOISE = np.random.default_rng(0).random((3, 64, 64))
+
+
+def texture(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Smooth noise of 8 cm grain: a colour (..., 3) over the plane [m]."""
+    at = np.stack([y, x]) / 0.08 + 32
+    return np.stack([map_coordinates(noise, at, order=3) for noise in NOISE], -1).clip(0, 1).astype(np.float32)
+
+
+def view(T_wc: Tensor) -> Frame:
+    """A textured wall at z = 2 m, seen from T_wc."""
+    rays = CAMERA.rays(CAMERA.pixels()).double() @ T_wc[:3, :3].T
+    z = (2 - T_wc[2, 3]) / rays[..., 2]
+    points = (T_wc[:3, 3] + rays * z[..., None]).numpy()
+    return Frame(0, 0.0, texture(points[..., 0], points[..., 1]), z.numpy().astype(np.float32), CAMERA)
+
+
+def pose(*increment: float) -> Tensor:
+    return se3.exp(torch.tensor(increment, dtype=torch.float64))
+
+
+T_KC = pose(0.06, -0.04, 0.05, 0.01, 0.03, 0.05)
+
+
+def test_finds_the_pose_of_a_moved_view() -> None:
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    result = tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    delta = se3.inverse(T_KC) @ torch.from_numpy(result.T_kc)
+    assert result.status is Status.OK
+    assert float(delta[:3, 3].norm()) < 0.02
+    assert math.degrees(float(se3.angle(delta))) < 0.7
+    assert result.inliers <= result.matches <= CONFIG.matches
+    assert result.rmse < CONFIG.inlier_distance
+
+
+def test_the_papers_exact_search_finds_it_too() -> None:
+    exact = replace(CONFIG, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0)
+    tracker = Tracker(exact, NO_FINETUNING)
+    result = tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    assert float((se3.inverse(T_KC) @ torch.from_numpy(result.T_kc))[:3, 3].norm()) < 0.04
+
+
+def test_one_seed_one_answer() -> None:
+    def once(seed: int) -> NDArray[np.float64]:
+        tracker = Tracker(CONFIG, NO_FINETUNING, "cpu", seed)
+        return tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).T_kc
+
+    assert np.array_equal(once(3), once(3))
+
+
+def test_a_blank_frame_is_lost() -> None:
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    result = tracker.track(tracker.describe(Frame.blank(0, 0.0, CAMERA)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    assert result.status is Status.LOST
+    assert result.matches == 0
+    assert np.array_equal(result.T_kc, np.eye(4))
+
+
+def test_another_place_is_lost() -> None:
+    rng = np.random.default_rng(0)
+    noise = Frame(0, 0.0, rng.random((72, 96, 3), np.float32), (1 + rng.random((72, 96))).astype(np.float32), CAMERA)
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    assert tracker.track(tracker.describe(noise), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).status is Status.LOST
+
+
+def test_inliers_on_a_line_are_no_evidence() -> None:
+    line = torch.linspace(-1, 1, 50)[:, None] * torch.tensor([1.0, 2.0, 0.5])
+    assert not spans_plane(line, 0.05)
+    assert spans_plane(line + 0.2 * torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), 0.05)
+
+
+def test_missing_depth_is_taken_from_beside() -> None:
+    # 4 x 4 -> 2 x 2 takes rows and columns 1 and 3; where those hold nothing, the pixel above, then the left, then the diagonal.
+    depth = np.arange(1, 17, dtype=np.float32).reshape(4, 4)
+    depth[1, 1] = 0  # -> above: row 0, column 1 = 2
+    depth[3, 3] = depth[2, 3] = 0  # -> left: row 3, column 2 = 15
+    depth[3, 1] = depth[2, 1] = depth[3, 0] = depth[2, 0] = 0  # -> nothing
+    assert subsampled_depth(depth, 2, 2).tolist() == [[2, 8], [0, 15]]
+
+
+def test_losses_by_hand() -> None:
+    # Eq. 1: |(0.3, 0.4, 0)| = 0.5 and 0: mean 0.25. Eq. 7: |1.0 - 1.2| and |2 - 1.6|: mean 0.3.
+    rendered, measured = torch.tensor([[0.3, 0.4, 0.0], [0.1, 0.1, 0.1]]), torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1]])
+    assert float(photometric_loss(rendered, measured)) == pytest.approx(0.25)
+    assert float(depth_loss(torch.tensor([1.0, 2.0]), torch.tensor([1.2, 1.6]))) == pytest.approx(0.3)
+    # Eq. 8 with T a shift by 1 along x: p_c = 0 -> (1,0,0), p_r = (1,3,4): distance 5, w 0.5; the other fits exactly: mean 1.25.
+    points_c, points_r = torch.zeros(2, 3), torch.tensor([[1.0, 3, 4], [1, 0, 0]])
+    assert float(correspondence_loss(pose(1, 0, 0, 0, 0, 0), points_c, points_r, torch.tensor([0.5, 1.0]))) == pytest.approx(1.25)
+
+
+def wall(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+    """A map of the wall at z = 2 m, differentiable in the pose; its colour changes with x."""
+    rays = CAMERA.rays(uv) @ T_wc[:3, :3].T
+    depth = (2 - T_wc[2, 3]) / rays[:, 2]
+    points = T_wc[:3, 3] + rays * depth[:, None]
+    return torch.sigmoid(points), depth
+
+
+def finetuned(tracker: Tracker, steps: int = 1) -> list[dict[str, float] | None]:
+    poses = [pose(0.02 * i, 0, 0, 0, 0, 0) for i in range(3)]
+    keyframes = [tracker.describe(view(T)) for T in poses]
+    return [tracker.finetune(keyframes, torch.stack(poses).numpy(), wall) for _ in range(steps)]
+
+
+def test_finetuning_moves_the_out_conv_alone() -> None:
+    tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3))
+    before = {name: tensor.clone() for name, tensor in tracker.extractor.state_dict().items()}
+    losses = finetuned(tracker)[0]
+    assert losses is not None
+    assert set(losses) == {"photometric", "depth", "correspondence"}
+    changed = {name for name, tensor in tracker.extractor.state_dict().items() if not torch.equal(tensor, before[name])}
+    assert "out_conv.0.weight" in changed
+    assert all(name.startswith("out_conv.") for name in changed)
+
+
+def test_finetuning_lowers_the_correspondence_loss() -> None:
+    tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=1e-3, photometric_weight=0.0, depth_weight=0.0))
+    losses = [step["correspondence"] for step in finetuned(tracker, 30) if step is not None]
+    assert np.mean(losses[-8:]) < np.mean(losses[:8])
+
+
+def test_no_finetuning_before_enough_keyframes() -> None:
+    assert finetuned(Tracker(CONFIG, FinetuneConfig(keyframes=4))) == [None]
+    assert finetuned(Tracker(CONFIG, FinetuneConfig(keyframes=3, enabled=False))) == [None]
+
+
+def test_a_loss_that_is_not_finite_stops_the_run() -> None:
+    tracker = Tracker(CONFIG, FinetuneConfig(keyframes=2))
+    keyframes = [tracker.describe(view(pose(0.02 * i, 0, 0, 0, 0, 0))) for i in range(2)]
+
+    def broken(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        colour, depth = wall(T_wc, uv)
+        return colour, depth * float("nan")
+
+    with pytest.raises(DivergedError, match="depth loss is nan"):
+        tracker.finetune(keyframes, np.tile(np.eye(4), (2, 1, 1)), broken)
