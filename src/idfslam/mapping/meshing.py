@@ -1,0 +1,195 @@
+"""The surface of the map: marching cubes over the observed space, block by block, and without what nobody observed.
+
+The lattice lies at integer multiples of the resolution in the world, so neighbouring blocks evaluate the same points on their common
+face and their triangles meet exactly.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import trimesh
+from numba import njit, prange
+from numpy.typing import NDArray
+from skimage.measure import marching_cubes
+from torch import Tensor
+
+from idfslam.geometry.camera import Camera
+
+CELLS = 16  # cells along a block's edge: small, so that little is evaluated away from the surface
+_BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points
+_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at 1 cm
+
+
+@dataclass(frozen=True)
+class View:
+    """What one keyframe observed."""
+
+    T_wc: NDArray[np.float64]  # (4, 4)
+    depth: NDArray[np.float32]  # (H, W) [m], 0 = no reading
+    camera: Camera
+
+
+def extract_mesh(
+    sdf: Callable[[Tensor], Tensor],
+    colour: Callable[[Tensor], Tensor] | None,
+    views: Sequence[View],
+    *,
+    resolution: float,
+    truncation: float,
+    device: torch.device | str = "cpu",
+    stride: int = 4,
+) -> trimesh.Trimesh:
+    """The zero level of `sdf` where the views observed it, triangles facing free space, in metres, with vertex colours.
+
+    sdf: points (N, 3) [m] on `device` -> (N,) [tr], positive in front of the surface. colour: points (N, 3) -> (N, 3) in [0, 1].
+    Blocks are those within `truncation` [m] of a depth reading (every `stride`-th row and column is looked at); vertices no view observed
+    are removed (`observed`). Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of the scene.
+    """
+    blocks = touched_blocks(views, CELLS * resolution, truncation, stride=stride)
+    vertices, faces, keys = _concatenate(_march(sdf, blocks, resolution, device))
+    faces = weld(faces, keys)
+    keep = observed(vertices, views, 1.5 * resolution + 0.3 * truncation)
+    faces = faces[keep[faces].all(1)]
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    vertices, faces = vertices[used], (np.cumsum(used) - 1)[faces]
+    colours = None if colour is None else _evaluate(colour, vertices, device).clip(0, 1)
+    return trimesh.Trimesh(
+        vertices, faces, vertex_colors=None if colours is None else np.round(colours * 255).astype(np.uint8), process=False
+    )
+
+
+def touched_blocks(views: Sequence[View], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
+    """Integer coordinates (M, 3), sorted, of the blocks of edge `edge` [m] that come within `margin` [m] (per axis) of a depth reading."""
+    small = edge / 4  # readings are first gathered in small cells: few remain to be dilated
+    cells = [np.unique(_pack(_world_points(view, stride) // small)) for view in views]
+    corner = _unpack(np.unique(np.concatenate(cells or [np.empty(0, np.int64)]))) * small
+    low = np.floor((corner - margin) / edge).astype(np.int64)
+    high = np.floor((corner + small + margin) / edge).astype(np.int64)
+    reach = range(int(np.ceil((small + 2 * margin) / edge)) + 1)
+    blocks = [np.unique(_pack(np.minimum(low + np.array([i, j, k]), high))) for i in reach for j in reach for k in reach]
+    return _unpack(np.unique(np.concatenate(blocks)))
+
+
+def _world_points(view: View, stride: int) -> NDArray[np.float64]:
+    """The readings (N, 3) [m] of every `stride`-th row and column."""
+    v, u = np.mgrid[0 : view.camera.height : stride, 0 : view.camera.width : stride]
+    z = view.depth[v, u].astype(np.float64)
+    measured = z > 0
+    u, v, z = u[measured], v[measured], z[measured]
+    points = np.stack([(u - view.camera.cx) / view.camera.fx * z, (v - view.camera.cy) / view.camera.fy * z, z], -1)
+    return points @ view.T_wc[:3, :3].T + view.T_wc[:3, 3]
+
+
+def _pack(coordinates: NDArray) -> NDArray[np.int64]:
+    """Integer coordinates (N, 3) as one sortable key (N,)."""
+    x, y, z = (coordinates.astype(np.int64) + _OFFSET).T
+    return (x << 42) | (y << 21) | z
+
+
+def _unpack(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The inverse of `_pack`."""
+    mask = (1 << 21) - 1
+    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - _OFFSET
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """The triangles of one block."""
+
+    vertices: NDArray[np.float64]  # (N, 3) [m]
+    faces: NDArray[np.int64]  # (F, 3)
+    keys: NDArray[np.int64]  # (N,) the lattice edge of vertices on the block's faces; -1 of the others
+
+
+def _march(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], resolution: float, device: torch.device | str) -> Iterator[_Piece]:
+    """Marching cubes in each block that the surface passes through."""
+    steps = np.arange(CELLS + 1)
+    lattice = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+    for first in range(0, len(blocks), _BATCH):
+        origins = blocks[first : first + _BATCH] * CELLS
+        points = (origins[:, None] + lattice).reshape(-1, 3) * resolution
+        volumes = _evaluate(sdf, points, device).reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
+        # A value of exactly zero would put the vertices of several edges onto one lattice point: they stay 1e-4 of a unit off it.
+        volumes = np.where(np.abs(volumes) < 1e-4, np.where(volumes < 0, -1e-4, 1e-4), volumes).astype(np.float32)
+        crossed = (volumes.min((1, 2, 3)) < 0) & (volumes.max((1, 2, 3)) > 0)
+        for i in np.flatnonzero(crossed):
+            local, faces, _, _ = marching_cubes(volumes[i], 0.0, gradient_direction="descent", allow_degenerate=True)
+            yield _Piece((local.astype(np.float64) + origins[i]) * resolution, faces.astype(np.int64), _seam_keys(local, origins[i]))
+
+
+def _seam_keys(local: NDArray, origin: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For vertices (N, 3) [cells] of a block: on its faces the lattice edge they lie on, packed from its middle in half cells; else -1."""
+    nearest = np.rint(local)
+    off = np.abs(local - nearest)
+    axis, rows = off.argmax(1), np.arange(len(local))  # along the other two axes the coordinates are integers, but for rounding
+    middle = 2 * nearest
+    middle[rows, axis] = 2 * np.floor(local[rows, axis]) + 1
+    on_face = (((nearest == 0) | (nearest == CELLS)) & (off < 1e-5)).any(1)
+    return np.where(on_face, _pack(middle + 2 * origin), -1)
+
+
+def _concatenate(pieces: Iterator[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """All pieces as one: vertices, faces, keys."""
+    vertices, faces, keys, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)], 0
+    for piece in pieces:
+        vertices.append(piece.vertices)
+        faces.append(piece.faces + count)
+        keys.append(piece.keys)
+        count += len(piece.vertices)
+    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(keys)
+
+
+def weld(faces: NDArray[np.int64], keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Faces (F, 3) that use one vertex of those with the same key (keys (N,), -1: not on a seam); those that collapse are dropped."""
+    seam = np.flatnonzero(keys >= 0)
+    _, first, inverse = np.unique(keys[seam], return_index=True, return_inverse=True)
+    target = np.arange(len(keys))
+    target[seam] = seam[first][inverse]
+    faces = target[faces]
+    return faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+
+
+@torch.no_grad()
+def _evaluate(function: Callable[[Tensor], Tensor], points: NDArray, device: torch.device | str) -> NDArray[np.float32]:
+    """`function` of points (N, 3) in batches, as float32."""
+    batches = torch.from_numpy(points.astype(np.float32)).split(1 << 18)
+    return torch.cat([function(batch.to(device)).float().cpu() for batch in batches]).numpy()
+
+
+def observed(vertices: NDArray[np.float64], views: Sequence[View], tolerance: float) -> NDArray[np.bool_]:
+    """Which vertices (N, 3) [m] the views saw: at least one measured a depth within `tolerance` [m] of the vertex's own at its pixel.
+
+    Views that measured something behind the vertex looked through it; three or more of them, and more than saw it, outvote the others.
+    """
+    near, through = np.zeros(len(vertices), np.int32), np.zeros(len(vertices), np.int32)
+    for view in views:
+        T_cw = np.linalg.inv(view.T_wc)
+        intrinsics = (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)
+        _vote(vertices, T_cw, np.ascontiguousarray(view.depth), intrinsics, tolerance, near, through)
+    return (near > 0) & ~((through >= 3) & (through > near))
+
+
+@njit(parallel=True, cache=True)
+def _vote(  # type: ignore[no-untyped-def]
+    vertices, T_cw, depth, intrinsics, tolerance, near, through
+):
+    """Adds one view's votes to `near` and `through` (N,)."""
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape
+    for i in prange(len(vertices)):
+        x, y, z = vertices[i]
+        z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
+        if z_c <= 0:
+            continue
+        u = (T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx
+        v = (T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy
+        if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+            continue
+        measured = depth[int(v + 0.5), int(u + 0.5)]
+        if measured > 0 and abs(z_c - measured) <= tolerance:
+            near[i] += 1
+        elif measured > z_c:
+            through[i] += 1

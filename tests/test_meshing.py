@@ -1,0 +1,132 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.geometry.camera import Camera
+from idfslam.mapping import meshing
+from idfslam.mapping.meshing import View, extract_mesh, observed, touched_blocks
+
+TR = 0.1
+CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
+RADIUS = 0.4
+
+
+def ball(points: Tensor) -> Tensor:
+    """A ball about the origin."""
+    return (points.norm(dim=-1) - RADIUS) / TR
+
+
+def box(points: Tensor) -> Tensor:
+    """A box of edges 1.1, 0.9, 0.7 m about the origin, seen from outside; on no lattice."""
+    outside = points.abs() - torch.tensor([0.55, 0.45, 0.35], device=points.device) - 0.0037
+    return (outside.clamp(min=0).norm(dim=-1) + outside.amax(-1).clamp(max=0)) / TR
+
+
+def looking_at_origin(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """T_wc of a camera at `position` [m] facing the origin."""
+    z = -position / np.linalg.norm(position)
+    x = np.cross([0.3, 1, 0.2], z)
+    x /= np.linalg.norm(x)
+    T_wc = np.eye(4)
+    T_wc[:3, :3] = np.stack([x, np.cross(z, x), z], 1)
+    T_wc[:3, 3] = position
+    return T_wc
+
+
+def look(sdf: Callable[[Tensor], Tensor], position: tuple[float, float, float]) -> View:
+    """A depth image by sphere tracing."""
+    T_wc = looking_at_origin(np.array(position, float))
+    rays = CAMERA.rays(CAMERA.pixels()).view(-1, 3) @ torch.tensor(T_wc[:3, :3], dtype=torch.float32).T
+    depth = torch.zeros(len(rays))
+    origin = torch.tensor(T_wc[:3, 3], dtype=torch.float32)
+    for _ in range(100):
+        depth += sdf(origin + rays * depth[:, None]) * TR / rays.norm(dim=-1)
+    hit = sdf(origin + rays * depth[:, None]).abs() * TR < 1e-3
+    return View(T_wc, torch.where(hit & (depth < 5), depth, 0).view(CAMERA.height, CAMERA.width).numpy(), CAMERA)
+
+
+AROUND = [(1.5, 0, 0), (-1.5, 0, 0), (0, 1.5, 0), (0, -1.5, 0), (0, 0, 1.5), (0, 0, -1.5)] + [
+    (x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)
+]
+
+
+def test_ball_is_exact_closed_and_faces_outwards() -> None:
+    mesh = extract_mesh(ball, lambda p: p + 0.5, [look(ball, p) for p in AROUND], resolution=0.02, truncation=TR)
+    error = np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+    assert error.max() < 0.02 / 5
+    assert mesh.is_watertight and mesh.is_winding_consistent  # many seams (blocks are 0.32 m), no doubled vertices
+    assert mesh.body_count == 1 and mesh.euler_number == 2
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)  # positive: triangles face free space
+    expected = np.round((mesh.vertices + 0.5) * 255)
+    assert np.abs(mesh.visual.vertex_colors[:, :3] - expected).max() <= 1
+
+
+def test_box_with_lattice_zeros_is_closed() -> None:
+    def aligned(points: Tensor) -> Tensor:  # a box whose faces fall onto lattice points
+        return (points.abs() - torch.tensor([0.5, 0.4, 0.3])).amax(-1) / TR
+
+    for sdf in (box, aligned):
+        mesh = extract_mesh(sdf, None, [look(sdf, p) for p in AROUND], resolution=0.02, truncation=TR)
+        assert mesh.is_watertight and mesh.body_count == 1
+        assert np.abs(sdf(torch.tensor(mesh.vertices, dtype=torch.float32)).numpy()).max() * TR < 0.02 / 2  # corners are cut
+
+
+def test_what_nobody_observed_is_removed() -> None:
+    # One camera at x = 1.5 sees the cap of the ball with x > r^2 / 1.5 = 0.1067; up to the tolerance of 6 cm in depth.
+    mesh = extract_mesh(ball, None, [look(ball, (1.5, 0, 0))], resolution=0.02, truncation=TR)
+    x = mesh.vertices[:, 0]
+    assert x.max() == pytest.approx(RADIUS, abs=0.004)
+    assert 0.1067 - 0.07 < x.min() < 0.1067 + 0.03
+    assert len(np.unique(mesh.faces)) == len(mesh.vertices)  # none is left without a face
+
+
+def test_votes() -> None:
+    # A point at the origin, 1.5 m before the camera. Views measure a wall at 1.5 (near), 3 (seen through), 1 (hidden), or nothing.
+    def wall(depth: float) -> View:
+        return View(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), depth, np.float32), CAMERA)
+
+    def kept(*depths: float) -> bool:
+        return bool(observed(np.zeros((1, 3)), [wall(d) for d in depths], 0.05)[0])
+
+    assert kept(1.5) and kept(1.54) and not kept(1.56)
+    assert not kept(3.0) and not kept(1.0) and not kept(0.0)
+    assert kept(1.5, 3, 3)  # two views through it are too few
+    assert not kept(1.5, 3, 3, 3)
+    assert kept(1.5, 1.5, 1.5, 3, 3, 3)  # no majority
+    assert kept(1.5, 1, 1, 1, 0, 0)
+    behind = View(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), 1.5, np.float32), CAMERA)
+    assert not observed(np.array([[3.0, 0, 0]]), [behind], 0.05)[0]
+
+
+def test_touched_blocks_by_hand() -> None:
+    # One reading at (0, 0, 1.1) with blocks of 1 m and margin 0.2: x and y lie in the small cell [0, 0.25], dilated [-0.2, 0.45] -> blocks
+    # -1, 0; z in [1, 1.25], dilated [0.8, 1.45] -> blocks 0, 1.
+    camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
+    blocks = touched_blocks([View(np.eye(4), np.full((1, 1), 1.1, np.float32), camera)], 1.0, 0.2)
+    assert blocks.tolist() == [[x, y, z] for x in (-1, 0) for y in (-1, 0) for z in (0, 1)]
+
+
+def test_no_views_or_no_surface_give_an_empty_mesh() -> None:
+    assert len(extract_mesh(ball, lambda p: p, [], resolution=0.02, truncation=TR).vertices) == 0
+    view = look(ball, (1.5, 0, 0))
+    assert len(extract_mesh(lambda p: torch.ones(len(p)), None, [view], resolution=0.02, truncation=TR).faces) == 0
+
+
+def test_memory_is_bounded_by_blocks_near_readings() -> None:
+    # A wall of 9.85 x 7.38 m, 8 m away, at 1 cm: its blocks, not the 10 m cube, are evaluated, and never more than a batch of them at once.
+    view = View(np.eye(4), np.full((120, 160), 8.0, np.float32), CAMERA)
+    blocks = touched_blocks([view], meshing.CELLS * 0.01, TR, stride=1)
+    assert len(blocks) < 65 * 50 * 4  # of 62^3 = 238 000
+    largest = 0
+
+    def watched(points: Tensor) -> Tensor:
+        nonlocal largest
+        largest = max(largest, len(points))
+        return (points[:, 2].neg() + 8) / TR
+
+    extract_mesh(watched, None, [look(ball, (1.5, 0, 0))], resolution=0.01, truncation=TR)
+    assert 0 < largest <= 1 << 18
