@@ -1,0 +1,243 @@
+"""The command line: parses, then calls. What is heavy is imported inside the commands, so that --help is quick.
+
+Threads: the numerical libraries use one thread a core, at most 8 (the networks are small), and idle threads sleep instead of spinning:
+beside another job spinning costs most of the speed. OMP_NUM_THREADS, NUMBA_NUM_THREADS, OMP_WAIT_POLICY and GOMP_SPINCOUNT, where set,
+win. OpenCV runs on one thread.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+
+import tyro
+from tyro.conf import DisallowNone, Positional, arg, subcommand
+
+from idfslam import __version__
+from idfslam.config import FAST, PRESETS, Config, check, load
+from idfslam.errors import IdfSlamError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_MOST_THREADS = 8
+_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
+
+
+class Command(Protocol):
+    """A command with its flags."""
+
+    def __call__(self, console: "Console") -> None: ...
+
+
+@dataclass(frozen=True)
+class CameraFlags:
+    """The camera, where it is not the recording's own; the flags win over what the recording says."""
+
+    fx: float | None = None
+    """Focal length [px]."""
+    fy: float | None = None
+    """Focal length [px]."""
+    cx: float | None = None
+    """Principal point [px]; pixel centres at integers."""
+    cy: float | None = None
+    """Principal point [px]."""
+    depth_scale: float | None = None
+    """Units of the depth images per metre: 1000 for millimetres."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """SLAM on a room that the package generates itself: run, evaluation and pictures, no files needed."""
+
+    values: Values = FAST
+    out: Path = Path("results/demo")
+    """The result folder."""
+    frames: int = 240
+    """Frames of the walk through the room."""
+    room: int = 0
+    """Which room: any number makes one."""
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.demo import demo
+        from idfslam.tables import print_evaluation, print_files, print_run
+
+        done, evaluation, pictures = demo(check(self.values), self.out, room=self.room, frames=self.frames, console=console)
+        print_run(done, output())
+        print_evaluation(evaluation, self.out, output())
+        print_files(self.out, [path.name for path in pictures], output())
+
+
+@dataclass(frozen=True)
+class Run:
+    """SLAM on a recording: trajectory, mesh, map and figures into a folder."""
+
+    path: Positional[Path]
+    """The recording, in any layout that is known; which one is seen from what lies in it."""
+    values: Values = FAST
+    out: Path | None = None
+    """The result folder; none given: results/ and the recording's name."""
+    start: int = 0
+    """The first frame."""
+    frames: int | None = None
+    """How many frames; none given: to the end."""
+    stride: int = 1
+    """Every so many frames one is taken."""
+    format: str | None = None
+    """The recording's layout, where it is not to be seen from its files."""
+    camera: CameraFlags = CameraFlags()
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.results import Source
+        from idfslam.run import open_source, run
+        from idfslam.tables import print_run
+
+        camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
+        scale = camera.pop("depth_scale", None)
+        source = Source(str(self.path), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        recording = open_source(source)
+        folder = self.out or Path("results") / recording.name
+        print_run(run(recording, check(self.values), folder, source=source, console=console), output())
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Errors of a run's trajectory and mesh against ground truth: a table, evaluation.json and pictures."""
+
+    folder: Positional[Path]
+    """The result folder."""
+    gt: Path | None = None
+    """True trajectory in TUM format, camera-to-world; none given: the recording's own."""
+    gt_mesh: Path | None = None
+    """True mesh [m], in the frame of the true trajectory; none given: a synthetic room's own, else the mesh is not evaluated."""
+    protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] = "seen"
+    """What counts as surface."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.evaluate import evaluate
+        from idfslam.tables import print_evaluation
+
+        evaluation = evaluate(self.folder, gt=self.gt, gt_mesh=self.gt_mesh, protocol=self.protocol)
+        print_evaluation(evaluation, self.folder, output())
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The mesh of a saved map at another resolution."""
+
+    folder: Positional[Path]
+    """The result folder."""
+    resolution: float = 0.02
+    """Edge of the marching-cubes cells [m]."""
+    out: Path | None = None
+    """The mesh file (.ply, .obj, .glb, ...); none given: mesh.ply of the result folder."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.saved import write_mesh
+
+        print(write_mesh(self.folder, self.out, resolution=self.resolution))
+
+
+@dataclass(frozen=True)
+class Render:
+    """Colour and depth pictures of a saved map, seen from frames of the trajectory."""
+
+    folder: Positional[Path]
+    """The result folder."""
+    frames: tuple[int, ...] = ()
+    """Which frames; none given: the keyframes."""
+    out: Path | None = None
+    """Where the pictures go; none given: render/ in the result folder."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.saved import write_views
+
+        print(*write_views(self.folder, self.out, frames=self.frames), sep="\n")
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """The command with its flags. Raises ConfigError for a config file that cannot be used; exits with 2 on wrong usage."""
+    values = _starting_values(arguments)
+    commands: Any = (
+        Annotated[Demo, subcommand("demo", default=Demo(values))]
+        | Annotated[Run, subcommand("run", default=Run(tyro.MISSING, values))]
+        | Annotated[Eval, subcommand("eval")]
+        | Annotated[Mesh, subcommand("mesh")]
+        | Annotated[Render, subcommand("render")]
+    )
+    description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
+    command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))
+    return command
+
+
+def _starting_values(arguments: Sequence[str]) -> Config:
+    """What the flags start from: the values of --config over those of --preset."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--preset", nargs="?")
+    parser.add_argument("--config", nargs="?", type=Path)
+    found, _ = parser.parse_known_args(arguments)
+    preset = found.preset if found.preset in PRESETS else None  # the parser proper complains of another one
+    return load(found.config, base=preset) if found.config else PRESETS[preset or FAST.preset]
+
+
+def prepare_process() -> None:
+    """Threads and their waiting, to be called before torch or numba is imported; see the head of this file."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    threads = str(min(cores, _MOST_THREADS))
+    for name, value in {
+        "OMP_WAIT_POLICY": "PASSIVE",
+        "GOMP_SPINCOUNT": "0",
+        "OMP_NUM_THREADS": threads,
+        "NUMBA_NUM_THREADS": threads,
+    }.items():
+        os.environ.setdefault(name, value)
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs a command; exits with 1 and one line on the user's mistakes, with 2 on wrong usage."""
+    try:
+        command = parse(sys.argv[1:] if arguments is None else arguments)
+        prepare_process()
+        command(_console())
+    except IdfSlamError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(_INTERRUPTED) from None
+
+
+def output() -> "Console":
+    """Where figures and paths go: stdout."""
+    from rich.console import Console
+
+    return Console()
+
+
+def _console() -> "Console":
+    """Where progress and warnings go: stderr."""
+    import logging
+
+    from rich.console import Console
+    from rich.logging import RichHandler
+
+    console = Console(stderr=True)
+    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], format="%(message)s", force=True)
+    return console
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""The demonstration: a generated room, SLAM on it, the evaluation against the truth, pictures. No files are needed."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from idfslam import results
+from idfslam.config import Config
+from idfslam.datasets import Dataset
+from idfslam.evaluate import Evaluation, evaluate
+from idfslam.evaluation.pictures import draw_mesh
+from idfslam.mapping.saved_map import load_map
+from idfslam.pictures import View, draw_views
+from idfslam.run import Run, open_source, run
+
+VIEWS = "views.png"
+_VIEWS = 4
+
+
+def demo(config: Config, folder: Path, *, room: int, frames: int, console: Console | None = None) -> tuple[Run, Evaluation, list[Path]]:
+    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the pictures' paths.
+
+    Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
+    """
+    source = results.Source(f"synthetic:{room}", frames=frames)
+    recording = open_source(source)
+    done = run(recording, config, folder, source=source, console=console)
+    evaluation = evaluate(folder)
+    poses = done.trajectory.poses
+    pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
+    with results.replacing(folder / VIEWS) as part:
+        draw_views(part, list(_views(recording, poses, folder)))
+    return done, evaluation, [*pictures, folder / VIEWS]
+
+
+def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:
+    """Frames spread over the run, and what the saved map shows from their estimated poses."""
+    saved = load_map(folder / results.MAP)
+    for i in np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist():
+        frame = recording[i]
+        colour, depth = saved.render(poses[i], recording.camera)
+        yield View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))

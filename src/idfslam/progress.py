@@ -1,0 +1,40 @@
+"""The progress bar of a run: frames a second, keyframes, lost frames, losses."""
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from idfslam.frame import FrameResult, Status
+
+
+class ProgressBar:
+    """Shows each `FrameResult`; without a console it shows nothing."""
+
+    def __init__(self, total: int, console: Console | None) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn())
+        fields = (TextColumn("{task.fields[speed]}"), TextColumn("{task.fields[counts]}"), TextColumn("{task.fields[losses]}", style="dim"))
+        self._progress = Progress(*columns, *fields, console=console, disable=console is None)
+        self._task = self._progress.add_task("frames", total=total, speed="", counts="", losses="")
+        self._keyframes = self._lost = 0
+
+    def __enter__(self) -> "ProgressBar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def update(self, result: FrameResult, *, frames_per_second: float) -> None:
+        """One more frame."""
+        self._keyframes += result.keyframe
+        self._lost += result.status is Status.LOST
+        counts = f"{self._keyframes} keyframes" + (f", {self._lost} lost" if self._lost else "")
+        speed = f"{frames_per_second:.2f} frames/s"
+        self._progress.update(self._task, advance=1, speed=speed, counts=counts)
+        if result.losses:
+            self._progress.update(self._task, losses=" ".join(f"{name} {value:.3g}" for name, value in result.losses.items()))
+
+    def describe(self, stage: str) -> None:
+        """What goes on now."""
+        self._progress.update(self._task, description=stage)

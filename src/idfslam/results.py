@@ -1,0 +1,148 @@
+"""The result folder of a run: which files it holds, written so that a reader never meets half a file."""
+
+import json
+import math
+import os
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from idfslam import __version__
+from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
+from idfslam.errors import ResultError
+from idfslam.geometry.camera import Camera
+
+TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
+KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
+FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, PICTURE)
+_PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The recording of a run and which of its frames: what `open_recording` is called with."""
+
+    path: str
+    format: str | None = None
+    camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that win over the recording's own
+    depth_scale: float | None = None  # units of the depth images per metre
+    start: int = 0
+    frames: int | None = None
+    stride: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeRecord:
+    """The keyframes of a run as keyframes.json tells them."""
+
+    camera: Camera
+    indices: NDArray[np.int64]  # (K,) frames of the trajectory
+    timestamps: NDArray[np.float64]  # (K,) [s]
+    poses: NDArray[np.float64]  # (K, 4, 4) T_wk
+
+
+def prepare(folder: Path) -> None:
+    """Makes the folder and tries to write into it, so that no run is made in vain. Raises ResultError."""
+    trial = folder / f".part-{METRICS}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise ResultError(f"{folder}: results cannot be written there ({error.strerror}); choose another folder with --out") from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path beside `path` to write to; it takes the place of `path` once all is written, and is gone after an error."""
+    part = path.with_name(f".part-{path.name}")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def remove_stale(folder: Path, *, written: set[str]) -> None:
+    """Takes away the files of an earlier run that this one did not write, and nothing else."""
+    for name in set(FILES) - written:
+        (folder / name).unlink(missing_ok=True)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Numbers that JSON does not know (NaN, infinity) are written as null."""
+    with replacing(path) as part:
+        part.write_text(json.dumps(_json(values), indent=2) + "\n", encoding="utf-8")
+
+
+def _json(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _json(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json(inner) for inner in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _json(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_config(folder: Path, config: Config, source: Source | None) -> None:
+    """The effective values; beside them the recording and the versions that made the results."""
+    versions = {"idf-slam": __version__, "python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+    values = dump(config) | dict(zip(RUN_SECTIONS, (asdict(source) if source else None, versions)))
+    with replacing(folder / CONFIG) as part:
+        part.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def read_config(folder: Path) -> tuple[Config, Source | None]:
+    """What `write_config` wrote. Raises ResultError if the folder holds no run, ConfigError if its config.yaml is damaged."""
+    path = existing(folder, CONFIG)
+    recording = read_yaml(path).get(RUN_SECTIONS[0])
+    if recording is None:
+        return load(path), None
+    if not isinstance(recording, dict) or not set(recording) <= set(Source.__dataclass_fields__) or "path" not in recording:
+        raise ResultError(f"{path}: 'recording' is {recording!r}, expected {', '.join(Source.__dataclass_fields__)}")
+    return load(path), Source(**recording)
+
+
+def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
+    """Camera, and frame index, time stamp [s] and pose T_wk (4 x 4, rows) of each keyframe."""
+    keyframes = [
+        {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
+        for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
+    ]
+    write_json(folder / KEYFRAMES, {"camera": asdict(record.camera), "keyframes": keyframes})
+
+
+def read_keyframes(folder: Path) -> KeyframeRecord:
+    """What `write_keyframes` wrote. Raises ResultError if it is missing or of another form."""
+    path = existing(folder, KEYFRAMES)
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        keyframes = values["keyframes"]
+        return KeyframeRecord(
+            Camera(**values["camera"]),
+            np.array([k["index"] for k in keyframes], np.int64),
+            np.array([k["timestamp"] for k in keyframes], np.float64),
+            np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultError(f"{path}: not as a run writes it ({error}); run again into this folder") from error
+
+
+def existing(folder: Path, name: str) -> Path:
+    """The path of a file of the results. Raises ResultError if it is not there."""
+    path = folder / name
+    if not folder.is_dir():
+        raise ResultError(f"{folder}: no such folder; expected the results of `idf-slam run`")
+    if not path.is_file():
+        found = ", ".join(f for f in FILES if (folder / f).is_file()) or "no result file at all"
+        raise ResultError(f"{folder}: has no {name} (found {found}); expected the results of a finished `idf-slam run`")
+    return path
