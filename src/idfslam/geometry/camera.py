@@ -49,7 +49,8 @@ class Camera:
 
     def backproject(self, depth: Tensor) -> Tensor:
         """Depth image (H, W) [m] -> points (H, W, 3) [m] in the camera's frame; zeros where there is no depth."""
-        return self.rays(self.pixels(depth.device)).to(depth.dtype) * depth[..., None]
+        pixels = self.pixels(depth.device)
+        return self.rays(pixels.to(torch.promote_types(pixels.dtype, depth.dtype))).to(depth.dtype) * depth[..., None]
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Points (..., 3) [m] -> pixels (..., 2) and z (...) [m]; meaningful where z > 0."""

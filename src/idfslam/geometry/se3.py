@@ -6,7 +6,8 @@
 import torch
 from torch import Tensor
 
-_SMALL = 1e-3  # below this angle [rad] the closed forms lose digits in float32: Taylor series instead
+_SMALL = 0.03  # below this angle [rad] the closed forms (and worse, their gradients) lose digits in float32: Taylor series instead
+_NEAR_PI = -0.9  # below this cosine the axis comes from the symmetric part of R, since the skew part vanishes at pi
 
 
 def hat(omega: Tensor) -> Tensor:
@@ -21,9 +22,9 @@ def _coefficients(theta2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     small = theta2 < _SMALL**2
     safe = torch.where(small, torch.ones_like(theta2), theta2)
     theta = safe.sqrt()
-    a = torch.where(small, 1 - theta2 / 6 + theta2**2 / 120, theta.sin() / theta)
-    b = torch.where(small, 0.5 - theta2 / 24 + theta2**2 / 720, 2 * (theta / 2).sin() ** 2 / safe)
-    c = torch.where(small, 1 / 6 - theta2 / 120 + theta2**2 / 5040, (theta - theta.sin()) / (safe * theta))
+    a = torch.where(small, 1 - theta2 / 6 + theta2**2 / 120 - theta2**3 / 5040, theta.sin() / theta)
+    b = torch.where(small, 0.5 - theta2 / 24 + theta2**2 / 720 - theta2**3 / 40320, 2 * (theta / 2).sin() ** 2 / safe)
+    c = torch.where(small, 1 / 6 - theta2 / 120 + theta2**2 / 5040 - theta2**3 / 362880, (theta - theta.sin()) / (safe * theta))
     return a, b, c
 
 
@@ -41,7 +42,7 @@ def exp(xi: Tensor) -> Tensor:
 
 
 def log(T: Tensor) -> Tensor:
-    """Transform (..., 4, 4) -> increment (..., 6), `exp(log(T)) = T`; rotation angle in [0, pi)."""
+    """Transform (..., 4, 4) -> increment (..., 6), `exp(log(T)) = T`; rotation angle in [0, pi]."""
     R, t = T[..., :3, :3], T[..., :3, 3]
     vee = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1) / 2
     sine = vee.norm(dim=-1)
@@ -49,9 +50,10 @@ def log(T: Tensor) -> Tensor:
     theta = torch.atan2(sine, cosine)
     scale = torch.where(sine < 1e-6, torch.ones_like(sine), theta / sine.clamp(min=1e-12))
     omega = vee * scale[..., None]
-    near_pi = (sine < 1e-3) & (cosine < 0)  # there the skew part vanishes: the axis comes from R + I
+    near_pi = cosine < _NEAR_PI
     if bool(near_pi.any()):
-        S = R + torch.eye(3, dtype=T.dtype, device=T.device)
+        # (R + R^T)/2 = cos(theta) I + (1 - cos(theta)) a a^T: every column of S is a multiple of the axis a
+        S = (R + R.mT) / 2 - cosine[..., None, None] * torch.eye(3, dtype=T.dtype, device=T.device)
         column = S.gather(-1, S.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None].expand(*S.shape[:-1], 1))[..., 0]
         axis = column / column.norm(dim=-1, keepdim=True)
         sign = torch.where((axis * vee).sum(-1, keepdim=True) < 0, -1.0, 1.0)
@@ -60,7 +62,9 @@ def log(T: Tensor) -> Tensor:
     theta2 = (omega * omega).sum(-1)
     a, b, _ = _coefficients(theta2)
     small = theta2 < _SMALL**2
-    d = torch.where(small, 1 / 12 + theta2 / 720, (1 - a / (2 * b)) / torch.where(small, torch.ones_like(theta2), theta2))
+    d = torch.where(
+        small, 1 / 12 + theta2 / 720 + theta2**2 / 30240, (1 - a / (2 * b)) / torch.where(small, torch.ones_like(theta2), theta2)
+    )
     eye = torch.eye(3, dtype=T.dtype, device=T.device)
     v = (eye - W / 2 + d[..., None, None] * (W @ W)) @ t[..., None]
     return torch.cat([v[..., 0], omega], -1)
@@ -71,6 +75,11 @@ def inverse(T: Tensor) -> Tensor:
     R_t = T[..., :3, :3].mT
     top = torch.cat([R_t, -R_t @ T[..., :3, 3:]], -1)
     return torch.cat([top, T[..., 3:, :]], -2)
+
+
+def identity_like(T: Tensor) -> Tensor:
+    """The identity, shaped and typed as T (..., 4, 4)."""
+    return torch.eye(4, dtype=T.dtype, device=T.device).expand_as(T).clone()
 
 
 def transform(T_ab: Tensor, points_b: Tensor) -> Tensor:
@@ -86,6 +95,7 @@ def angle(T: Tensor) -> Tensor:
 def orthonormal(T: Tensor) -> Tensor:
     """The nearest rigid transform: rounding that long products pile up is taken out of the rotation by SVD."""
     U, _, Vt = torch.linalg.svd(T[..., :3, :3].double())
+    U = torch.cat([U[..., :2], U[..., 2:] * torch.det(U @ Vt)[..., None, None]], -1)  # det +1: never a reflection
     out = T.clone()
     out[..., :3, :3] = (U @ Vt).to(T.dtype)
     return out

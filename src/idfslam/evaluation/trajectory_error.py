@@ -1,0 +1,105 @@
+"""Errors of a trajectory: absolute (ATE) and relative (RPE), as defined by Sturm et al., IROS 2012.
+
+Poses are camera-to-world (N, 4, 4); a frame without ground truth has NaN there and takes no part.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from idfslam.geometry.trajectory import Trajectory, TrajectoryError, align, associate
+
+Poses = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of the errors of all frames or pairs, in their unit."""
+
+    rmse: float
+    mean: float
+    median: float
+    max: float
+    std: float
+
+    @staticmethod
+    def of(errors: NDArray[np.float64]) -> "Statistics":
+        """Of errors (M,), M >= 1."""
+        rmse = float(np.sqrt(np.mean(errors**2)))
+        return Statistics(rmse, float(errors.mean()), float(np.median(errors)), float(errors.max()), float(errors.std()))
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteTrajectoryError:
+    """Distances between camera centres after rigid alignment."""
+
+    translation: Statistics  # [m]
+    frames: NDArray[np.int64]  # (M,) the frames that have ground truth
+    errors: NDArray[np.float64]  # (M,) [m]
+    T_gt_est: NDArray[np.float64]  # (4, 4) the alignment
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePoseError:
+    """Errors of the motion over `delta` frames."""
+
+    delta: int  # [frames]
+    translation: Statistics  # [m]
+    rotation: Statistics  # [degrees]
+    frames: NDArray[np.int64]  # (M,) the first frame of each pair
+
+
+def matched_ground_truth(estimate: Trajectory, truth: Trajectory, *, tolerance: float = 0.02) -> Poses:
+    """(N, 4, 4) the true pose of every frame of the estimate, NaN where none lies within `tolerance` [s].
+
+    Raises `TrajectoryError` where no stamp matches.
+    """
+    pairs = associate(estimate.timestamps, truth.timestamps, tolerance=tolerance)
+    if len(pairs) == 0:
+        raise TrajectoryError(
+            f"no time stamp of the estimate ({_span(estimate)}) lies within {tolerance} s of one of the ground truth ({_span(truth)}); "
+            "give the ground truth of the same recording, in seconds"
+        )
+    poses = np.full((len(estimate), 4, 4), np.nan)
+    poses[pairs[:, 0]] = truth.poses[pairs[:, 1]]
+    return poses
+
+
+def _span(trajectory: Trajectory) -> str:
+    return f"{trajectory.timestamps.min():.3f} to {trajectory.timestamps.max():.3f} s" if len(trajectory) else "empty"
+
+
+def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajectoryError:
+    """ATE of poses (N, 4, 4) against (N, 4, 4), aligned over all frames that have ground truth, without scale.
+
+    Raises `TrajectoryError` where the shapes differ or no frame has ground truth.
+    """
+    frames = np.nonzero(_known(estimate, truth))[0]
+    if len(frames) == 0:
+        raise TrajectoryError("no frame has ground truth; the trajectory's error needs at least one")
+    x, y = estimate[frames, :3, 3], truth[frames, :3, 3]
+    T_gt_est = align(x, y)
+    errors = np.linalg.norm(x @ T_gt_est[:3, :3].T + T_gt_est[:3, 3] - y, axis=-1)
+    return AbsoluteTrajectoryError(Statistics.of(errors), frames, errors, T_gt_est)
+
+
+def relative_pose_error(estimate: Poses, truth: Poses, *, delta: int = 1) -> RelativePoseError | None:
+    """RPE of poses (N, 4, 4) against (N, 4, 4) over all pairs of frames i, i + delta that have ground truth; None if there is none."""
+    known = _known(estimate, truth)
+    i = np.nonzero(known[:-delta] & known[delta:])[0]
+    if len(i) == 0:
+        return None
+    motion_estimate = np.linalg.inv(estimate[i]) @ estimate[i + delta]
+    motion_truth = np.linalg.inv(truth[i]) @ truth[i + delta]
+    error = np.linalg.inv(motion_truth) @ motion_estimate
+    translation = np.linalg.norm(error[:, :3, 3], axis=-1)
+    rotation = np.rad2deg(Rotation.from_matrix(error[:, :3, :3]).magnitude())
+    return RelativePoseError(delta, Statistics.of(translation), Statistics.of(rotation), i)
+
+
+def _known(estimate: Poses, truth: Poses) -> NDArray[np.bool_]:
+    if estimate.shape != truth.shape or estimate.shape[1:] != (4, 4):
+        raise TrajectoryError(f"the estimate has poses {estimate.shape}, the ground truth {truth.shape}; expected (N, 4, 4) both")
+    return np.asarray(np.isfinite(truth).all((1, 2)) & np.isfinite(estimate).all((1, 2)))
