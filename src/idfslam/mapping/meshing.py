@@ -44,13 +44,16 @@ def extract_mesh(
     """The zero level of `sdf` where the views observed it, triangles facing free space, in metres, with vertex colours.
 
     sdf: points (N, 3) [m] on `device` -> (N,) [tr], positive in front of the surface. colour: points (N, 3) -> (N, 3) in [0, 1].
-    Blocks are those within `truncation` [m] of a depth reading (every `stride`-th row and column is looked at); vertices no view observed
-    are removed (`observed`). Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of the scene.
+    Vertices farther than 1.5 cells and 0.3 tr from what the views measured are removed (`observed`). Only blocks that near a reading (of
+    every `stride`-th row and column) are evaluated. Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of
+    the scene.
     """
-    blocks = touched_blocks(views, CELLS * resolution, truncation, stride=stride)
+    tolerance = 1.5 * resolution + 0.3 * truncation
+    reach = 4 / 3 * tolerance  # tolerance is in depth, and at an image's corner a ray is about a third longer than that
+    blocks = touched_blocks(views, CELLS * resolution, reach, stride=stride)
     vertices, faces, keys = _concatenate(_march(sdf, blocks, resolution, device))
     faces = weld(faces, keys)
-    keep = observed(vertices, views, 1.5 * resolution + 0.3 * truncation)
+    keep = observed(vertices, views, tolerance)
     faces = faces[keep[faces].all(1)]
     used = np.zeros(len(vertices), bool)
     used[faces] = True
@@ -162,7 +165,8 @@ def _evaluate(function: Callable[[Tensor], Tensor], points: NDArray, device: tor
 def observed(vertices: NDArray[np.float64], views: Sequence[View], tolerance: float) -> NDArray[np.bool_]:
     """Which vertices (N, 3) [m] the views saw: at least one measured a depth within `tolerance` [m] of the vertex's own at its pixel.
 
-    Views that measured something behind the vertex looked through it; three or more of them, and more than saw it, outvote the others.
+    "At its pixel" is any of the four about its projection, so that surface seen at a grazing angle counts. Views that measured all four
+    behind the vertex looked through it; three or more of them, and more than saw it, outvote the others.
     """
     near, through = np.zeros(len(vertices), np.int32), np.zeros(len(vertices), np.int32)
     for view in views:
@@ -188,8 +192,14 @@ def _vote(  # type: ignore[no-untyped-def]
         v = (T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy
         if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
             continue
-        measured = depth[int(v + 0.5), int(u + 0.5)]
-        if measured > 0 and abs(z_c - measured) <= tolerance:
-            near[i] += 1
-        elif measured > z_c:
-            through[i] += 1
+        left, top = int(np.floor(u)), int(np.floor(v))
+        seen, valid, behind = False, 0, 0
+        for row in range(max(top, 0), min(top + 2, height)):
+            for column in range(max(left, 0), min(left + 2, width)):
+                measured = depth[row, column]
+                if measured > 0:
+                    valid += 1
+                    behind += measured > z_c + tolerance
+                    seen |= abs(z_c - measured) <= tolerance
+        near[i] += seen
+        through[i] += valid > 0 and behind == valid

@@ -99,8 +99,9 @@ def render_weights(sdf: Tensor, depths: Tensor, truncation: float, sharpness: fl
     """Weights (B, S) of samples with T-SDF `sdf` (B, S) [tr] at `depths` (B, S) [m]: a bell over the surface, summing to 1.
 
     w = sigmoid(s D/tr) sigmoid(-s D/tr), zero beyond the first zero crossing + tr, so that no surface shines through another. With s = 1
-    free space (D = tr) keeps 0.197 of the surface's 0.25, and rendered depth is pulled towards the camera by metres; the published code of
-    [25] divides by tr twice, which is s = 1/tr (10 for tr = 0.1 m).
+    free space (D = tr) keeps 0.197 of the surface's 0.25. The published code of [25] divides by tr twice, which is s = 1/tr: 20 there, 10
+    for tr = 0.1 m. With an exact T-SDF, 128 + 16 samples up to 5 m and tr = 0.1 m, depth is wrong by (mean, RMS) -103, 115 cm at s = 1,
+    -24, 30 cm at 5, -0.15, 0.35 cm at 10 and 0.00, 0.20 cm at 20.
     """
     bell = torch.sigmoid(sharpness * sdf) * torch.sigmoid(-sharpness * sdf)
     limit = zero_crossing(sdf.detach(), depths.detach()) + truncation
