@@ -51,7 +51,7 @@ def open_recording(
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
     if format == "synthetic" or (format is None and _SYNTHETIC.fullmatch(str(path)) and not Path(path).exists()):
-        dataset = _open_synthetic(str(path), given)
+        dataset = _open_synthetic(str(path), given, length=0 if frames is None else start + (frames - 1) * stride + 1)
     else:
         place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
         dataset = _reader(place, format).open(place, given)
@@ -71,12 +71,13 @@ def _reader(path: Path, format: str | None) -> Reader:
     raise RecordingError(f"{path}: not a known recording: found {content or 'an empty folder'}, expected one of {layouts}")
 
 
-def _open_synthetic(path: str, given: Calibration) -> Dataset:
-    from idfslam.datasets.synthetic import SyntheticRoom  # compiles its ray caster: only where it is asked for
+def _open_synthetic(path: str, given: Calibration, length: int) -> Dataset:
+    """One tour of the room, or as many frames as are asked for where that is longer."""
+    from idfslam.datasets.synthetic import TOUR, SyntheticRoom  # compiles its ray caster: only where it is asked for
 
     name = _SYNTHETIC.fullmatch(path)
     if name is None:
         raise RecordingError(f"{path}: not a synthetic room, expected synthetic[:SEED][:kinect]")
     if given != Calibration():
         raise ConfigError(f"{path}: a synthetic room has its own camera and depth, expected no override: leave the camera's values out")
-    return SyntheticRoom(seed=int(name["seed"] or 0), noise=name["noise"] is not None)
+    return SyntheticRoom(seed=int(name["seed"] or 0), frames=max(TOUR, length), noise=name["noise"] is not None)

@@ -29,32 +29,41 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     colour = colour_folder(path)
     if colour is None or not (path / "depth").is_dir():
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/")
-    pairs = paired(numbered(colour), numbered(path / "depth"), path)
+    images = numbered(colour)
+    pairs = paired(images, numbered(path / "depth"), path)
     calibration = override.over(read_cam_params(path)).over(read_camera_file(path)).over(Calibration(depth_scale=1000))
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
-        ground_truth=read_poses(path, len(pairs)),
+        ground_truth=read_poses(path, list(images)),
         calibration=calibration,
     )
 
 
-def read_poses(path: Path, count: int) -> NDArray[np.float64] | None:
-    """(count, 4, 4) from pose/ or poses/, else from traj.txt, else None."""
+def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:
+    """(N, 4, 4) of the frames with these numbers from pose/ or poses/, else from traj.txt, else None."""
     folder = next((path / name for name in _POSE_FOLDERS if (path / name).is_dir()), None)
     if folder is not None:
-        return read_pose_files(sorted(folder.glob("*.txt"), key=lambda file: (len(file.stem), file.stem)), count)
-    trajectory = path / "traj.txt"
-    return poses.checked(poses.read_matrices(trajectory), count=count, source=lambda _: str(trajectory)) if trajectory.is_file() else None
+        return read_pose_files(folder, "*.txt", numbers)
+    return read_trajectory(path / "traj.txt", len(numbers))
 
 
-def read_pose_files(files: list[Path], count: int) -> NDArray[np.float64] | None:
-    """(count, 4, 4) from one file a frame; None where there is no file at all."""
+def read_pose_files(folder: Path, pattern: str, numbers: list[float]) -> NDArray[np.float64] | None:
+    """(N, 4, 4) from one file for each of the frames' numbers; None where there is no file at all."""
+    files = numbered(folder, pattern, suffixes=frozenset({".txt"}))
     if not files:
         return None
-    matrices = np.stack([poses.read_matrix(file) for file in files])
-    return poses.checked(matrices, count=count, source=lambda i: str(files[i] if len(files) == count else files[i].parent))
+    if alone := sorted(files.keys() ^ set(numbers)):
+        found = f"{len(files)} poses for {len(numbers)} frames, number {alone[0]:.15g} has no partner"
+        raise RecordingError(f"{folder}: {found}: expected one for each, with equal numbers: complete or remove them")
+    paths = list(files.values())
+    return poses.checked(np.stack([poses.read_matrix(file) for file in paths]), count=len(numbers), source=lambda i: str(paths[i]))
+
+
+def read_trajectory(path: Path, count: int) -> NDArray[np.float64] | None:
+    """(count, 4, 4) from lines of 16 numbers; None without the file."""
+    return poses.checked(poses.read_matrices(path), count=count, source=lambda _: str(path)) if path.is_file() else None
 
 
 READER = Reader("folder", "rgb/ or color/, depth/, intrinsics.txt", recognises, open_folder)

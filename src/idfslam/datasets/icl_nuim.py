@@ -56,6 +56,8 @@ def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path,
         depth, colour = (words[1], words[3]) if words[1].startswith("depth") else (words[3], words[1])
         numbers.append(int(words[0]))
         pairs.append((path.parent / colour, path.parent / depth))
+    if not pairs:
+        raise RecordingError(f"{path}: empty, expected lines of: number depth/N.png number rgb/N.png")
     return np.array(numbers, np.float64), pairs
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"}
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"})
 SATURATED = 65535  # "invalid" in 7-Scenes, the end of the range elsewhere: no reading
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
@@ -93,11 +93,16 @@ class Undistortion:
         return np.asarray(colour, np.uint8), np.asarray(depth, np.uint16)
 
 
-def numbered(folder: Path, pattern: str = "*") -> dict[float, Path]:
-    """The images of a folder by the last number in their names, in its order."""
+def has_readings(raw: NDArray[np.uint16]) -> bool:
+    """Whether any pixel of a depth image (H, W) as stored holds a reading."""
+    return bool(((raw != 0) & (raw != SATURATED)).any())
+
+
+def numbered(folder: Path, pattern: str = "*", *, suffixes: frozenset[str] = SUFFIXES) -> dict[float, Path]:
+    """The files (images, unless told otherwise) of a folder by the last number in their names, in its order."""
     found: dict[float, Path] = {}
     for path in folder.glob(pattern):
-        if path.suffix.lower() in SUFFIXES and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
+        if path.suffix.lower() in suffixes and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
             number = float(numbers[-1])
             if number in found:
                 raise RecordingError(f"{folder}: {found[number].name} and {path.name} have the same number: remove one")

@@ -3,16 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import Undistortion, metres, rgb
+from idfslam.datasets.images import Undistortion, has_readings, metres, rgb
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+
+if TYPE_CHECKING:
+    import trimesh
 
 FPS = 30.0  # of recordings without stamps
 _PROBES = 5  # a recording is unusable if none of so many frames spread over it can be read
@@ -38,6 +41,8 @@ class Dataset(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, i: int) -> Frame: ...
+
+    def surface(self) -> "trimesh.Trimesh | None": ...  # the true surface in the frame of ground_truth, where it is known
 
 
 @dataclass(frozen=True)
@@ -87,12 +92,15 @@ class Recording:
             bgr, raw = self._undistort(bgr, raw)
         return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera)
 
+    def surface(self) -> None:
+        """Unknown: files hold no surface."""
+
     def _checked(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         bgr, raw = self._read(i)
         if bgr.shape[:2] != raw.shape:
             sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]} and depth {raw.shape[1]}x{raw.shape[0]}"
             raise FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: register the depth to the colour camera")
-        if not raw.any():
+        if not has_readings(raw):
             raise FrameError(f"{self.name}: frame {i} has no depth (all zero), expected readings of a depth camera")
         return bgr, raw
 
@@ -139,6 +147,10 @@ class Selection:
     def __getitem__(self, i: int) -> Frame:
         i = range(len(self))[i]
         return replace(self._dataset[int(self._indices[i])], index=i)
+
+    def surface(self) -> "trimesh.Trimesh | None":
+        """The whole dataset's true surface, where it is known."""
+        return self._dataset.surface()
 
 
 def regular_stamps(count: int) -> NDArray[np.float64]:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, read_cam_params
+from idfslam.datasets.folder import read_trajectory
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 
@@ -18,15 +18,11 @@ def open_replica(path: Path, override: Calibration) -> Recording:
     """cam_params.json lies in the folder or, as published, in its parent."""
     images = path / "results"
     pairs = paired(numbered(images, "frame*"), numbered(images, "depth*"), images)
-    trajectory = path / "traj.txt"
-    truth = None
-    if trajectory.is_file():
-        truth = poses.checked(poses.read_matrices(trajectory), count=len(pairs), source=lambda _: str(trajectory))
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
-        ground_truth=truth,
+        ground_truth=read_trajectory(path / "traj.txt", len(pairs)),
         calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
     )
 

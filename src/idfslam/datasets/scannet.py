@@ -44,7 +44,8 @@ def open_scannet(path: Path, override: Calibration) -> Recording:
 
 
 def _open_exported(path: Path, override: Calibration) -> Recording:
-    pairs = paired(numbered(path / "color"), numbered(path / "depth"), path)
+    images = numbered(path / "color")
+    pairs = paired(images, numbered(path / "depth"), path)
     stated = override.over(read_cam_params(path))
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
@@ -53,7 +54,7 @@ def _open_exported(path: Path, override: Calibration) -> Recording:
         path.name,
         read,
         timestamps=regular_stamps(len(pairs)),
-        ground_truth=read_poses(path, len(pairs)),
+        ground_truth=read_poses(path, list(images)),
         calibration=stated.over(depth).over(Calibration(depth_scale=1000)),
     )
 

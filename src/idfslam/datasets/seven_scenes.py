@@ -21,12 +21,13 @@ def recognises(path: Path) -> bool:
 def open_seven_scenes(path: Path, override: Calibration) -> Recording:
     """A sequence's folder, or a scene's where it holds one sequence only."""
     path = _sequence(path)
-    pairs = paired(numbered(path, "frame-*.color.png"), numbered(path, "frame-*.depth.png"), path)
+    images = numbered(path, "frame-*.color.png")
+    pairs = paired(images, numbered(path, "frame-*.depth.png"), path)
     return Recording(
         f"{path.parent.name}-{path.name}",
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
-        ground_truth=read_pose_files(sorted(path.glob("frame-*.pose.txt")), len(pairs)),
+        ground_truth=read_pose_files(path, "frame-*.pose.txt", list(images)),
         calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
     )
 
@@ -35,9 +36,10 @@ def _sequence(path: Path) -> Path:
     if any(path.glob("frame-*")):
         return path
     sequences = sorted({file.parent.name for file in path.glob("seq-*/frame-*")})
-    if len(sequences) != 1:
-        found = f"{len(sequences)} sequences ({', '.join(sequences)})" if sequences else "no frame-NNNNNN.color.png"
-        raise RecordingError(f"{path}: {found}: name the folder of one sequence, {path / (sequences or ['seq-01'])[0]}")
+    if not sequences:
+        raise RecordingError(f"{path}: no frame-NNNNNN.color.png, expected the folder seq-XX of a sequence")
+    if len(sequences) > 1:
+        raise RecordingError(f"{path}: {len(sequences)} sequences ({', '.join(sequences)}), expected one: name {path / sequences[0]}")
     return path / sequences[0]
 
 

@@ -1,0 +1,305 @@
+"""Wrong and damaged recordings: one clear line each, at opening for the whole recording, at the frame for a single one."""
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recordings import (
+    HEIGHT,
+    WIDTH,
+    colour_image,
+    depth_image,
+    pose,
+    write_folder,
+    write_icl_nuim,
+    write_replica,
+    write_scannet,
+    write_sens,
+    write_seven_scenes,
+    write_tum,
+)
+
+from idfslam.datasets import open_recording
+from idfslam.errors import FrameError, RecordingError
+
+
+def refuses(path: Path, message: str, **arguments: object) -> None:
+    """Opening raises RecordingError with one line that matches."""
+    with pytest.raises(RecordingError, match=message) as caught:
+        open_recording(path, **arguments)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def write_depth(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), image)
+
+
+# ----- one bad frame in a recording
+
+
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
+    "depth missing": ("depth", Path.unlink, "No such file"),
+    "colour empty": ("rgb", lambda path: path.write_bytes(b""), "empty"),
+    "colour cut off": ("rgb", cut_off, "cut off"),
+    "depth cut off": ("depth", cut_off, "cut off"),
+    "colour no image": ("rgb", lambda path: path.write_bytes(b"not an image"), "not a readable image"),
+    "depth 8-bit": (
+        "depth",
+        lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 9, np.uint8)),
+        "8-bit.*expected one channel of 16",
+    ),
+    "depth is colour": ("depth", lambda path: write_depth(path, colour_image(0)), "colour image, expected 16-bit depth.*swapped"),
+    "colour is depth": ("rgb", lambda path: write_depth(path, depth_image(1000)), "16-bit grey image, expected colour.*swapped"),
+    "no depth": ("depth", lambda path: write_depth(path, np.zeros((HEIGHT, WIDTH), np.uint16)), "no depth .all zero"),
+    "all invalid": ("depth", lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 65535, np.uint16)), "no depth"),
+    "depth size": ("depth", lambda path: write_depth(path, depth_image(1000, (8, 6))), "colour 16x12 and depth 8x6, expected one size"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+@pytest.mark.parametrize("frame", [0, 3])
+def test_a_single_bad_frame_is_a_frame_error(name: str, frame: int, tmp_path: Path) -> None:
+    """In the middle and as the very first."""
+    path, (folder, damage, message) = write_folder(tmp_path / "room", frames=6, suffix="png"), DAMAGE[name]
+    recording = open_recording(path)
+    damage(path / folder / f"{frame:06d}.png")
+    if name != "depth missing":  # that is found at opening: next test
+        recording = open_recording(path)
+    with pytest.raises(FrameError, match=message) as caught:
+        recording[frame]
+    assert "\n" not in str(caught.value)
+    assert recording[1].index == 1 and recording[5].index == 5
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_the_same_in_every_frame_is_a_recording_error(name: str, tmp_path: Path) -> None:
+    path, (folder, damage, message) = write_folder(tmp_path / "room", suffix="png"), DAMAGE[name]
+    for file in (path / folder).iterdir():
+        damage(file)
+    refuses(path, "3 colour and 0 depth images" if name == "depth missing" else message)
+
+
+def test_a_frame_of_another_size_is_a_frame_error(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room", suffix="png")
+    write_depth(path / "rgb/000001.png", colour_image(1, (8, 6)))
+    write_depth(path / "depth/000001.png", depth_image(1000, (8, 6)))
+    with pytest.raises(FrameError, match="frame 1 is 8x6, expected the recording's 16x12"):
+        open_recording(path)[1]
+
+
+def test_a_listed_file_that_is_missing_is_a_frame_error(tmp_path: Path) -> None:
+    path = write_tum(tmp_path / "room")
+    (path / "rgb/100.033333.png").unlink()
+    recording = open_recording(path)
+    with pytest.raises(FrameError, match=r"100\.033333\.png: No such file"):
+        recording[1]
+
+
+# ----- the recording as a whole
+
+
+def test_no_such_path(tmp_path: Path) -> None:
+    refuses(tmp_path / "absent", "no such file or folder")
+
+
+def test_unknown_layout(tmp_path: Path) -> None:
+    refuses(tmp_path, "found an empty folder, expected one of scannet .*folder")
+    (tmp_path / "video.mp4").write_bytes(b"")
+    refuses(tmp_path, r"found video\.mp4")
+    refuses(tmp_path / "video.mp4", "found a file")
+
+
+@pytest.mark.parametrize("format", ["folder", "tum", "replica", "7scenes", "scannet", "icl_nuim"])
+def test_a_format_that_the_folder_does_not_have(format: str, tmp_path: Path) -> None:
+    refuses(tmp_path, "expected|missing", format=format)
+
+
+def test_empty_folders(tmp_path: Path) -> None:
+    (tmp_path / "rgb").mkdir()
+    (tmp_path / "depth").mkdir()
+    refuses(tmp_path, "no numbered images")
+    (tmp_path / "rgb.txt").write_text("# nothing\n")
+    (tmp_path / "depth.txt").write_text("# nothing\n")
+    refuses(tmp_path, r"rgb\.txt: empty")
+
+
+def test_mismatched_counts(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "depth/000001.png").unlink()
+    refuses(path, "3 colour and 2 depth images, rgb/000001.jpg has no partner")
+
+
+def test_two_images_of_one_number(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    write_depth(path / "rgb/000001.png", colour_image(1))
+    refuses(path, "000001.* and .*000001.* have the same number")
+
+
+def test_swapped_folders(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "rgb").rename(path / "tmp")
+    (path / "depth").rename(path / "rgb")
+    (path / "tmp").rename(path / "depth")
+    refuses(path, "a colour image, expected 16-bit depth: are the colour and depth images swapped")
+
+
+# ----- the camera
+
+
+def test_an_unknown_camera_is_never_guessed(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "intrinsics.txt").unlink()
+    refuses(path, "camera is unknown .fx, fy, cx, cy missing.: give cam_params.json in the recording or --camera.fx")
+    refuses(path, "camera is unknown .cy missing", camera={"fx": 15.0, "fy": 15.0, "cx": 7.0})
+    refuses(write_tum(tmp_path / "desk", cam_params=False), "camera is unknown")
+
+
+def test_published_values_hold_for_the_published_size_only(tmp_path: Path) -> None:
+    for write in (write_replica, write_seven_scenes, write_icl_nuim):
+        path = write(tmp_path / write.__name__, cam_params=False)
+        refuses(path, r"images are 16x12, but the camera of .*, as published is for (1200x680|640x480)")
+
+
+def test_cam_params_of_another_size(tmp_path: Path) -> None:
+    path = write_replica(tmp_path / "room0")
+    values = json.loads((path / "cam_params.json").read_text())
+    values["camera"]["w"] = 1200
+    (path / "cam_params.json").write_text(json.dumps(values))
+    refuses(path, "images are 16x12, but the camera of .*cam_params.json is for 1200x12")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "JSONDecodeError.* expected"),
+        ("[]", "expected"),
+        ('{"camera": 5}', "expected"),
+        ('{"camera": {"fx": 1}}', "KeyError 'fy', expected"),
+        ('{"camera": {"fx": "a", "fy": 1, "cx": 1, "cy": 1}}', "expected"),
+        ('{"camera": {"fx": 15, "fy": -15, "cx": 7, "cy": 5, "scale": 1000}}', "expected finite numbers with fx and fy above 0"),
+        ('{"camera": {"fx": NaN, "fy": 15, "cx": 7, "cy": 5, "scale": 1000}}', "expected finite numbers"),
+        ('{"camera": {"fx": 15, "fy": 15, "cx": 70, "cy": 5, "scale": 1000}}', "principal point .* outside the 16x12 images"),
+        ('{"camera": {"fx": 15, "fy": 15, "cx": 7, "cy": 5, "scale": 0}}', "depth scale is 0.0, expected units per metre above 0"),
+        ('{"camera": {"fx": 15, "fy": 15, "cx": 7, "cy": 5, "distortion": [1]}}', "1 distortion values, expected k1 k2 p1 p2"),
+    ],
+)
+def test_bad_cam_params(text: str, message: str, tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "cam_params.json").write_text(text)
+    refuses(path, message)
+
+
+@pytest.mark.parametrize("text", ["15 0 7\n0 15 5\n", "a b c d\n", "", "15 1 7\n0 15 5\n0 0 1\n"])
+def test_bad_intrinsics(text: str, tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "intrinsics.txt").write_text(text)
+    refuses(path, r"intrinsics\.txt.*expected")
+
+
+# ----- poses
+
+
+def test_nan_poses(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    np.savetxt(path / "pose/000001.txt", np.full((4, 4), np.nan))
+    truth = open_recording(path).ground_truth
+    assert truth is not None and np.isnan(truth[1]).all() and np.isfinite(truth[2]).all()
+    for i in range(3):
+        np.savetxt(path / f"pose/{i:06d}.txt", np.full((4, 4), np.nan))
+    refuses(path, "none of the 3 poses is finite: remove them to run without ground truth")
+
+
+@pytest.mark.parametrize("change", ["scaled", "mirrored", "bottom row"])
+def test_poses_that_are_not_rigid(change: str, tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    T = pose(2)
+    if change == "scaled":
+        T[:3, :3] *= 1.1
+    elif change == "mirrored":
+        T[:3, 0] *= -1
+    else:
+        T[3, 0] = 0.5
+    np.savetxt(path / "pose/000002.txt", T)
+    refuses(path, r"pose/000002\.txt: pose 2 is not a rigid transform")
+
+
+def test_mismatched_and_malformed_poses(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    (path / "pose/000001.txt").write_text("1 0 0\n")
+    refuses(path, r"000001\.txt: 3 numbers, expected a 4x4")
+    (path / "pose/000001.txt").write_text("one\n")
+    refuses(path, "could not convert.*expected numbers")
+    (path / "pose/000001.txt").unlink()
+    refuses(path, "2 poses for 3 frames, number 1 has no partner")
+    replica = write_replica(tmp_path / "room0")
+    np.savetxt(replica / "traj.txt", np.stack([pose(i).ravel() for i in range(2)]))
+    refuses(replica, r"traj\.txt: 2 poses for 3 frames")
+    (replica / "traj.txt").write_text("1 0 0\n")
+    refuses(replica, r"traj\.txt: pose 1 has 3 numbers")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("# nothing\n", "empty"),
+        ("100.0 1 2 3\n", "pose 1 has 4 numbers, expected stamp tx ty tz qx qy qz qw"),
+        ("100.0 1 2 3 0 0 0 2\n", "a quaternion has length 2, expected 1"),
+        ("500.0 1 2 3 0 0 0 1\n", "no finite pose within 20 ms of an image"),
+        ("100.0 nan 2 3 0 0 0 1\n", "no finite pose"),
+    ],
+)
+def test_bad_tum_ground_truth(text: str, message: str, tmp_path: Path) -> None:
+    path = write_tum(tmp_path / "room")
+    (path / "groundtruth.txt").write_text(text)
+    refuses(path, f"groundtruth.txt: .*{message}")
+
+
+def test_bad_tum_lists(tmp_path: Path) -> None:
+    path = write_tum(tmp_path / "room")
+    (path / "depth.txt").write_text("500.0 depth/100.000000.png\n")
+    refuses(path, "no colour and depth image within 20 ms")
+    (path / "depth.txt").write_text("depth/100.000000.png\n")
+    refuses(path, r"depth\.txt: line 1 is 'depth/100.000000.png', expected a stamp in seconds and a file")
+
+
+def test_bad_icl_nuim_files(tmp_path: Path) -> None:
+    path = write_icl_nuim(tmp_path / "living_room_traj0")
+    (path / "other.gt.freiburg").write_text("0 0 0 0 0 0 0 1")
+    refuses(path, "2 files .*expected one")
+    (path / "other.gt.freiburg").unlink()
+    (path / "associations.txt").write_text("0 depth/0.png 1 rgb/1.png")
+    refuses(path, "line 1 is .*expected: number depth/N.png number rgb/N.png")
+    (path / "associations.txt").write_text("")
+    refuses(path, r"associations\.txt: empty")
+
+
+# ----- .sens
+
+
+def test_bad_sens_files(tmp_path: Path) -> None:
+    path = write_sens(tmp_path / "scene.sens")
+    data = path.read_bytes()
+    path.write_bytes(struct.pack("<I", 3) + data[4:])
+    refuses(path, ".sens version 3, expected 4")
+    path.write_bytes(data[:100])
+    refuses(path, "cut off in its header")
+    path.write_bytes(data[:-1])
+    refuses(path, "cut off in frame 2 of 3")
+    path.write_bytes(b"")
+    refuses(path, "cut off in its header")
+    refuses(write_sens(tmp_path / "b.sens", depth_codec="occi"), "depth compression 2, expected")
+    refuses(tmp_path, "2 .sens files, expected .* one .sens file: name one")
+
+
+def test_scannet_without_the_depth_camera(tmp_path: Path) -> None:
+    path = write_scannet(tmp_path / "scene0000_00", cam_params=False)
+    (path / "intrinsic/intrinsic_depth.txt").unlink()
+    refuses(path, "camera is unknown")
