@@ -194,8 +194,8 @@ class AlignmentConfig:
     """Scale of the robust weights [m]."""
     colour_robust: float = 0.1
     """Scale of the robust weights of colour, in [0, 1]."""
-    prior: tuple[float, ...] = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)
-    """Information per point that holds the pose to its guess (shift, turn): it decides only what nothing else does."""
+    prior: tuple[float, ...] = (1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5)
+    """Information per unit weight that holds the pose to its guess (shift, turn): it decides only what nothing else does."""
     converged: float = 1e-5
     """Steps below this [m, rad] end the iteration."""
     min_points: int = 100

@@ -1,0 +1,30 @@
+"""What this machine has, and what is best used of it."""
+
+from typing import Literal
+
+import torch
+
+from idfslam.errors import ConfigError
+
+
+def resolve_device(name: Literal["auto", "cpu", "cuda"]) -> torch.device:
+    """The device by that name; `auto` is a GPU when there is one. Raises ConfigError for a GPU that is not there."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("--device cuda: this torch finds no CUDA device; use --device cpu, or install a CUDA build of torch")
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(name)
+
+
+def bf16_pays(device: torch.device) -> bool:
+    """Whether the device multiplies bf16 natively; then it is 2 to 12 times as fast as fp32 (docs/performance.md)."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+
+
+def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> torch.dtype:
+    """The arithmetic by that name; `auto` is bf16 where it pays."""
+    if name == "auto":
+        return torch.bfloat16 if bf16_pays(device) else torch.float32
+    return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]

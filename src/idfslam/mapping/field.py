@@ -1,0 +1,65 @@
+"""The implicit map: one network from a position to T-SDF and colour (Sec. IV, Fig. 3)."""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from idfslam.config import FieldConfig
+from idfslam.mapping.encodings import PositionalEncoding
+from idfslam.mapping.grid import GridEncoding
+
+
+class Field(nn.Module):
+    """Encoding, trunk, and two heads: T-SDF in units of the truncation distance, colour in [0, 1].
+
+    Knows nothing of rays or cameras. Far from everything it was taught it answers +1 (free) at the start.
+    """
+
+    def __init__(self, config: FieldConfig, *, bf16: bool = False) -> None:
+        super().__init__()
+        self.config, self.bf16 = config, bf16
+        self.encoding = GridEncoding(config) if config.encoding == "grid" else PositionalEncoding(config.position_frequencies)
+        self.direction_encoding = PositionalEncoding(config.direction_frequencies) if config.direction_frequencies else None
+        widths = [self.encoding.out_dim] + [config.width] * config.layers
+        inputs = [w + (self.encoding.out_dim if i == config.skip - 1 and i > 0 else 0) for i, w in enumerate(widths[:-1])]
+        self.trunk = nn.ModuleList(nn.Linear(i, config.width) for i in inputs)
+        self.sdf_head = nn.Linear(config.width, 1)
+        seen = config.width + (self.direction_encoding.out_dim if self.direction_encoding else 0)
+        self.colour_head = nn.Sequential(nn.Linear(seen, config.colour_width), nn.ReLU(), nn.Linear(config.colour_width, 3))
+        self._initialise()
+
+    def _initialise(self) -> None:
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear):
+                nn.init.kaiming_uniform_(layer.weight, a=math.sqrt(5) if layer.out_features < 8 else 0, nonlinearity="relu")
+                nn.init.zeros_(layer.bias)
+        if self.config.encoding == "grid":
+            nn.init.ones_(self.sdf_head.bias)
+
+    def trunk_features(self, points: Tensor) -> Tensor:
+        """Points (N, 3) [m] -> features (N, width) that both heads read."""
+        encoded = hidden = self.encoding(points)
+        for i, layer in enumerate(self.trunk):
+            if i == self.config.skip - 1 and i > 0:
+                hidden = torch.cat([hidden, encoded], -1)
+            hidden = F.relu(layer(hidden))
+        return hidden
+
+    def forward(self, points: Tensor, directions: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Points (N, 3) [m], view directions (N, 3) of any length -> T-SDF (N,) in units of tr, colour (N, 3)."""
+        with torch.autocast(points.device.type, torch.bfloat16, enabled=self.bf16):
+            hidden = self.trunk_features(points)
+            sdf = self.sdf_head(hidden)
+            if self.direction_encoding is not None:
+                if directions is None:
+                    raise ValueError("this field's colour depends on the view direction: pass directions")
+                hidden = torch.cat([hidden, self.direction_encoding(F.normalize(directions, dim=-1))], -1)
+            colour = torch.sigmoid(self.colour_head(hidden))
+        return sdf.float()[:, 0], colour.float()
+
+    def sdf(self, points: Tensor) -> Tensor:
+        """Points (N, 3) [m] -> T-SDF (N,) in units of tr."""
+        with torch.autocast(points.device.type, torch.bfloat16, enabled=self.bf16):
+            return self.sdf_head(self.trunk_features(points)).float()[:, 0]

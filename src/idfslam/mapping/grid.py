@@ -1,0 +1,34 @@
+"""The multi-resolution feature grid on unbounded space, as an encoding and with its own optimiser state."""
+
+import torch
+from torch import Tensor, nn
+
+from idfslam.config import FieldConfig
+from idfslam.mapping.kernels import grid_encode
+
+
+class GridEncoding(nn.Module):
+    """Spatially hashed lattices of features, trilinearly interpolated; `forward` and `out_dim` as any encoding.
+
+    There are no bounds: a lattice coordinate is hashed wherever it lies. A table that fills up doubles by being
+    written twice (`grow`), which leaves the function exactly as it was, since the hash is taken modulo a power of two.
+    """
+
+    def __init__(self, config: FieldConfig) -> None:
+        super().__init__()
+        ratio = (config.finest / config.coarsest) ** (1 / max(config.levels - 1, 1))
+        self.register_buffer("cells", config.coarsest * ratio ** torch.arange(config.levels, dtype=torch.float32))
+        self.tables = nn.Parameter(torch.empty(config.levels, 2**config.table_log2, config.features).uniform_(-1e-4, 1e-4))
+        self.gradient = torch.zeros_like(self.tables.detach())  # added to in place by backward, zeroed by the optimiser
+        self.out_dim = config.levels * config.features
+
+    def forward(self, points: Tensor) -> Tensor:
+        """Points (..., 3) [m] -> (..., levels * features)."""
+        if self.gradient.shape != self.tables.shape or self.gradient.device != self.tables.device:
+            self.gradient = torch.zeros_like(self.tables.detach())
+        features = grid_encode(points.reshape(-1, 3), self.tables, self.cells, accumulate_into=self.gradient)
+        return features.reshape(*points.shape[:-1], self.out_dim)
+
+    def grow(self) -> None:
+        """Twice the entries, the same function."""
+        self.tables = nn.Parameter(torch.cat([self.tables.detach(), self.tables.detach()], 1))

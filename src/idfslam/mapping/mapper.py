@@ -1,0 +1,93 @@
+"""The mapper: the map and the keyframe poses, optimised in turns (Sec. IV)."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from idfslam.config import FieldConfig, MapperConfig
+from idfslam.errors import DivergedError
+from idfslam.geometry import se3
+from idfslam.graph.keyframes import Keyframe
+from idfslam.hardware import resolve_precision
+from idfslam.mapping.field import Field
+from idfslam.mapping.losses import Losses
+from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
+from idfslam.mapping.optimiser import MapOptimiser
+from idfslam.mapping.rays import cast, join
+from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
+
+SUPERVISION = {"rendering": RenderingObjective, "samples": SampleObjective}
+
+
+class Mapper:
+    """Owns the field and its optimiser; is handed keyframes, and moves their poses."""
+
+    def __init__(self, config: MapperConfig, field_config: FieldConfig, device: torch.device, generator: torch.Generator) -> None:
+        self.config, self.device, self.generator = config, device, generator
+        bf16 = resolve_precision(config.precision, device) is torch.bfloat16 and field_config.width >= 128
+        self.field = Field(field_config, bf16=bf16).to(device)
+        self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
+        self.optimiser = MapOptimiser(self.field, config)
+
+    def initialise(self, keyframe: Keyframe) -> dict[str, float]:
+        """Teach the map its first frame."""
+        return self.optimise_map([keyframe], self.config.first_iterations)
+
+    def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int) -> dict[str, float]:
+        """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses."""
+        losses: Losses | None = None
+        with self.optimiser.learning():
+            for _ in range(iterations):
+                self.optimiser.zero_grad()
+                losses = self._losses(keyframes, [k.T_wk for k in keyframes], invert=False)
+                losses.total.backward()
+                self.optimiser.step()
+        return named(losses, keyframes[0].index) if losses else {}
+
+    def optimise_pose(self, keyframe: Keyframe) -> dict[str, float]:
+        """Eq. 4: the keyframe's pose against the frozen map, by Adam on an increment; pixels where the loss is low."""
+        c = self.config
+        xi = torch.zeros(6, device=self.device, requires_grad=True)
+        adam = torch.optim.Adam([xi], lr=c.pose_learning_rate)
+        schedule = torch.optim.lr_scheduler.StepLR(adam, c.pose_decay_every, c.pose_decay)
+        start = keyframe.T_wk.float().to(self.device)
+        losses: Losses | None = None
+        for _ in range(c.pose_iterations):
+            adam.zero_grad()
+            losses = self._losses([keyframe], [start @ se3.exp(xi)], invert=True)
+            losses.total.backward()
+            adam.step()
+            schedule.step()
+        keyframe.T_wk = se3.orthonormal(keyframe.T_wk @ se3.exp(xi.detach().double().cpu()))
+        return {f"pose_{k}": v for k, v in named(losses, keyframe.index).items()} if losses else {}
+
+    def _losses(self, keyframes: Sequence[Keyframe], poses: Sequence[Tensor], *, invert: bool) -> Losses:
+        """The objective on B pixels of each keyframe, seen from `poses`; remembers how the loss is spread over the image."""
+        pixels = [self._draw(k, invert=invert) for k in keyframes]
+        rays = join([cast(k, uv, T) for k, uv, T in zip(keyframes, pixels, poses)])
+        losses = self.objective(self.field, rays, self.generator)
+        for keyframe, uv, per_ray in zip(keyframes, pixels, losses.per_ray.split([len(uv) for uv in pixels])):
+            height, width = keyframe.depth.shape
+            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, uv, per_ray, height, width)
+        return losses
+
+    def _draw(self, keyframe: Keyframe, *, invert: bool) -> Tensor:
+        """B pixels of a keyframe (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
+        cells = self.config.cells
+        if keyframe.pixels is None or keyframe.cell_losses is None:
+            keyframe.pixels = group_pixels(keyframe.depth > 0, cells)
+            keyframe.cell_losses = initial_cell_losses(cells, self.device)
+        even = torch.ones_like(keyframe.cell_losses)
+        shares = cell_shares(keyframe.cell_losses if self.config.active_sampling else even, invert=invert)
+        return draw_pixels(keyframe.pixels, shares, self.config.pixels, self.generator)
+
+
+def named(losses: Losses, keyframe: int) -> dict[str, float]:
+    """Losses as plain numbers. Raises DivergedError if one is not finite."""
+    values = {"total": losses.total, "photometric": losses.photometric, "free_space": losses.free_space, "truncation": losses.truncation}
+    numbers = {name: float(value.detach()) for name, value in values.items()}
+    for name, value in numbers.items():
+        if not torch.isfinite(torch.tensor(value)):
+            raise DivergedError(f"keyframe {keyframe}: the {name} loss is {value}; lower --mapper.learning-rate or set --mapper.gradient-clip")
+    return numbers

@@ -1,0 +1,57 @@
+"""Adam for the map: torch's for the networks, a sparse one for the tables of a feature grid."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+from idfslam.config import MapperConfig
+from idfslam.mapping.field import Field
+from idfslam.mapping.grid import GridEncoding
+from idfslam.mapping.kernels import load, sparse_adam
+
+
+class MapOptimiser:
+    """One step for all of a field's parameters, with the warm-up and the clipping of the config."""
+
+    def __init__(self, field: Field, config: MapperConfig) -> None:
+        self.field, self.config, self.steps = field, config, 0
+        self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
+        self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
+        self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate)
+        if self.grid is not None:
+            self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)
+        field.requires_grad_(False)
+
+    def zero_grad(self) -> None:
+        """Forget the gradients of the networks; those of the tables are zeroed as they are used."""
+        self.adam.zero_grad()
+
+    def step(self) -> None:
+        """One step of Adam."""
+        self.steps += 1
+        rate = self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+        if self.config.gradient_clip > 0:
+            torch.nn.utils.clip_grad_norm_(self.networks, self.config.gradient_clip)
+        self.adam.step()
+        if self.grid is not None:
+            sparse_adam(self.grid.tables.detach(), self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=self.config.table_rate)
+
+    def grow(self) -> bool:
+        """Double the tables when they fill up, with the optimiser's memory; the map stays the same function."""
+        if self.grid is None or self.grid.tables.shape[1] >= 2**self.grid.table_log2_max or float(load(self.v).max()) < 0.5:
+            return False
+        self.grid.grow()
+        self.m, self.v = torch.cat([self.m, self.m], 1), torch.cat([self.v, self.v], 1)
+        return True
+
+    @contextmanager
+    def learning(self) -> Iterator[None]:
+        """Within, the map's parameters gather gradients; elsewhere they are frozen, so that queries cannot disturb them."""
+        self.field.requires_grad_(True)
+        try:
+            yield
+        finally:
+            self.field.requires_grad_(False)

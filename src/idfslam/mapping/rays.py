@@ -1,0 +1,71 @@
+"""Pixels of posed views as rays in the world, with what was measured along them."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
+
+
+class View(Protocol):
+    """What the mapper needs of a keyframe or frame."""
+
+    frame: Frame
+    T_wk: Tensor  # (4, 4) float64
+    depth: Tensor  # (H, W) [m]
+    colour: Tensor  # (H, W, 3)
+    cell_losses: Tensor | None  # (8, 8)
+
+
+@dataclass(frozen=True)
+class Rays:
+    """B rays; directions have z = 1 in the camera's frame, so that the parameter along them is depth."""
+
+    origins: Tensor  # (B, 3) [m] world
+    directions: Tensor  # (B, 3) world
+    depth: Tensor  # (B,) [m], 0 = no reading
+    colour: Tensor  # (B, 3)
+    facing: Tensor  # (B,) distance to the surface per metre of depth: |normal . direction|, 1 where the normal is unknown
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
+    """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
+    T = (view.T_wk if T_wc is None else T_wc).to(view.depth)
+    u, v = uv.unbind(-1)
+    camera = view.frame.camera
+    directions = camera.rays(uv.to(view.depth.dtype)) @ T[:3, :3].mT
+    origins = T[:3, 3].expand_as(directions)
+    return Rays(origins, directions, view.depth[v, u], view.colour[v, u], facing(view.depth, uv, camera))
+
+
+def join(rays: list[Rays]) -> Rays:
+    """Several bundles as one."""
+    columns = ([getattr(r, name) for r in rays] for name in Rays.__dataclass_fields__)
+    return Rays(*(torch.cat(column) for column in columns))
+
+
+def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = 2) -> Tensor:
+    """(B,) |n . d| of the surface's unit normal n and the ray d (z = 1): turns a difference of depth into a distance.
+
+    The normal comes from the neighbours `reach` pixels away; 1 where they are missing or lie across an edge.
+    """
+    u, v = uv.unbind(-1)
+    left, right = (u - reach).clamp(min=0), (u + reach).clamp(max=camera.width - 1)
+    up, down = (v - reach).clamp(min=0), (v + reach).clamp(max=camera.height - 1)
+    points = []
+    for x, y in ((left, v), (right, v), (u, up), (u, down)):
+        points.append(camera.rays(torch.stack([x, y], -1).to(depth.dtype)) * depth[y, x][:, None])
+    here = depth[v, u]
+    z = torch.stack([p[:, 2] for p in points], -1)
+    smooth = ((z > 0) & ((z - here[:, None]).abs() < 0.02 + 0.03 * here[:, None])).all(-1)
+    normal = torch.linalg.cross(points[1] - points[0], points[3] - points[2])
+    length = normal.norm(dim=-1)
+    direction = camera.rays(uv.to(depth.dtype))
+    dot = ((normal * direction).sum(-1) / length.clamp(min=1e-12)).abs()
+    return torch.where(smooth & (length > 1e-12), dot.clamp(min=0.1), torch.ones_like(here))

@@ -1,0 +1,153 @@
+"""iDF-SLAM (Fig. 2): the neural tracker in front, the neural implicit mapper behind, keyframes between them."""
+
+import logging
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.config import FAST, Config
+from idfslam.frame import Frame, FrameResult, Status
+from idfslam.geometry import se3
+from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.hardware import resolve_device
+from idfslam.mapping.mapper import Mapper
+from idfslam.tracking.alignment import Aligner
+from idfslam.tracking.tracker import Described, Tracker
+
+log = logging.getLogger(__name__)
+
+
+class Slam:
+    """Frames in, poses and a map out; one process, sequential, seeded.
+
+    The world is the first frame's camera. Two runs with one config on one machine give the same result.
+    """
+
+    def __init__(self, config: Config = FAST) -> None:
+        self.config = config
+        self.device = resolve_device(config.device)
+        torch.manual_seed(config.seed)
+        host = torch.Generator().manual_seed(config.seed)
+        self.tracker = Tracker(config.tracker, config.finetune, self.device, config.seed)
+        self.mapper = Mapper(config.mapper, config.field, self.device, torch.Generator(self.device).manual_seed(config.seed))
+        self.aligner = Aligner(config.alignment, self.mapper.field, host)
+        self.graph = KeyframeGraph(config.keyframes, host)
+        self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
+        self._motion = torch.eye(4, dtype=torch.float64)  # of the last frame, T_c(i-1)_c(i)
+
+    def process(self, frame: Frame) -> FrameResult:
+        """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
+        current = self._view(frame)
+        status = self._track(current) if self.graph.keyframes else Status.OK
+        self.graph.append(frame.timestamp, current.T_wk, status)
+        chosen = self._chosen(current, status)
+        if chosen:
+            losses = self._map(current)
+        elif self.config.mapper.every and frame.index % self.config.mapper.every == 0 and status is not Status.LOST:
+            losses = self._refresh(current)
+        else:
+            losses = self._finetune()
+        return FrameResult(frame.index, frame.timestamp, self.graph.T_wc(-1).numpy(), status, chosen, losses)
+
+    def trajectory(self) -> NDArray[np.float64]:
+        """(N, 4, 4) camera-to-world poses of all frames processed; frames follow their keyframes."""
+        return self.graph.trajectory()
+
+    def statuses(self) -> list[Status]:
+        """How the pose of each processed frame was found."""
+        return self.graph.statuses()
+
+    def _view(self, frame: Frame) -> Keyframe:
+        """The frame on the map's device, at the pose that the last motion predicts."""
+        T_wc = self.graph.T_wc(-1) @ self._motion if len(self.graph) else torch.eye(4, dtype=torch.float64)
+        return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
+
+    def _track(self, current: Keyframe) -> Status:
+        """Sec. V, or the map's alignment where that is on, sets the pose; lost, it stays as predicted."""
+        last = self.graph.T_wc(-1)
+        if self.config.alignment.enabled:
+            current.T_wk, status = self._align(current)
+        else:
+            current.T_wk, status = self._register(current)
+        self._motion = se3.inverse(last) @ current.T_wk if status is not Status.LOST else torch.eye(4, dtype=torch.float64)
+        return status
+
+    def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
+        """The neural tracker's pose against the reference keyframe (Sec. V)."""
+        reference = self.graph.reference
+        assert reference is not None
+        with self._timed("track"):
+            result = self.tracker.track(self._described(current), self._described(reference))
+        if result.status is Status.LOST:
+            return current.T_wk, Status.LOST
+        return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
+
+    def _align(self, current: Keyframe) -> tuple[Tensor, Status]:
+        """Align to the map from the predicted pose and, if that leaves doubt, from the tracker's; the better stands."""
+        with self._timed("align"):
+            aligned = self.aligner.align(current, current.T_wk)
+        if aligned.status is Status.OK and not self.aligner.doubtful(aligned):
+            return aligned.T_wc, aligned.status
+        T_tracked, status = self._register(current)
+        if status is not Status.LOST:
+            with self._timed("align"):
+                other = self.aligner.align(current, T_tracked)
+            if aligned.status is not Status.OK or other.score > aligned.score:
+                aligned = other
+        if aligned.status is Status.LOST and status is not Status.LOST:
+            return T_tracked, status
+        return (aligned.T_wc, aligned.status) if aligned.status is not Status.LOST else (current.T_wk, Status.LOST)
+
+    def _chosen(self, current: Keyframe, status: Status) -> bool:
+        """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III); never one without depth."""
+        return bool((current.depth > 0).any()) and self.graph.asks_for_keyframe(current.T_wk, status)
+
+    def _map(self, keyframe: Keyframe) -> dict[str, float]:
+        """The pose against the map, then the map by the new keyframe and the replayed (Sec. IV)."""
+        first = not self.graph.keyframes
+        losses: dict[str, float] = {}
+        if self.config.mapper.pose_optimisation and not first:
+            with self._timed("pose"):
+                losses |= self.mapper.optimise_pose(keyframe)
+        self.graph.promote(keyframe)
+        self._described(keyframe)
+        with self._timed("map"):
+            if first:
+                return self.mapper.initialise(keyframe)
+            return losses | self.mapper.optimise_map([keyframe, *self.graph.replay(keyframe)], self.config.mapper.iterations)
+
+    def _refresh(self, current: Keyframe) -> dict[str, float]:
+        """A map update on a frame that is not kept."""
+        assert self.graph.reference is not None
+        current.neighbours = self.graph.reference.neighbours
+        with self._timed("map"):
+            return self.mapper.optimise_map([current, *self.graph.replay(current)], self.config.mapper.iterations)
+
+    def _finetune(self) -> dict[str, float]:
+        """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""
+        if len(self.graph.keyframes) < self.config.finetune.keyframes or not self.config.finetune.enabled:
+            return {}
+        with self._timed("finetune"):
+            described = [self._described(k) for k in self.graph.keyframes]
+            T_wk = np.stack([k.T_wk.numpy() for k in self.graph.keyframes])
+            losses = self.tracker.finetune(described, T_wk, self.mapper.renderer())
+        return {f"finetune_{name}": value for name, value in (losses or {}).items()}
+
+    def _described(self, keyframe: Keyframe) -> Described:
+        if keyframe.described is None:
+            keyframe.described = self.tracker.describe(keyframe.frame)
+        return keyframe.described
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = perf_counter()
+        yield
+        self.timings[stage].append((perf_counter() - start) * 1e3)
