@@ -66,10 +66,11 @@ class Demo:
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it."""
 
     def __call__(self, console: "Console") -> None:
+        values = check(self.values)
         from idfslam.demo import demo
         from idfslam.tables import print_evaluation, print_files, print_run
 
-        done, evaluation, pictures = demo(check(self.values), self.out, room=self.room, frames=self.frames, console=console)
+        done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, console=console)
         print_run(done, output())
         print_evaluation(evaluation, self.out, output())
         print_files(self.out, [path.name for path in pictures], output())
@@ -97,6 +98,7 @@ class Run:
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
     def __call__(self, console: "Console") -> None:
+        values = check(self.values)
         from idfslam.results import Source
         from idfslam.run import open_source, run
         from idfslam.tables import print_run
@@ -106,7 +108,7 @@ class Run:
         source = Source(str(self.path), self.format, camera or None, scale, self.start, self.frames, self.stride)
         recording = open_source(source)
         folder = self.out or Path("results") / recording.name
-        print_run(run(recording, check(self.values), folder, source=source, console=console), output())
+        print_run(run(recording, values, folder, source=source, console=console), output())
 
 
 @dataclass(frozen=True)
@@ -123,10 +125,10 @@ class Eval:
     """What counts as surface."""
 
     def __call__(self, console: "Console") -> None:
-        from idfslam.evaluate import evaluate
+        from idfslam.evaluate import evaluate_folder
         from idfslam.tables import print_evaluation
 
-        evaluation = evaluate(self.folder, gt=self.gt, gt_mesh=self.gt_mesh, protocol=self.protocol)
+        evaluation = evaluate_folder(self.folder, gt=self.gt, gt_mesh=self.gt_mesh, protocol=self.protocol)
         print_evaluation(evaluation, self.folder, output())
 
 

@@ -9,8 +9,9 @@ from rich.console import Console
 from idfslam import results
 from idfslam.config import Config
 from idfslam.datasets import Dataset
-from idfslam.evaluate import Evaluation, evaluate
+from idfslam.evaluate import evaluate_folder
 from idfslam.evaluation.pictures import draw_mesh
+from idfslam.evaluation.report import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures import View, draw_views
 from idfslam.run import Run, open_source, run
@@ -27,7 +28,7 @@ def demo(config: Config, folder: Path, *, room: int, frames: int, console: Conso
     source = results.Source(f"synthetic:{room}", frames=frames)
     recording = open_source(source)
     done = run(recording, config, folder, source=source, console=console)
-    evaluation = evaluate(folder)
+    evaluation = evaluate_folder(folder)
     poses = done.trajectory.poses
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
     with results.replacing(folder / VIEWS) as part:

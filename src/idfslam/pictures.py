@@ -1,4 +1,4 @@
-"""Pictures of what a run made: the trajectory and its error, and what the map shows beside what was recorded."""
+"""Pictures that the map shows, as files, and beside what was recorded."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from idfslam.evaluation.trajectory_error import absolute_trajectory_error
-
-Poses = NDArray[np.float64]  # (N, 4, 4) camera-to-world [m]
 Image = NDArray[np.float32]  # (H, W, 3) RGB in [0, 1], or (H, W) depth [m]
 
-_MOST_VIEWS = 4  # rows of a comparison
 _MILLIMETRES = 1000.0
 _FARTHEST = np.iinfo(np.uint16).max
 
@@ -30,34 +26,10 @@ class View:
     rendered_depth: Image
 
 
-def draw_trajectory(path: Path, poses: Poses, truth: Poses | None) -> None:
-    """The path from above (the first camera's x and z) and, where `truth` (at least N poses, NaN: unknown) has any, beside it the error."""
-    truth = None if truth is None else truth[: len(poses)]
-    known = truth is not None and bool(np.isfinite(truth).all((1, 2)).any())
-    figure = Figure(figsize=(11 if known else 5.5, 5), layout="constrained")
-    axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    axes[0].plot(poses[:, 0, 3], poses[:, 2, 3], label="estimate", linewidth=1.5)
-    if truth is not None and known:
-        ate = absolute_trajectory_error(poses, truth)
-        T_est_gt = np.linalg.inv(ate.T_gt_est)
-        aligned = truth[:, :3, 3] @ T_est_gt[:3, :3].T + T_est_gt[:3, 3]
-        axes[0].plot(aligned[:, 0], aligned[:, 2], "k--", label="ground truth", linewidth=1)
-        axes[1].plot(ate.frames, ate.errors * 100, linewidth=1)
-        axes[1].set(title=f"ATE RMSE {ate.translation.rmse * 100:.2f} cm", xlabel="frame", ylabel="error [cm]")
-        axes[1].set_ylim(bottom=0)
-        axes[1].grid(alpha=0.3)
-    axes[0].set(title="trajectory from above", xlabel="x [m]", ylabel="z [m]", aspect="equal")
-    axes[0].set_adjustable("datalim")
-    axes[0].grid(alpha=0.3)
-    axes[0].legend()
-    figure.savefig(path, dpi=100)
-
-
 def draw_views(path: Path, views: Sequence[View]) -> None:
-    """Recorded and rendered colour and depth side by side, a view a row; of many views a few, spread evenly."""
-    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(_MOST_VIEWS, len(views)), dtype=int))]
-    figure = Figure(figsize=(14, 2.7 * len(chosen)), layout="constrained")
-    for row, view in zip(figure.subplots(len(chosen), 4, squeeze=False), chosen):
+    """Recorded and rendered colour and depth side by side, a view a row."""
+    figure = Figure(figsize=(14, 2.7 * len(views)), layout="constrained")
+    for row, view in zip(figure.subplots(len(views), 4, squeeze=False), views):
         farthest = float(view.depth.max()) or None
         for axes, picture, title in (
             (row[0], view.colour, f"frame {view.index}"),

@@ -22,7 +22,8 @@ from idfslam.geometry.camera import Camera
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
-FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, PICTURE)
+FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, PICTURE)  # of a run
+EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 
 
@@ -73,7 +74,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def remove_stale(folder: Path, *, written: set[str]) -> None:
     """Takes away the files of an earlier run that this one did not write, and nothing else."""
-    for name in set(FILES) - written:
+    for name in {*FILES, *EVALUATION_FILES} - written:
         (folder / name).unlink(missing_ok=True)
 
 

@@ -12,17 +12,18 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from rich.console import Console
 
 from idfslam import results
 from idfslam.config import Config
 from idfslam.datasets import Dataset, Prefetch, open_recording
 from idfslam.errors import DivergedError, RecordingError
-from idfslam.evaluation.trajectory_error import absolute_trajectory_error, relative_pose_error
+from idfslam.evaluation.report import Evaluation, plot_trajectory
+from idfslam.evaluation.result import evaluate_poses
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.metrics import Meter
-from idfslam.pictures import draw_trajectory
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
 
@@ -68,7 +69,8 @@ def run(
             results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source))
             raise
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
-        metrics |= counts(slam) | trajectory_metrics(slam, recording)
+        errors = evaluation(slam, recording)
+        metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
         written = _write_poses(folder, slam, recording, config, source) | _write_map(folder, slam, mesh)
@@ -141,17 +143,13 @@ def counts(slam: Slam) -> dict[str, int]:
     return {"keyframes": len(slam.graph.keyframes), "lost_frames": lost, "degenerate_frames": degenerate}
 
 
-def trajectory_metrics(slam: Slam, recording: Dataset) -> dict[str, Any]:
-    """ATE and RPE [m, degrees] where the recording has ground truth; nothing where it has none."""
+def evaluation(slam: Slam, recording: Dataset) -> Evaluation | None:
+    """ATE and RPE where the recording has ground truth; None where it has none."""
     poses = slam.trajectory()
     if recording.ground_truth is None:
-        return {}
+        return None
     truth = recording.ground_truth[: len(poses)]
-    if not np.isfinite(truth).all((1, 2)).any():
-        return {}
-    ate, rpe = absolute_trajectory_error(poses, truth), relative_pose_error(poses, truth)
-    metrics: dict[str, Any] = {"ate_m": vars(ate.translation)}
-    return metrics if rpe is None else metrics | {"rpe_translation_m": vars(rpe.translation), "rpe_rotation_deg": vars(rpe.rotation)}
+    return evaluate_poses(poses, truth) if np.isfinite(truth).all((1, 2)).any() else None
 
 
 def _trajectory(slam: Slam, recording: Dataset) -> Trajectory:
@@ -168,9 +166,17 @@ def _write_poses(folder: Path, slam: Slam, recording: Dataset, config: Config, s
     poses = np.array([np.asarray(keyframe.T_wk) for keyframe in slam.graph.keyframes], np.float64).reshape(-1, 4, 4)
     results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses))
     results.write_config(folder, config, source)
-    with results.replacing(folder / results.PICTURE) as part:
-        draw_trajectory(part, trajectory.poses, recording.ground_truth)
+    _draw(folder, slam, recording, indices)
     return {results.TRAJECTORY, results.KEYFRAMES, results.CONFIG, results.PICTURE}
+
+
+def _draw(folder: Path, slam: Slam, recording: Dataset, keyframes: NDArray[np.int64]) -> None:
+    """The trajectory's picture, beside the true one where there is one."""
+    errors, poses = evaluation(slam, recording), slam.trajectory()
+    truth = None if errors is None or recording.ground_truth is None else recording.ground_truth[: len(poses)]
+    T_gt_est = None if errors is None or errors.ate is None else errors.ate.T_gt_est
+    with results.replacing(folder / results.PICTURE) as part:
+        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes)
 
 
 def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:

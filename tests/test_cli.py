@@ -1,0 +1,118 @@
+"""The command line: what it takes, what wins over what, and how it ends on mistakes."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from idfslam import cli
+from idfslam.config import FAST, PAPER
+
+
+def run_values(*arguments: str) -> cli.Run:
+    command = cli.parse(["run", "recording", *arguments])
+    assert isinstance(command, cli.Run)
+    return command
+
+
+def error_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 1) -> str:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(list(arguments))
+    assert caught.value.code == code
+    return capsys.readouterr().err
+
+
+def test_help_is_quick_and_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; from idfslam import cli\n"
+        "try: cli.main(['run', '--help'])\n"
+        "except SystemExit: pass\n"
+        "sys.exit(bool({'torch', 'numba', 'cv2', 'matplotlib', 'scipy'} & set(sys.modules)))"
+    )
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+        seconds.append(time.perf_counter() - start)
+        assert done.returncode == 0, "a heavy package is imported before it is needed"
+        assert "--mapper.pixels" in done.stdout
+    assert min(seconds) < 1
+
+
+def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
+    path = tmp_path / "values.yaml"
+    path.write_text("seed: 5\nmapper: {pixels: 300, samples: 20}\n")
+    values = run_values("--preset", "paper", "--config", str(path), "--mapper.pixels", "256").values
+    assert (values.mapper.pixels, values.mapper.samples, values.seed) == (256, 20, 5)
+    assert values.preset == "paper"
+    assert values.field == PAPER.field
+
+
+def test_without_flags_the_fast_preset_runs() -> None:
+    assert run_values().values == FAST
+
+
+def test_preset_with_an_equals_sign() -> None:
+    assert run_values("--preset=paper").values == PAPER
+
+
+def test_flags_of_run() -> None:
+    flags = "--start 3 --frames 20 --stride 2 --device cpu --seed 9 --format tum --out there --camera.fx 500 --camera.depth-scale 5000"
+    command = run_values(*flags.split(), "--mapper.no-active-sampling", "--field.encoding", "positional")
+    assert (command.start, command.frames, command.stride, command.format, command.out) == (3, 20, 2, "tum", Path("there"))
+    assert (command.values.device, command.values.seed) == ("cpu", 9)
+    assert command.camera == cli.CameraFlags(fx=500, depth_scale=5000)
+    assert command.values.mapper.active_sampling is False
+    assert command.values.field.encoding == "positional"
+
+
+def test_flags_of_the_other_commands() -> None:
+    demo = cli.parse(["demo", "--frames", "20", "--room", "3", "--seed", "1", "--out", "there"])
+    assert isinstance(demo, cli.Demo)
+    assert (demo.frames, demo.room, demo.values.seed, demo.out) == (20, 3, 1, Path("there"))
+    assert cli.parse(["eval", "dir", "--gt", "a.txt", "--gt-mesh", "b.ply", "--protocol", "nice"]) == cli.Eval(
+        Path("dir"), Path("a.txt"), Path("b.ply"), "nice"
+    )
+    assert cli.parse(["mesh", "dir", "--resolution", "0.01"]) == cli.Mesh(Path("dir"), 0.01)
+    assert cli.parse(["render", "dir", "--frames", "1", "5"]) == cli.Render(Path("dir"), (1, 5))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    ["run", "run x --no-such-flag 1", "run x --preset slow", "run x --mapper.pixels many", "eval x --protocol none", "bogus", ""],
+)
+def test_wrong_usage_ends_with_2(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
+    message = error_of(capsys, *arguments.split(), code=2)
+    assert "Traceback" not in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        ("run no-such-recording", "no-such-recording"),
+        ("run synthetic --config no-such.yaml", "no-such.yaml"),
+        ("run . --mapper.pixels 0", "error:"),
+        ("demo --mapper.learning-rate nan", "mapper.learning_rate is nan"),
+        ("eval no-such-folder", "no-such-folder: no such folder"),
+        ("mesh no-such-folder", "no-such-folder: no such folder"),
+        ("mesh no-such-folder --resolution 0", "--resolution 0.0, expected metres above 0"),
+        ("render no-such-folder", "no-such-folder: no such folder"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_ends_with_1(
+    arguments: str, found: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    message = error_of(capsys, *arguments.split())
+    assert message.startswith("error: ")
+    assert found in message
+    assert message.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_threads_that_the_user_chose_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    cli.prepare_process()
+    assert cli.os.environ["OMP_WAIT_POLICY"] == "ACTIVE"

@@ -1,0 +1,231 @@
+"""Runs into result folders with a Slam that knows the answer: files, interruption, bad frames, divergence."""
+
+import json
+import os
+import shutil
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from conftest import BOX_FRAMES, box_poses
+from numpy.typing import NDArray
+
+from idfslam import results
+from idfslam.config import FAST, Config, load
+from idfslam.datasets import open_recording
+from idfslam.errors import DivergedError, RecordingError, ResultError
+from idfslam.evaluate import evaluate_folder
+from idfslam.frame import Frame, FrameResult, Status
+from idfslam.geometry.trajectory import load_tum
+from idfslam.metrics import speed_by_block
+from idfslam.run import Run, open_source, run
+
+
+class KnownSlam:
+    """Answers with the true poses, 1 cm off in the second half; every fifth frame is a keyframe."""
+
+    def __init__(self, config: Config) -> None:
+        self.frames: list[Frame] = []
+        self.graph = SimpleNamespace(keyframes=[])
+        self.timings = {"track": [2.0] * BOX_FRAMES, "map": [70.0]}
+        self.finished = False
+
+    def process(self, frame: Frame) -> FrameResult:
+        self.frames.append(frame)
+        pose, status = self.trajectory()[-1], self.statuses()[-1]
+        keyframe = status is Status.OK and frame.index % 5 == 0
+        if keyframe:
+            self.graph.keyframes.append(SimpleNamespace(index=frame.index, T_wk=pose))
+        return FrameResult(frame.index, frame.timestamp, pose, status, keyframe, {"sdf": 0.1} if keyframe else {})
+
+    def finish(self) -> None:
+        self.finished = True
+
+    def trajectory(self) -> NDArray[np.float64]:
+        poses = box_poses()[: len(self.frames)]
+        poses[BOX_FRAMES // 2 :, 1, 3] += 0.01
+        return poses
+
+    def statuses(self) -> list[Status]:
+        return [Status.OK if frame.depth.any() else Status.LOST for frame in self.frames]
+
+    def mesh(self, resolution: float) -> trimesh.Trimesh:
+        assert self.finished
+        return trimesh.creation.box((3.0, 2.2, 3.6))
+
+    def save_map(self, path: Path) -> None:
+        path.write_bytes(b"map")
+
+
+class DivergingSlam(KnownSlam):
+    """A loss is not finite at frame 6."""
+
+    def process(self, frame: Frame) -> FrameResult:
+        if frame.index == 6:
+            raise DivergedError("the map's loss at keyframe 6 is nan")
+        return super().process(frame)
+
+
+class InterruptedSlam(KnownSlam):
+    """Ctrl-C comes while frame 3 is worked on."""
+
+    def process(self, frame: Frame) -> FrameResult:
+        if frame.index == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().process(frame)
+
+
+def run_known(recording: Path, folder: Path, slam: Any = KnownSlam) -> Run:
+    source = results.Source(str(recording))
+    return run(open_source(source), FAST, folder, source=source, make_slam=slam)
+
+
+def test_a_run_writes_every_file(box_recording: Path, tmp_path: Path) -> None:
+    done = run_known(box_recording, tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(results.FILES)
+    trajectory = load_tum(tmp_path / "out" / results.TRAJECTORY)
+    assert len(trajectory) == BOX_FRAMES
+    assert np.allclose(trajectory.timestamps, np.arange(BOX_FRAMES) / 30, atol=1e-6)
+    assert np.allclose(trajectory.poses, done.trajectory.poses, atol=1e-8)
+    assert len(trimesh.load_mesh(tmp_path / "out" / results.MESH).faces) == 12
+
+
+def test_metrics(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    metrics = json.loads((tmp_path / results.METRICS).read_text())
+    assert metrics["frames"] == BOX_FRAMES
+    assert (metrics["keyframes"], metrics["lost_frames"], metrics["unreadable_frames"]) == (3, 0, 0)  # keyframes 0, 5, 10
+    assert metrics["ms_per_frame"] == {"track": pytest.approx(2.0), "map": pytest.approx(5.0)}  # 70 ms on 14 frames
+    # half of the frames 1 cm beside the others: aligned, every frame is off by at most 5 mm
+    assert 0 < metrics["ate_m"]["rmse"] <= 0.005
+    assert metrics["frames_per_second"] > 0
+    assert len(metrics["frames_per_second_by_100"]) == 1
+    assert metrics["peak_memory_mb"] > metrics["peak_memory_above_imports_mb"] >= 0
+    assert metrics["interrupted"] is False
+
+
+def test_config_tells_values_recording_and_versions(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    config, source = results.read_config(tmp_path)
+    assert config == load(tmp_path / results.CONFIG) == FAST
+    assert source == results.Source(str(box_recording))
+    assert {"idf-slam", "python", "torch"} <= yaml.safe_load((tmp_path / results.CONFIG).read_text())["versions"].keys()
+
+
+def test_keyframes_come_back_as_written(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    record = results.read_keyframes(tmp_path)
+    assert record.indices.tolist() == [0, 5, 10]
+    assert np.allclose(record.timestamps, np.array([0, 5, 10]) / 30)
+    assert np.allclose(record.poses[1], box_poses()[5])
+    assert record.camera == open_recording(box_recording).camera
+
+
+def test_the_evaluation_finds_the_recordings_own_truth(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    evaluation = evaluate_folder(tmp_path)
+    assert evaluation.ate is not None
+    assert 0 < evaluation.ate.translation.rmse <= 0.005
+    assert evaluation.mesh is None
+    assert all((tmp_path / name).is_file() for name in results.EVALUATION_FILES)
+
+
+def test_the_evaluation_takes_truth_from_files(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    truth = tmp_path / "truth.ply"
+    trimesh.creation.box((3.0, 2.2, 3.6)).export(truth)
+    evaluation = evaluate_folder(tmp_path, gt=tmp_path / results.TRAJECTORY, gt_mesh=truth, protocol="nice")
+    assert evaluation.ate is not None
+    assert evaluation.mesh is not None
+    assert evaluation.ate.translation.rmse < 1e-7
+    assert evaluation.mesh.completion_ratio == 1  # the mesh is the truth
+
+
+def test_an_unreadable_frame_is_reported_and_lost(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recording = shutil.copytree(box_recording, tmp_path / "bad")
+    (recording / "depth" / "0004.png").write_bytes(b"no image")
+    run_known(recording, tmp_path / "out")
+    assert len(load_tum(tmp_path / "out" / results.TRAJECTORY)) == BOX_FRAMES
+    metrics = json.loads((tmp_path / "out" / results.METRICS).read_text())
+    assert (metrics["lost_frames"], metrics["unreadable_frames"]) == (1, 1)
+    assert len(caplog.records) == 1
+    assert "the frame is treated as lost" in caplog.text
+
+
+def test_ctrl_c_writes_the_results_so_far(box_recording: Path, tmp_path: Path) -> None:
+    usual = signal.getsignal(signal.SIGINT)
+    done = run_known(box_recording, tmp_path, InterruptedSlam)
+    assert len(done.trajectory) == 4  # frames 0 to 3: the one in hand is finished
+    assert done.metrics["interrupted"] is True
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(results.FILES)
+    assert signal.getsignal(signal.SIGINT) is usual
+    assert evaluate_folder(tmp_path).frames == 4
+
+
+def test_divergence_keeps_the_poses_and_no_map_of_an_earlier_run(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(DivergedError, match="keyframe 6"):
+        run_known(box_recording, tmp_path, DivergingSlam)
+    assert len(load_tum(tmp_path / results.TRAJECTORY)) == 6
+    assert not (tmp_path / results.MAP).exists()
+    assert not (tmp_path / results.MESH).exists()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_recording_without_any_usable_frame_is_an_error(tmp_path: Path, box_recording: Path) -> None:
+    recording = shutil.copytree(box_recording, tmp_path / "bad")
+    opened = open_recording(recording)
+    for path in (recording / "depth").iterdir():
+        cv2.imwrite(str(path), np.zeros((120, 160), np.uint16))
+    with pytest.raises(RecordingError, match="none of 14 frames has depth"):
+        run(opened, FAST, tmp_path / "out", make_slam=KnownSlam)
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused_before_the_run(box_recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+
+    def never(config: Config) -> Any:
+        raise AssertionError("the run was begun")
+
+    with pytest.raises(ResultError, match="choose another folder with --out"):
+        run_known(box_recording, tmp_path / "file" / "out", never)
+
+
+def test_replacing_keeps_the_old_file_when_writing_fails(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    with pytest.raises(OSError, match="disk full"), results.replacing(path) as part:
+        part.write_text("ne")
+        raise OSError("disk full")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_json_of_what_is_no_number(tmp_path: Path) -> None:
+    results.write_json(tmp_path / "a.json", {"a": float("nan"), "b": np.float64(2.5), "c": np.arange(2), "d": [np.inf]})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": 2.5, "c": [0, 1], "d": [None]}
+
+
+def test_damaged_result_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / results.KEYFRAMES).write_text('{"keyframes": [{"index": 1}]}')
+    (tmp_path / results.CONFIG).write_text("recording: {place: here}")
+    with pytest.raises(ResultError, match=r"keyframes\.json"):
+        results.read_keyframes(tmp_path)
+    with pytest.raises(ResultError, match="'recording' is"):
+        results.read_config(tmp_path)
+    with pytest.raises(ResultError, match=r"has no mesh\.ply \(found keyframes\.json, config\.yaml\)"):
+        results.existing(tmp_path, results.MESH)
+
+
+def test_speed_by_block() -> None:
+    # 2 frames in 1 s, 2 in 4 s, 1 in 0.5 s
+    assert speed_by_block([0.5, 1.0, 3.0, 5.0, 5.5], block=2) == [2.0, 0.5, 2.0]
+    assert speed_by_block([0.5, 1.0], block=2) == [2.0]
+    assert speed_by_block([]) == []
