@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from conftest import BOX_FRAMES, box_poses
+from box_room import BOX_FRAMES, box_poses
 from numpy.typing import NDArray
 
 from idfslam import results

@@ -1,0 +1,41 @@
+"""The examples run as they stand in their heads."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from box_room import BOX_FRAMES, box_poses
+
+from idfslam.geometry.trajectory import Trajectory, save_tum
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def example(name: str, *arguments: str, folder: Path) -> str:
+    """What the example prints, run in `folder`."""
+    done = subprocess.run([sys.executable, EXAMPLES / name, *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_slam_in_ten_lines(tmp_path: Path) -> None:
+    printed = example("slam_in_ten_lines.py", "3", "room.ply", folder=tmp_path)
+    assert len(printed.splitlines()) == 3
+    assert (tmp_path / "room.ply").stat().st_size > 10_000
+
+
+def test_own_frames(tmp_path: Path) -> None:
+    printed = example("own_frames.py", "8", folder=tmp_path).splitlines()
+    found, expected = (float(printed[7].split(word)[1].split(" m")[0]) for word in ("x = ", "expected "))
+    assert expected == 0.07
+    assert abs(found - expected) < 0.02
+
+
+def test_evaluate_trajectory(tmp_path: Path) -> None:
+    poses = box_poses()
+    save_tum(tmp_path / "truth.txt", Trajectory(np.arange(BOX_FRAMES) / 30, poses))
+    moved = poses.copy()
+    moved[:, :3, 3] += [1, 2, 3]  # taken out by the alignment
+    save_tum(tmp_path / "estimate.txt", Trajectory(np.arange(BOX_FRAMES) / 30, moved))
+    assert "ATE RMSE 0.00 cm" in example("evaluate_trajectory.py", "estimate.txt", "truth.txt", folder=tmp_path)
