@@ -15,6 +15,7 @@ import trimesh
 import yaml
 from box_room import BOX_FRAMES, box_poses
 from numpy.typing import NDArray
+from rich.console import Console
 
 from idfslam import results
 from idfslam.config import FAST, Config, load
@@ -25,6 +26,7 @@ from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
 from idfslam.metrics import speed_by_block
 from idfslam.run import Run, open_source, run
+from idfslam.tables import print_evaluation
 
 
 class KnownSlam:
@@ -134,6 +136,12 @@ def test_the_evaluation_finds_the_recordings_own_truth(box_recording: Path, tmp_
     assert 0 < evaluation.ate.translation.rmse <= 0.005
     assert evaluation.mesh is None
     assert all((tmp_path / name).is_file() for name in results.EVALUATION_FILES)
+
+
+def test_the_table_names_its_units(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_known(box_recording, tmp_path)
+    print_evaluation(evaluate_folder(tmp_path), tmp_path, Console(width=120))
+    assert "ATE [cm], 14 frames" in capsys.readouterr().out
 
 
 def test_the_evaluation_takes_truth_from_files(box_recording: Path, tmp_path: Path) -> None:

@@ -105,7 +105,8 @@ class Run:
 
         camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
         scale = camera.pop("depth_scale", None)
-        source = Source(str(self.path), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        place = self.path.absolute() if self.path.exists() else self.path  # found again from anywhere; `synthetic` is no file
+        source = Source(str(place), self.format, camera or None, scale, self.start, self.frames, self.stride)
         recording = open_source(source)
         folder = self.out or Path("results") / recording.name
         print_run(run(recording, values, folder, source=source, console=console), output())

@@ -29,7 +29,7 @@ class ProgressBar:
         """One more frame."""
         self._keyframes += result.keyframe
         self._lost += result.status is Status.LOST
-        counts = f"{self._keyframes} keyframes" + (f", {self._lost} lost" if self._lost else "")
+        counts = f"keyframes {self._keyframes}" + (f", lost {self._lost}" if self._lost else "")
         speed = f"{frames_per_second:.2f} frames/s"
         self._progress.update(self._task, advance=1, speed=speed, counts=counts)
         if result.losses:

@@ -15,7 +15,7 @@ def print_run(run: Run, console: Console) -> None:
     m = run.metrics
     lines = [
         f"{m['frames']} frames in {m['seconds']:.0f} s: {m['frames_per_second']:.2f} frames/s",
-        f"{m['keyframes']} keyframes, {m['lost_frames']} frames lost, {m['peak_memory_mb']:.0f} MiB of memory at most",
+        f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, peak memory {m['peak_memory_mb']:.0f} MiB",
     ]
     if "ate_m" in m:
         lines.append(f"ATE RMSE {m['ate_m']['rmse'] * 100:.2f} cm")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.markup import escape
 from rich.table import Table
 
 from idfslam.evaluation.mesh_error import MeshError
@@ -50,11 +51,11 @@ def table(evaluation: Evaluation) -> Table:
         frames = "1 frame" if rpe.delta == 1 else f"{rpe.delta} frames"
         rows += [(f"RPE over {frames} [cm]", rpe.translation, 100.0), (f"RPE over {frames} [deg]", rpe.rotation, 1.0)]
     for name, s, unit in rows:
-        result.add_row(name, *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
+        result.add_row(escape(name), *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
     if evaluation.mesh is not None:
         result.add_section()
         for name, text in _mesh_rows(evaluation.mesh):
-            result.add_row(f"{name}, protocol {evaluation.mesh.protocol}", "", text)
+            result.add_row(escape(f"{name}, protocol {evaluation.mesh.protocol}"), "", text)
     return result
 
 
