@@ -7,12 +7,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from idfslam.frame import FrameResult, Status
 
+_WIDE = 140  # columns of a terminal that has room for every loss
+
 
 class ProgressBar:
     """Shows each `FrameResult`; without a console it shows nothing."""
 
     def __init__(self, total: int, console: Console | None) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(bar_width=10), MofNCompleteColumn(), TimeRemainingColumn())
         fields = (TextColumn("{task.fields[speed]}"), TextColumn("{task.fields[counts]}"), TextColumn("{task.fields[losses]}", style="dim"))
         self._progress = Progress(*columns, *fields, console=console, disable=console is None)
         self._task = self._progress.add_task("frames", total=total, speed="", counts="", losses="")
@@ -33,7 +35,8 @@ class ProgressBar:
         speed = f"{frames_per_second:.2f} frames/s"
         self._progress.update(self._task, advance=1, speed=speed, counts=counts)
         if result.losses:
-            self._progress.update(self._task, losses=" ".join(f"{name} {value:.3g}" for name, value in result.losses.items()))
+            shown = list(result.losses.items())[: None if self._progress.console.width >= _WIDE else 1]
+            self._progress.update(self._task, losses=" ".join(f"{name} {value:.3g}" for name, value in shown))
 
     def describe(self, stage: str) -> None:
         """What goes on now."""
