@@ -28,7 +28,7 @@ def demo(config: Config, folder: Path, *, room: int, frames: int, console: Conso
     source = results.Source(f"synthetic:{room}", frames=frames)
     recording = open_source(source)
     done = run(recording, config, folder, source=source, console=console)
-    evaluation = evaluate_folder(folder)
+    evaluation = evaluate_folder(folder, recording=recording)
     poses = done.trajectory.poses
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
     with results.replacing(folder / VIEWS) as part:

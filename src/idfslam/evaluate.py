@@ -11,17 +11,21 @@ from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.run import open_source
 
 
-def evaluate_folder(folder: Path, *, gt: Path | None = None, gt_mesh: Path | None = None, protocol: str = "seen") -> Evaluation:
+def evaluate_folder(
+    folder: Path, *, gt: Path | None = None, gt_mesh: Path | None = None, protocol: str = "seen", recording: Dataset | None = None
+) -> Evaluation:
     """Errors of the results in `folder`, where evaluation.json, trajectory.png and error.png are written.
 
     gt: trajectory in TUM format, matched by time stamp; none: the recording's own. gt_mesh: [m], in the frame of the true trajectory;
     none: with the recording's own trajectory the surface of a synthetic room, else the mesh is not evaluated.
+    recording: what the results were made of, where it is open already; none: the one that config.yaml names is opened.
     Raises ResultError where results or ground truth are missing, RecordingError where the recording is.
     """
     results.existing(folder, results.TRAJECTORY)
-    recording = _recording(folder) if gt is None else None
+    if recording is None and gt is None:
+        recording = _recording(folder)
     trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
-    surface = load_mesh(gt_mesh) if gt_mesh is not None else recording.surface() if recording is not None else None
+    surface = load_mesh(gt_mesh) if gt_mesh is not None else recording.surface() if recording is not None and gt is None else None
     record = results.read_keyframes(folder)
     return evaluate(folder, gt_trajectory=trajectory, gt_mesh=surface, camera=record.camera, protocol=protocol, keyframes=record.indices)
 
