@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import save_file
 
 from idfslam.errors import ConfigError
-from idfslam.tracking.features import CHANNELS, FeatureExtractor, folded, inference_dtype, load_extractor
+from idfslam.tracking.features import CHANNELS, FeatureExtractor, folded, load_extractor
 
 
 @pytest.fixture
@@ -51,13 +51,6 @@ def test_folding_leaves_the_original_alone(extractor: FeatureExtractor) -> None:
     before = {name: tensor.clone() for name, tensor in extractor.state_dict().items()}
     folded(extractor, torch.bfloat16)
     assert all(torch.equal(tensor, before[name]) for name, tensor in extractor.state_dict().items())
-
-
-def test_precision_on_request() -> None:
-    cpu = torch.device("cpu")
-    assert inference_dtype("fp32", cpu) is torch.float32
-    assert inference_dtype("bf16", cpu) is torch.bfloat16
-    assert inference_dtype("auto", cpu) in (torch.float32, torch.bfloat16)
 
 
 def test_shipped_weights_load() -> None:

@@ -16,7 +16,8 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.description import subsampled_depth
-from idfslam.tracking.finetuning import correspondence_loss, depth_loss, photometric_loss
+from idfslam.tracking.finetuning import finetune_step, finetuning_losses
+from idfslam.tracking.matching import Matches
 from idfslam.tracking.tracker import Tracker, spans_plane
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
@@ -104,22 +105,52 @@ def test_missing_depth_is_taken_from_beside() -> None:
     assert subsampled_depth(depth, 2, 2).tolist() == [[2, 8], [0, 15]]
 
 
-def test_losses_by_hand() -> None:
-    # Eq. 1: |(0.3, 0.4, 0)| = 0.5 and 0: mean 0.25. Eq. 7: |1.0 - 1.2| and |2 - 1.6|: mean 0.3.
-    rendered, measured = torch.tensor([[0.3, 0.4, 0.0], [0.1, 0.1, 0.1]]), torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1]])
-    assert float(photometric_loss(rendered, measured)) == pytest.approx(0.25)
-    assert float(depth_loss(torch.tensor([1.0, 2.0]), torch.tensor([1.2, 1.6]))) == pytest.approx(0.3)
-    # Eq. 8 with T a shift by 1 along x: p_c = 0 -> (1,0,0), p_r = (1,3,4): distance 5, w 0.5; the other fits exactly: mean 1.25.
-    points_c, points_r = torch.zeros(2, 3), torch.tensor([[1.0, 3, 4], [1, 0, 0]])
-    assert float(correspondence_loss(pose(1, 0, 0, 0, 0, 0), points_c, points_r, torch.tensor([0.5, 1.0]))) == pytest.approx(1.25)
-
-
 def wall(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
     """A map of the wall at z = 2 m, differentiable in the pose; its colour changes with x."""
     rays = CAMERA.rays(uv) @ T_wc[:3, :3].T
     depth = (2 - T_wc[2, 3]) / rays[:, 2]
     points = T_wc[:3, 3] + rays * depth[:, None]
     return torch.sigmoid(points), depth
+
+
+def test_losses_of_equation_6_by_hand() -> None:
+    # Two keyframes at one place, T_rc a shift by 3 cm along y, uniform images: the map answers 0.3 brighter in red and 0.4 in green,
+    # |.| = 0.5 (Eq. 1), and 0.2 m too deep (Eq. 7); the match of a pixel with itself, w = 0.5, lies 3 cm off: 0.015 (Eq. 8).
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    plain = Frame(0, 0.0, np.full((72, 96, 3), 0.5, np.float32), np.full((72, 96), 2.0, np.float32), CAMERA)
+    described, same, seen = tracker.describe(plain), torch.tensor([100]), []
+
+    def render(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        seen.append((T_wc, uv))
+        return torch.tensor([0.8, 0.9, 0.5]).expand(len(uv), 3), torch.full((len(uv),), 2.2)
+
+    losses = finetuning_losses(
+        described,
+        described,
+        Matches(same, same, torch.tensor([0.5])),
+        pose(0, 0.03, 0, 0, 0, 0),
+        pose(1, 0, 0, 0, 0, 0),
+        render=render,
+        pixels=7,
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert {name: round(float(loss), 5) for name, loss in losses.items()} == {"photometric": 0.5, "depth": 0.2, "correspondence": 0.015}
+    T_wc, uv = seen[0]  # T_wr @ T_rc: 1 m along x and 3 cm along y; pixels lie in the recording's image
+    torch.testing.assert_close(T_wc[:3, 3], torch.tensor([1.0, 0.03, 0]))
+    assert uv.shape == (7, 2)
+    assert float(uv[:, 0].max()) <= 95.01
+
+
+def test_equation_6_weighs_its_losses() -> None:
+    # w_p = 0.1, w_d = 1, w_r = 0.1 on 2x, 3x, 5x: the gradient at x is 0.2 + 3 + 0.5 = 3.7, and SGD with rate 1 takes 1 to 1 - 3.7 = -2.7.
+    x = torch.tensor(1.0, requires_grad=True)
+    losses = {"photometric": 2 * x, "depth": 3 * x, "correspondence": 5 * x}
+    assert finetune_step(torch.optim.SGD([x], lr=1.0), losses, FinetuneConfig()) == {
+        "photometric": 2.0,
+        "depth": 3.0,
+        "correspondence": 5.0,
+    }
+    assert float(x.detach()) == pytest.approx(-2.7)
 
 
 def finetuned(tracker: Tracker, steps: int = 1) -> list[dict[str, float] | None]:

@@ -3,7 +3,7 @@
 import copy
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from safetensors import SafetensorError
@@ -68,19 +68,6 @@ def folded(extractor: FeatureExtractor, dtype: torch.dtype) -> FeatureExtractor:
         block.conv1, block.bn1 = fuse_conv_bn_eval(block.conv1, block.bn1), nn.Identity()
         block.conv2, block.bn2 = fuse_conv_bn_eval(block.conv2, block.bn2), nn.Identity()
     return copied.to(dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
-
-
-def inference_dtype(precision: Literal["auto", "fp32", "bf16"], device: torch.device) -> torch.dtype:
-    """The arithmetic of the trunk; auto: bf16 where the machine multiplies it natively, by AMX or AVX512-BF16 or on a GPU.
-
-    Measured on a Zen 4 with AVX512-BF16: twice as fast as fp32.
-    """
-    if precision != "auto":
-        return {"fp32": torch.float32, "bf16": torch.bfloat16}[precision]
-    if device.type == "cuda":
-        return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float32
-    native = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
-    return torch.bfloat16 if native else torch.float32
 
 
 def load_extractor(path: Path | None = None) -> FeatureExtractor:

@@ -1,4 +1,4 @@
-"""Online finetuning of the out-conv to the scene (Sec. V-B): the losses of Eq. 6 and one step on them."""
+"""Online finetuning of the out-conv to the scene (Sec. V-B): Eq. 6's losses of a pair of keyframes, and one step on them."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
-from idfslam.geometry import se3
+from idfslam.mapping.losses import correspondence_loss, depth_loss, photometric_residuals
 from idfslam.tracking.description import Described
 from idfslam.tracking.matching import Matches
 
@@ -16,21 +16,6 @@ Render = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 Differentiable in the pose.
 """
-
-
-def photometric_loss(rendered: Tensor, measured: Tensor) -> Tensor:
-    """Eq. 1: mean over the pixels (B, 3) of |I - I_measured|_2."""
-    return (rendered - measured).norm(dim=-1).mean()
-
-
-def depth_loss(rendered: Tensor, measured: Tensor) -> Tensor:
-    """Eq. 7: mean over the pixels (B,) of |D - D_measured| [m]."""
-    return (rendered - measured).abs().mean()
-
-
-def correspondence_loss(T_rc: Tensor, points_c: Tensor, points_r: Tensor, weight: Tensor) -> Tensor:
-    """Eq. 8: mean over the correspondences (M, 3), (M,) of w |p_r - T_rc p_c|_2 [m]."""
-    return (weight * (points_r.to(T_rc) - se3.transform(T_rc, points_c.to(T_rc))).norm(dim=-1)).mean()
 
 
 def finetuning_losses(
@@ -52,9 +37,9 @@ def finetuning_losses(
     colour, rendered = render((T_wr.to(T_rc) @ T_rc).to(points.dtype), uv)
     points_r = reference.points.flatten(0, 1)[matches.keyframe]
     return {
-        "photometric": photometric_loss(colour, current.colour.flatten(1).mT[chosen]),
+        "photometric": photometric_residuals(colour, current.colour.flatten(1).mT[chosen]).mean(),
         "depth": depth_loss(rendered, depth),
-        "correspondence": correspondence_loss(T_rc, points[matches.frame], points_r, matches.weight),
+        "correspondence": correspondence_loss(points_r.to(T_rc), points[matches.frame].to(T_rc), T_rc, matches.weight),
     }
 
 

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.frame import Frame, Status
+from idfslam.hardware import resolve_precision
 from idfslam.tracking.description import Described, reduced
-from idfslam.tracking.features import folded, inference_dtype, load_extractor
+from idfslam.tracking.features import folded, load_extractor
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.matching import Matches, match, spread
 from idfslam.tracking.registration import Registration, register
@@ -44,7 +45,7 @@ class Tracker:
         self.config, self.finetuning, self.device = config, finetune, torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)
         self.extractor = load_extractor(config.weights).to(self.device).requires_grad_(False)
-        self.dtype = inference_dtype(config.precision, self.device)
+        self.dtype = resolve_precision(config.precision, self.device)
         self.inference = folded(self.extractor, self.dtype)
         learning = self.extractor.out_conv.requires_grad_(True)
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
