@@ -1,0 +1,86 @@
+"""The pinhole camera: projection round trips, resizing, cropping, borders."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from idfslam.geometry.camera import Camera
+
+CAMERA = Camera(8, 6, 10.0, 12.0, 3.2, 2.7)
+
+cameras = st.builds(
+    Camera, st.integers(2, 40), st.integers(2, 30), st.floats(5, 600), st.floats(5, 600), st.floats(-5, 45), st.floats(-5, 35)
+)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 2e-3), (torch.float64, 1e-10)])
+@given(camera=cameras, seed=st.integers(0, 1000))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_projection_undoes_backprojection(camera: Camera, seed: int, dtype: torch.dtype, tolerance: float) -> None:
+    depth = 0.1 + 5 * torch.rand(camera.height, camera.width, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+    points = camera.backproject(depth)
+    uv, z = camera.project(points)
+    assert points.dtype == dtype and points.shape == (camera.height, camera.width, 3)
+    assert torch.equal(z, depth)
+    assert (uv - camera.pixels()).abs().max() < tolerance
+    assert camera.inside(uv, z).all()
+
+
+def test_hand_worked_projection() -> None:
+    # u = fx x/z + cx = 10 * 1/2 + 3.2 = 8.2; v = 12 * -0.5/2 + 2.7 = -0.3
+    uv, z = CAMERA.project(torch.tensor([1.0, -0.5, 2.0], dtype=torch.float64))
+    assert uv.tolist() == pytest.approx([8.2, -0.3]) and z.item() == 2
+    assert not CAMERA.inside(uv, z)  # u is beyond the right edge at 7.5
+
+
+def test_matrix_agrees_with_project() -> None:
+    point = torch.tensor([0.3, -0.1, 1.7], dtype=torch.float64)
+    homogeneous = CAMERA.matrix() @ point
+    assert CAMERA.project(point)[0].tolist() == pytest.approx((homogeneous[:2] / homogeneous[2]).tolist())
+
+
+def test_rays_have_unit_z_and_pixels_are_u_then_v() -> None:
+    pixels = CAMERA.pixels()
+    assert pixels.shape == (6, 8, 2) and pixels[5, 7].tolist() == [7, 5]
+    assert bool((CAMERA.rays(pixels)[..., 2] == 1).all())
+
+
+def test_inside_ends_at_the_outer_edges_and_in_front() -> None:
+    uv = torch.tensor([[-0.5, 0.0], [-0.51, 0.0], [7.49, 5.49], [7.5, 0.0], [0.0, 5.5]])
+    assert CAMERA.inside(uv, torch.ones(5)).tolist() == [True, False, True, False, False]
+    assert CAMERA.inside(torch.zeros(3, 2), torch.tensor([1.0, 0.0, -1.0])).tolist() == [True, False, False]
+
+
+def test_points_in_the_camera_plane_stay_finite_with_finite_gradients() -> None:
+    points = torch.tensor([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], requires_grad=True)
+    uv, z = CAMERA.project(points)
+    (torch.where(CAMERA.inside(uv, z)[:, None], uv, 0.0).sum() + z.sum()).backward()
+    assert torch.isfinite(uv).all() and points.grad is not None and torch.isfinite(points.grad).all()
+
+
+def test_backproject_of_no_depth_is_zero() -> None:
+    assert CAMERA.backproject(torch.zeros(6, 8)).abs().max() == 0
+
+
+@given(camera=cameras, width=st.integers(1, 80), height=st.integers(1, 60))
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_resizing_keeps_the_outer_edges(camera: Camera, width: int, height: int) -> None:
+    resized = camera.resized(width, height)
+    corners = torch.tensor([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5]], dtype=torch.float64)
+    same = torch.tensor([[-0.5, -0.5], [width - 0.5, height - 0.5]], dtype=torch.float64)
+    assert torch.allclose(camera.rays(corners), resized.rays(same), atol=1e-9)
+    back = resized.resized(camera.width, camera.height)
+    assert (back.fx, back.cy) == (pytest.approx(camera.fx), pytest.approx(camera.cy))
+
+
+def test_halving_puts_a_new_pixel_between_two_old_ones() -> None:
+    half = CAMERA.resized(4, 3)
+    # New pixel 0 covers old 0 and 1, whose middle is 0.5
+    assert torch.allclose(half.rays(torch.tensor([0.0, 0.0])), CAMERA.rays(torch.tensor([0.5, 0.5])))
+
+
+def test_cropping_moves_the_origin() -> None:
+    cropped = CAMERA.cropped(2)
+    assert (cropped.width, cropped.height) == (4, 2)
+    assert torch.allclose(cropped.rays(torch.tensor([0.0, 0.0])), CAMERA.rays(torch.tensor([2.0, 2.0])))
