@@ -6,6 +6,10 @@ residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the pap
 The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them.
 `LossWeights.squared` chooses; the printed form is the default. `LossWeights.balance` multiplies the free-space and the truncation loss each
 by the other class's share of the samples, as the published code of [25] does; it is in neither paper's equations.
+
+Measured (400 steps of an MLP of 3 x 128 on a room with a ball in it, 48 samples a ray, sharpness 10, one seed), error of the first zero
+crossing, median and mean: printed norms with balance 119, 124 cm, since balance leaves free space too little weight against 6000 and false
+surfaces stay before the camera; printed without balance 0.1, 2.8 cm; squared with balance 0.3, 0.6 cm; squared without 0.4, 0.6 cm.
 """
 
 from dataclasses import dataclass
