@@ -1,7 +1,9 @@
 """The tracker as a whole: a shifted view is found, evidence decides on LOST, finetuning changes the out-conv alone."""
 
 import math
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from idfslam.config import FinetuneConfig, TrackerConfig
+from idfslam.datasets import open_recording
 from idfslam.errors import DivergedError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
@@ -191,3 +194,19 @@ def test_a_loss_that_is_not_finite_stops_the_run() -> None:
 
     with pytest.raises(DivergedError, match="depth loss is nan"):
         tracker.finetune(keyframes, np.tile(np.eye(4), (2, 1, 1)), broken)
+
+
+def test_redkitchen_at_ten_frames_apart() -> None:
+    root = Path(os.environ.get("IDFSLAM_DATA", Path(__file__).parents[2] / "shared"))
+    if not (root / "data" / "redkitchen").exists():
+        pytest.skip(f"no recording redkitchen under {root}: set IDFSLAM_DATA")
+    recording = open_recording(root / "data" / "redkitchen")
+    truth = recording.ground_truth
+    assert truth is not None
+    tracker = Tracker(TrackerConfig(), NO_FINETUNING)
+    for i in (100, 400, 700):
+        result = tracker.track(tracker.describe(recording[i + 10]), tracker.describe(recording[i]))
+        delta = se3.inverse(torch.from_numpy(np.linalg.inv(truth[i]) @ truth[i + 10])) @ torch.from_numpy(result.T_kc)
+        assert result.status is Status.OK
+        assert math.degrees(float(se3.angle(delta))) < 1.5
+        assert float(delta[:3, 3].norm()) < 0.04
