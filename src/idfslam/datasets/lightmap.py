@@ -7,11 +7,10 @@ direct light from area lights given as point samples, then one bounce gathered o
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from idfslam.datasets.procedural_textures import Colour, random
-from idfslam.datasets.ray_casting import CHARTS, Hierarchy, cast, chart_size, point_on, surface_at
+from idfslam.datasets.ray_casting import CHARTS, cast, chart_size, compiled, point_on, surface_at
 
 Array = NDArray[np.float64]
 
@@ -30,24 +29,23 @@ class Lightmap:
     """(T, 3) irradiance, row after row, chart after chart."""
 
 
-def bake(shapes: Array, materials: Array, tree: Hierarchy, lights: Array) -> Lightmap:
+def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightmap:
     """Light for the `shapes` (P, 17) from `lights` (L, 9): position [m], normal (zero: shines to all sides), power (RGB)."""
     layout = _layout(shapes)
-    arrays = (tree.bounds, tree.skip, tree.first, tree.count, tree.order)
     direct = np.zeros((int(layout[-1, -1, 0] + layout[-1, -1, 1] * layout[-1, -1, 2]), 3))
     bounced = np.zeros_like(direct)
-    _bake_direct(shapes, arrays, layout, lights, direct)
+    _bake_direct(shapes, nodes, layout, lights, direct)
     direct = _blurred(layout, direct)
-    _gather(shapes, materials, arrays, layout, direct, bounced)
+    _gather(shapes, materials, nodes, layout, direct, bounced)
     return Lightmap(layout, (direct + _blurred(layout, _blurred(layout, bounced))).astype(np.float32))
 
 
 def _layout(shapes: Array) -> NDArray[np.int64]:
     layout = np.zeros((len(shapes), CHARTS, 3), np.int64)
     offset = 0
-    for p, shape in enumerate(shapes):
+    for p in range(len(shapes)):
         for chart in range(CHARTS):
-            su, sv = chart_size(shape, chart)
+            su, sv = chart_size(shapes, p, chart)
             columns, rows = (max(2, round(su / _TEXEL)), max(2, round(sv / _TEXEL))) if su > 0 else (0, 0)
             layout[p, chart] = offset, columns, rows
             offset += columns * rows
@@ -65,7 +63,7 @@ def _blurred(layout: NDArray[np.int64], light: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def irradiance(layout: NDArray[np.int64], light: Array, shape: int, chart: int, s: float, t: float) -> Colour:
     """Bilinear look-up."""
     offset, columns, rows = layout[shape, chart]
@@ -80,8 +78,8 @@ def irradiance(layout: NDArray[np.int64], light: Array, shape: int, chart: int, 
     )
 
 
-@njit(cache=True, nogil=True)
-def _direct(shapes: Array, tree: tuple, lights: Array, p: Array, n: Array, out: Array) -> None:
+@compiled
+def _direct(shapes: Array, nodes: Array, lights: Array, p: Array, n: Array, out: Array) -> None:
     """Adds what all light samples send to a point p with normal n."""
     for k in range(lights.shape[0]):
         d = lights[k, :3] - p
@@ -95,33 +93,33 @@ def _direct(shapes: Array, tree: tuple, lights: Array, p: Array, n: Array, out: 
             continue
         form = facing / square**1.5 * (1.0 if omni else leaving / np.sqrt(square))
         start = p + _OFFSET * n
-        _, shape = cast(shapes, tree, start[0], start[1], start[2], d[0], d[1], d[2], 1.0 - 1e-3)
+        _, shape = cast(shapes, nodes, start[0], start[1], start[2], d[0], d[1], d[2], 1.0 - 1e-3, -1)
         if shape < 0:
             out += lights[k, 6:9] * form
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _texel(shapes: Array, layout: NDArray[np.int64], shape: int, chart: int, k: int, p: Array, n: Array) -> None:
     """Centre and normal of texel k of a chart."""
     _, columns, rows = layout[shape, chart]
     s, t = (k % columns + 0.5) / columns, (k // columns + 0.5) / rows
-    p[0], p[1], p[2] = point_on(shapes[shape], chart, s, t)
-    _, _, _, n[0], n[1], n[2] = surface_at(shapes[shape], p[0], p[1], p[2])
+    p[0], p[1], p[2] = point_on(shapes, shape, chart, s, t)
+    _, _, _, n[0], n[1], n[2] = surface_at(shapes, shape, p[0], p[1], p[2])
 
 
-@njit(cache=True, nogil=True)
-def _bake_direct(shapes: Array, tree: tuple, layout: NDArray[np.int64], lights: Array, light: Array) -> None:
+@compiled
+def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights: Array, light: Array) -> None:
     p, n = np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
         for chart in range(CHARTS):
             offset, columns, rows = layout[shape, chart]
             for k in range(columns * rows):
                 _texel(shapes, layout, shape, chart, k, p, n)
-                _direct(shapes, tree, lights, p, n, light[offset + k])
+                _direct(shapes, nodes, lights, p, n, light[offset + k])
 
 
-@njit(cache=True, nogil=True)
-def _gather(shapes: Array, materials: Array, tree: tuple, layout: NDArray[np.int64], direct: Array, light: Array) -> None:
+@compiled
+def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: Array, light: Array) -> None:
     """One bounce: cosine-weighted rays bring back what the surfaces that they hit reflect."""
     p, n, x, y = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
@@ -133,12 +131,12 @@ def _gather(shapes: Array, materials: Array, tree: tuple, layout: NDArray[np.int
                 x[0], x[1], x[2] = -n[1] * helper, n[0] * helper - n[2] * (1 - helper), n[1] * (1 - helper)
                 x /= np.sqrt(x @ x)
                 y[0], y[1], y[2] = n[1] * x[2] - n[2] * x[1], n[2] * x[0] - n[0] * x[2], n[0] * x[1] - n[1] * x[0]
-                _bounce(shapes, materials, tree, layout, direct, p + _OFFSET * n, n, x, y, offset + k, light[offset + k])
+                _bounce(shapes, materials, nodes, layout, direct, p + _OFFSET * n, n, x, y, offset + k, light[offset + k])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bounce(
-    shapes: Array, materials: Array, tree: tuple, layout: NDArray[np.int64], direct: Array,
+    shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: Array,
     p: Array, n: Array, x: Array, y: Array, seed: int, out: Array,
 ) -> None:  # fmt: skip
     """The mean over a stratified hemisphere of rays from p."""
@@ -148,14 +146,14 @@ def _bounce(
         phi = turn + i * 2.39996  # the golden angle
         r = np.sqrt(square)
         d = x * (r * np.cos(phi)) + y * (r * np.sin(phi)) + n * np.sqrt(1 - square)
-        length, shape = cast(shapes, tree, p[0], p[1], p[2], d[0], d[1], d[2], 50.0)
+        length, shape = cast(shapes, nodes, p[0], p[1], p[2], d[0], d[1], d[2], 50.0, -1)
         if shape < 0:
             continue
         hit = p + length * d
-        chart, s, t, nx, ny, nz = surface_at(shapes[shape], hit[0], hit[1], hit[2])
-        material = materials[int(shapes[shape, 16])]
+        chart, s, t, nx, ny, nz = surface_at(shapes, shape, hit[0], hit[1], hit[2])
+        m = int(shapes[shape, 16])
         if nx * d[0] + ny * d[1] + nz * d[2] < 0:
             red, green, blue = irradiance(layout, direct, shape, chart, s, t)
-            out[0] += (red * (material[4] + material[7]) / 2 + material[3] * material[4]) / _RAYS
-            out[1] += (green * (material[5] + material[8]) / 2 + material[3] * material[5]) / _RAYS
-            out[2] += (blue * (material[6] + material[9]) / 2 + material[3] * material[6]) / _RAYS
+            out[0] += (red * (materials[m, 4] + materials[m, 7]) / 2 + materials[m, 3] * materials[m, 4]) / _RAYS
+            out[1] += (green * (materials[m, 5] + materials[m, 8]) / 2 + materials[m, 3] * materials[m, 5]) / _RAYS
+            out[2] += (blue * (materials[m, 6] + materials[m, 9]) / 2 + materials[m, 3] * materials[m, 6]) / _RAYS

@@ -6,8 +6,9 @@ its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from idfslam.datasets.ray_casting import compiled
 
 Colour = tuple[float, float, float]
 
@@ -30,64 +31,73 @@ Colour = tuple[float, float, float]
 ) = range(15)
 
 
-@njit(cache=True, nogil=True)
+_A, _B, _C = 374761393, 668265263, 1274126177
+
+
+@compiled
+def _mixed(h: int) -> float:
+    """The bits of an integer shuffled into [0, 1)."""
+    h = ((h ^ (h >> 13)) & 0xFFFFFFFF) * _C
+    h = ((h ^ (h >> 15)) & 0xFFFFFFFF) * _B
+    return ((h ^ (h >> 16)) & 0xFFFFFF) * (1 / 16777216.0)
+
+
+@compiled
 def random(i: float, j: float, seed: float) -> float:
     """A number in [0, 1) from a lattice point: an integer hash (Wang's mixing steps)."""
-    h = (int(i) * 374761393 + int(j) * 668265263 + int(seed) * 1274126177) & 0xFFFFFFFF
-    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
-    h = ((h ^ (h >> 15)) * 668265263) & 0xFFFFFFFF
-    return ((h ^ (h >> 16)) & 0xFFFFFF) / 16777216.0
+    return _mixed(int(i) * _A + int(j) * _B + int(seed) * _C)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def noise(x: float, y: float, seed: float) -> float:
     """Value noise in [0, 1] with unit lattice."""
     i, j = np.floor(x), np.floor(y)
     a, b = x - i, y - j
     a, b = a * a * (3 - 2 * a), b * b * (3 - 2 * b)
-    low = random(i, j, seed) * (1 - a) + random(i + 1, j, seed) * a
-    high = random(i, j + 1, seed) * (1 - a) + random(i + 1, j + 1, seed) * a
-    return low * (1 - b) + high * b
+    h = int(i) * _A + int(j) * _B + int(seed) * _C
+    p, q, r, s = _mixed(h), _mixed(h + _A), _mixed(h + _B), _mixed(h + _A + _B)
+    low, high = p + (q - p) * a, r + (s - r) * a
+    return low + (high - low) * b
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fade(period: float, w: float) -> float:
     """How much of a detail of this period a pixel of width w can show: 1 up to a quarter of it, 0 from 0.6 of it."""
     return min(max((0.6 - w / period) / 0.35, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def grain(u: float, v: float, period: float, seed: float, w: float) -> float:
     """Band-limited noise in [-1, 1] with this lattice [m]."""
     f = fade(2 * period, w)
     return f * (2 * noise(u / period, v / period, seed) - 1) if f > 0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def edge(x: float, w: float) -> float:
     """0 left of zero, 1 right of it, a ramp as wide as the pixel between."""
     return min(max(x / w + 0.5, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def band(x: float, low: float, high: float, w: float) -> float:
     """1 between low and high."""
     return edge(x - low, w) * edge(high - x, w)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mix(a: Colour, b: Colour, t: float) -> Colour:
     """Colour a where t = 0, b where t = 1."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def scaled(a: Colour, k: float) -> Colour:
     """A colour, k times as bright."""
     return a[0] * k, a[1] * k, a[2] * k
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def palette(i: float, seed: float) -> Colour:
     """A strong colour by number: hue by hash, saturation and value moderate."""
     h, k = 6.0 * random(i, 11, seed), 0.08 + 0.6 * random(i, 12, seed) ** 1.5
@@ -98,7 +108,7 @@ def palette(i: float, seed: float) -> Colour:
     return low + (k - low) * r, low + (k - low) * g, low + (k - low) * b
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def wood(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Grain along u: growth rings seen as wavy lines, and short dark pores."""
     warp = noise(u * 1.3, v * 6.0, seed)
@@ -110,7 +120,7 @@ def wood(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: float,
     return mix(a, b, min(max(t, 0.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def planks(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Floor boards of width `scale`, eight times as long, each from another tree."""
     row = np.floor(v / scale)
@@ -123,7 +133,7 @@ def planks(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, se
     return mix(base, c, gap * 0.85 * min(1.0, 0.004 / w))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tiles(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Square tiles, the two colours in a checker, grout C."""
     i, j = np.floor(u / scale), np.floor(v / scale)
@@ -136,7 +146,7 @@ def tiles(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, see
     return mix(c, base, edge(inside - 0.003, max(w, 0.001)) if w < scale / 3 else 0.9)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def bricks(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Bricks three times as long as high (`scale`), every other course shifted by half, mortar C."""
     j = np.floor(v / scale)
@@ -149,7 +159,7 @@ def bricks(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, se
     return mix(mortar, base, edge(min(dx, dy) - 0.006 + 0.003 * grain(u, v, 0.03, seed + 4, w), max(w, 0.002)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fabric(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """A plain weave of 8 mm with thick and thin threads, and some wear."""
     weave = np.sin(u * 785.0) * np.sin(v * 785.0) * fade(0.008, w) * 0.3
@@ -158,7 +168,7 @@ def fabric(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: floa
     return mix(a, b, min(max(t, 0.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def stripes(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Woven stripes along v: a broad one of B and a narrow one of C on A."""
     x = (u / scale - np.floor(u / scale)) * scale
@@ -168,7 +178,7 @@ def stripes(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, s
     return mix(base, fabric(scaled(base, 0.6), scaled(base, 1.4), u, v, seed, contrast, w), 0.8)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def rug(a: Colour, b: Colour, c: Colour, u: float, v: float, su: float, sv: float, seed: float, w: float) -> Colour:
     """Borders around a field of diamonds with a medallion."""
     x, y = u - su / 2, v - sv / 2
@@ -192,7 +202,7 @@ def rug(a: Colour, b: Colour, c: Colour, u: float, v: float, su: float, sv: floa
     return scaled(base, pile)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def book(a: Colour, b: Colour, c: Colour, chart: int, u: float, v: float, su: float, sv: float, seed: float, w: float) -> Colour:
     """Spine and boards with bands and a title of blocks; pages on top and below."""
     soft = max(w, 0.0015)
@@ -211,7 +221,7 @@ def book(a: Colour, b: Colour, c: Colour, chart: int, u: float, v: float, su: fl
     return mix(base, c, title)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def poster(a: Colour, b: Colour, u: float, v: float, su: float, sv: float, seed: float, w: float) -> Colour:
     """An abstract composition on a ground of two colours, in a white mount."""
     soft = max(w, 0.0015)
@@ -236,7 +246,7 @@ def poster(a: Colour, b: Colour, u: float, v: float, su: float, sv: float, seed:
     return mix((0.75, 0.73, 0.68), base, edge(inside - 0.09 * size, soft))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def landscape(a: Colour, b: Colour, c: Colour, u: float, v: float, su: float, sv: float, seed: float, w: float) -> Colour:
     """Sky from A (horizon) to B with clouds, four ridges of hills from far to near towards C."""
     x, y = u / sv, v / sv
@@ -251,7 +261,7 @@ def landscape(a: Colour, b: Colour, c: Colour, u: float, v: float, su: float, sv
     return base
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def wallpaper(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, seed: float, w: float) -> Colour:
     """Flowers in half drop, small sprigs between them, all a little different in tone."""
     i = np.floor(u / scale)
@@ -270,7 +280,7 @@ def wallpaper(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float,
     return mix(base, c, f * edge(0.07 * scale - rho, soft))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def marble(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """Veins where a warped wave crosses zero."""
     warp = noise(u * 4, v * 4, seed) * 3 + noise(u * 11, v * 11, seed + 1)
@@ -279,7 +289,7 @@ def marble(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: floa
     return mix(a, b, min(max(t, 0.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def glaze(a: Colour, b: Colour, c: Colour, u: float, v: float, sv: float, seed: float, w: float) -> Colour:
     """Pottery: rings of B, and a zigzag of C around the middle."""
     y = v / sv
@@ -291,14 +301,14 @@ def glaze(a: Colour, b: Colour, c: Colour, u: float, v: float, sv: float, seed: 
     return mix(mix(base, b, min(rings, 1.0)), c, edge(0.012 - abs(y - zigzag) * sv, soft) * fade(0.05, w))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def plaster(a: Colour, contrast: float, u: float, v: float, seed: float, w: float) -> Colour:
     """Paint laid on by hand: clouds, roller marks, specks."""
     t = 0.5 * grain(u, v, 0.5, seed, w) + 0.4 * grain(u, v, 0.09, seed + 1, w) + 0.4 * grain(u, v, 0.022, seed + 2, w)
     return scaled(a, 1 + contrast * t)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def leaves(a: Colour, b: Colour, s: float, t: float, seed: float, contrast: float) -> Colour:
     """A leaf with a midrib and side veins."""
     rib = 1 - min(abs(s - 0.5) * 12, 1.0)
@@ -306,13 +316,13 @@ def leaves(a: Colour, b: Colour, s: float, t: float, seed: float, contrast: floa
     return mix(a, b, min(max(0.3 + contrast * (0.5 * rib + 0.3 * veins + 0.5 * noise(s * 6, t * 9, seed) - 0.4), 0.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
-def albedo(material: NDArray[np.float64], chart: int, s: float, t: float, su: float, sv: float, seed: float, w: float) -> Colour:
+@compiled
+def albedo(materials: NDArray[np.float64], m: int, chart: int, s: float, t: float, su: float, sv: float, seed: float, w: float) -> Colour:
     """Linear RGB of a material at (s, t) of a chart of su x sv metres, seen by a pixel of w metres."""
-    pattern, scale, contrast = int(material[0]), material[1], material[2]
-    a = (material[4], material[5], material[6])
-    b = (material[7], material[8], material[9])
-    c = (material[10], material[11], material[12])
+    pattern, scale, contrast = int(materials[m, 0]), materials[m, 1], materials[m, 2]
+    a = (materials[m, 4], materials[m, 5], materials[m, 6])
+    b = (materials[m, 7], materials[m, 8], materials[m, 9])
+    c = (materials[m, 10], materials[m, 11], materials[m, 12])
     u, v = s * su, t * sv
     if pattern == PAINT:
         return plaster(a, contrast, u, v, seed, w)
@@ -330,15 +340,15 @@ def albedo(material: NDArray[np.float64], chart: int, s: float, t: float, su: fl
         return rug(a, b, c, u, v, su, sv, seed, w)
     if pattern == BOOK:
         return book(a, b, c, chart, u, v, su, sv, seed, w)
-    return _more_albedo(material, a, b, c, s, t, su, sv, seed, w)
+    return _more_albedo(materials, m, a, b, c, s, t, su, sv, seed, w)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _more_albedo(
-    material: NDArray[np.float64], a: Colour, b: Colour, c: Colour, s: float, t: float, su: float, sv: float, seed: float, w: float
+    materials: NDArray[np.float64], m: int, a: Colour, b: Colour, c: Colour, s: float, t: float, su: float, sv: float, seed: float, w: float
 ) -> Colour:
     """The second half of the patterns."""
-    pattern, scale, contrast = int(material[0]), material[1], material[2]
+    pattern, scale, contrast = int(materials[m, 0]), materials[m, 1], materials[m, 2]
     u, v = s * su, t * sv
     if pattern == POSTER:
         return poster(a, b, u, v, su, sv, seed, w)

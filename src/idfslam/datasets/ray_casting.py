@@ -6,32 +6,16 @@ ellipsoid - three radii. The surface of a shape is unrolled into charts with coo
 faces of a box (-x, +x, -y, +y, -z, +z), side, bottom and top of a frustum, the whole of an ellipsoid.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+"""Without Python's check of every division, sums in any order; infinities stay legal."""
+
 BOX, FRUSTUM, ELLIPSOID = 0, 1, 2
 CHARTS = 6  # the most that a shape has
 _EPSILON = 1e-6  # [m] a ray does not hit the surface that it starts on
-_LEAF = 2  # shapes in a leaf of the hierarchy
-
-
-@dataclass(frozen=True)
-class Hierarchy:
-    """Bounding volumes in depth-first order: a ray that misses node i goes on at `skip[i]`."""
-
-    bounds: NDArray[np.float64]
-    """(B, 6) lowest and highest corner [m]."""
-    skip: NDArray[np.int64]
-    """(B,) the node after the subtree of node i."""
-    first: NDArray[np.int64]
-    """(B,) where a leaf's shapes start in `order`; -1: an inner node."""
-    count: NDArray[np.int64]
-    """(B,) shapes in the leaf."""
-    order: NDArray[np.int64]
-    """(P,) the shapes, leaf after leaf."""
 
 
 def shape_bounds(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -46,67 +30,72 @@ def shape_bounds(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([shapes[:, 4:7] - reach, shapes[:, 4:7] + reach], 1)
 
 
-def build_hierarchy(shapes: NDArray[np.float64]) -> Hierarchy:
-    """A binary hierarchy over the shapes, split at the median of the longest side."""
+def build_hierarchy(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bounding volumes of the shapes: a binary tree, split by the surface area heuristic, in depth-first order.
+
+    Each row (2 P - 1, 8) is a node: lowest and highest corner [m], the node that follows its subtree, its shape (-1: an inner node).
+    """
     bounds = shape_bounds(shapes)
-    centres = (bounds[:, :3] + bounds[:, 3:]) / 2
-    nodes: list[tuple[NDArray[np.float64], int, int]] = []
-    skip: list[int] = []
-    order: list[int] = []
+    nodes: list[list[float]] = []
 
     def add(members: NDArray[np.int64]) -> None:
-        index = len(nodes)
-        box = np.concatenate([bounds[members, :3].min(0), bounds[members, 3:].max(0)])
-        leaf = len(members) <= _LEAF
-        nodes.append((box, len(order) if leaf else -1, len(members)))
-        skip.append(0)
-        if leaf:
-            order.extend(members.tolist())
-        else:
-            axis = int(np.ptp(centres[members], axis=0).argmax())
-            ranked = members[np.argsort(centres[members, axis], kind="stable")]
-            add(ranked[: len(ranked) // 2])
-            add(ranked[len(ranked) // 2 :])
-        skip[index] = len(nodes)
+        node = [*bounds[members, :3].min(0), *bounds[members, 3:].max(0), 0.0, float(members[0]) if len(members) == 1 else -1.0]
+        nodes.append(node)
+        if len(members) > 1:
+            for part in _split(members, bounds):
+                add(part)
+        node[6] = float(len(nodes))
 
     add(np.arange(len(shapes)))
-    return Hierarchy(
-        np.ascontiguousarray([n[0] for n in nodes]),
-        np.array(skip),
-        np.array([n[1] for n in nodes]),
-        np.array([n[2] for n in nodes]),
-        np.array(order),
-    )
+    return np.array(nodes)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def to_local(shape, x, y, z):
+def _split(members: NDArray[np.int64], bounds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The two halves along an axis whose areas, times how many shapes they hold, sum to the least: few rays enter both."""
+
+    def areas(ranked: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, z = (np.maximum.accumulate(ranked[:, 3:]) - np.minimum.accumulate(ranked[:, :3])).T
+        return x * y + y * z + z * x
+
+    best, halves = np.inf, (members, members)
+    for axis in range(3):
+        ranked = members[np.argsort(bounds[members, axis] + bounds[members, axis + 3], kind="stable")]
+        count = np.arange(1, len(ranked))
+        cost = areas(bounds[ranked])[:-1] * count + areas(bounds[ranked[::-1]])[-2::-1] * count[::-1]
+        at = int(cost.argmin())
+        if cost[at] < best:
+            best, halves = cost[at], (ranked[: at + 1], ranked[at + 1 :])
+    return halves
+
+
+@compiled
+def to_local(shapes, i, x, y, z):
     """A direction of the world in the shape's axes (R^T d)."""
     return (
-        shape[7] * x + shape[10] * y + shape[13] * z,
-        shape[8] * x + shape[11] * y + shape[14] * z,
-        shape[9] * x + shape[12] * y + shape[15] * z,
+        shapes[i, 7] * x + shapes[i, 10] * y + shapes[i, 13] * z,
+        shapes[i, 8] * x + shapes[i, 11] * y + shapes[i, 14] * z,
+        shapes[i, 9] * x + shapes[i, 12] * y + shapes[i, 15] * z,
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
-def to_world(shape, x, y, z):
+@compiled
+def to_world(shapes, i, x, y, z):
     """A direction of the shape's axes in the world (R d)."""
     return (
-        shape[7] * x + shape[8] * y + shape[9] * z,
-        shape[10] * x + shape[11] * y + shape[12] * z,
-        shape[13] * x + shape[14] * y + shape[15] * z,
+        shapes[i, 7] * x + shapes[i, 8] * y + shapes[i, 9] * z,
+        shapes[i, 10] * x + shapes[i, 11] * y + shapes[i, 12] * z,
+        shapes[i, 13] * x + shapes[i, 14] * y + shapes[i, 15] * z,
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _slab(o, inverse, low, high, near, far):
     """The part of a ray between two parallel planes."""
     a, b = (low - o) * inverse, (high - o) * inverse
     return max(near, min(a, b)), min(far, max(a, b))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hit_box(hx, hy, hz, ox, oy, oz, dx, dy, dz):
     near, far = _slab(ox, 1.0 / dx if dx != 0.0 else 1e30, -hx, hx, -np.inf, np.inf)
     near, far = _slab(oy, 1.0 / dy if dy != 0.0 else 1e30, -hy, hy, near, far)
@@ -116,7 +105,7 @@ def _hit_box(hx, hy, hz, ox, oy, oz, dx, dy, dz):
     return near if near > _EPSILON else far
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hit_ellipsoid(rx, ry, rz, ox, oy, oz, dx, dy, dz):
     ox, oy, oz, dx, dy, dz = ox / rx, oy / ry, oz / rz, dx / rx, dy / ry, dz / rz
     a = dx * dx + dy * dy + dz * dz
@@ -131,7 +120,7 @@ def _hit_ellipsoid(rx, ry, rz, ox, oy, oz, dx, dy, dz):
     return (-b + root) / a if -b + root > a * _EPSILON else np.inf
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hit_frustum(r0, r1, h, ox, oy, oz, dx, dy, dz):
     """The side is x^2 + y^2 = (m + k z)^2 between z = -h and h; the caps are discs."""
     best = np.inf
@@ -155,49 +144,55 @@ def _hit_frustum(r0, r1, h, ox, oy, oz, dx, dy, dz):
     return best
 
 
-@njit(cache=True, nogil=True)
-def hit_shape(shape, ox, oy, oz, dx, dy, dz):
+@compiled
+def hit_shape(shapes, i, ox, oy, oz, dx, dy, dz):
     """The ray's parameter at its first intersection with one shape; infinity: none."""
-    px, py, pz = to_local(shape, ox - shape[4], oy - shape[5], oz - shape[6])
-    qx, qy, qz = to_local(shape, dx, dy, dz)
-    if shape[0] == BOX:
-        return _hit_box(shape[1], shape[2], shape[3], px, py, pz, qx, qy, qz)
-    if shape[0] == FRUSTUM:
-        return _hit_frustum(shape[1], shape[2], shape[3], px, py, pz, qx, qy, qz)
-    return _hit_ellipsoid(shape[1], shape[2], shape[3], px, py, pz, qx, qy, qz)
+    px, py, pz = to_local(shapes, i, ox - shapes[i, 4], oy - shapes[i, 5], oz - shapes[i, 6])
+    qx, qy, qz = to_local(shapes, i, dx, dy, dz)
+    if shapes[i, 0] == BOX:
+        return _hit_box(shapes[i, 1], shapes[i, 2], shapes[i, 3], px, py, pz, qx, qy, qz)
+    if shapes[i, 0] == FRUSTUM:
+        return _hit_frustum(shapes[i, 1], shapes[i, 2], shapes[i, 3], px, py, pz, qx, qy, qz)
+    return _hit_ellipsoid(shapes[i, 1], shapes[i, 2], shapes[i, 3], px, py, pz, qx, qy, qz)
 
 
-@njit(cache=True, nogil=True)
-def cast(shapes, tree, ox, oy, oz, dx, dy, dz, limit):
-    """First hit before `limit` along a ray: (parameter, shape), or (`limit`, -1). `tree` is a Hierarchy's five arrays."""
-    bounds, skip, first, count, order = tree
+@compiled
+def cast(shapes, nodes, ox, oy, oz, dx, dy, dz, limit, hint):
+    """First hit before `limit` along a ray: (parameter, shape), or (`limit`, -1). `nodes` is the hierarchy.
+
+    `hint` is a shape that is likely to be hit (a neighbour's; -1: none); tried first, it saves most of the search.
+    """
     ix = 1.0 / dx if dx != 0.0 else 1e30
     iy = 1.0 / dy if dy != 0.0 else 1e30
     iz = 1.0 / dz if dz != 0.0 else 1e30
     best, found, node = limit, -1, 0
-    while node < skip.shape[0]:
-        a, b = (bounds[node, 0] - ox) * ix, (bounds[node, 3] - ox) * ix
+    if hint >= 0:
+        t = hit_shape(shapes, hint, ox, oy, oz, dx, dy, dz)
+        if t < best:
+            best, found = t, hint
+    while node < nodes.shape[0]:
+        a, b = (nodes[node, 0] - ox) * ix, (nodes[node, 3] - ox) * ix
         near, far = min(a, b), max(a, b)
-        a, b = (bounds[node, 1] - oy) * iy, (bounds[node, 4] - oy) * iy
+        a, b = (nodes[node, 1] - oy) * iy, (nodes[node, 4] - oy) * iy
         near, far = max(near, min(a, b)), min(far, max(a, b))
-        a, b = (bounds[node, 2] - oz) * iz, (bounds[node, 5] - oz) * iz
+        a, b = (nodes[node, 2] - oz) * iz, (nodes[node, 5] - oz) * iz
         near, far = max(near, min(a, b)), min(far, max(a, b))
         if near > far or far < 0.0 or near > best:
-            node = skip[node]
+            node = int(nodes[node, 6])
             continue
-        if first[node] >= 0:
-            for i in range(first[node], first[node] + count[node]):
-                t = hit_shape(shapes[order[i]], ox, oy, oz, dx, dy, dz)
-                if t < best:
-                    best, found = t, order[i]
+        i = int(nodes[node, 7])
+        if i >= 0 and i != hint:
+            t = hit_shape(shapes, i, ox, oy, oz, dx, dy, dz)
+            if t < best:
+                best, found = t, i
         node += 1
     return best, found
 
 
-@njit(cache=True, nogil=True)
-def _box_surface(shape, x, y, z):
-    a, b, c = abs(x) - shape[1], abs(y) - shape[2], abs(z) - shape[3]
-    s, t, r = x / shape[1], y / shape[2], z / shape[3]
+@compiled
+def _box_surface(shapes, i, x, y, z):
+    a, b, c = abs(x) - shapes[i, 1], abs(y) - shapes[i, 2], abs(z) - shapes[i, 3]
+    s, t, r = x / shapes[i, 1], y / shapes[i, 2], z / shapes[i, 3]
     if a >= b and a >= c:
         return (1 if x > 0 else 0), t / 2 + 0.5, r / 2 + 0.5, np.sign(x), 0.0, 0.0
     if b >= c:
@@ -205,9 +200,9 @@ def _box_surface(shape, x, y, z):
     return (5 if z > 0 else 4), s / 2 + 0.5, t / 2 + 0.5, 0.0, 0.0, np.sign(z)
 
 
-@njit(cache=True, nogil=True)
-def _frustum_surface(shape, x, y, z):
-    r0, r1, h = shape[1], shape[2], shape[3]
+@compiled
+def _frustum_surface(shapes, i, x, y, z):
+    r0, r1, h = shapes[i, 1], shapes[i, 2], shapes[i, 3]
     k = (r1 - r0) / (2.0 * h)
     rho = np.sqrt(x * x + y * y)
     side = abs(rho - ((r0 + r1) / 2.0 + k * z)) / np.sqrt(1.0 + k * k)
@@ -218,30 +213,30 @@ def _frustum_surface(shape, x, y, z):
     return 0, np.arctan2(y, x) / (2 * np.pi) + 0.5, z / (2 * h) + 0.5, x * scale, y * scale, -k / np.sqrt(1.0 + k * k)
 
 
-@njit(cache=True, nogil=True)
-def surface_at(shape, px, py, pz):
+@compiled
+def surface_at(shapes, i, px, py, pz):
     """Chart, (s, t) and outward normal (world) of a point (world) on a shape's surface."""
-    x, y, z = to_local(shape, px - shape[4], py - shape[5], pz - shape[6])
-    if shape[0] == BOX:
-        chart, s, t, nx, ny, nz = _box_surface(shape, x, y, z)
-    elif shape[0] == FRUSTUM:
-        chart, s, t, nx, ny, nz = _frustum_surface(shape, x, y, z)
+    x, y, z = to_local(shapes, i, px - shapes[i, 4], py - shapes[i, 5], pz - shapes[i, 6])
+    if shapes[i, 0] == BOX:
+        chart, s, t, nx, ny, nz = _box_surface(shapes, i, x, y, z)
+    elif shapes[i, 0] == FRUSTUM:
+        chart, s, t, nx, ny, nz = _frustum_surface(shapes, i, x, y, z)
     else:
-        x, y, z = x / shape[1], y / shape[2], z / shape[3]
+        x, y, z = x / shapes[i, 1], y / shapes[i, 2], z / shapes[i, 3]
         chart, s, t = 0, np.arctan2(y, x) / (2 * np.pi) + 0.5, np.arcsin(min(max(z, -1.0), 1.0)) / np.pi + 0.5
-        nx, ny, nz = x / shape[1], y / shape[2], z / shape[3]
+        nx, ny, nz = x / shapes[i, 1], y / shapes[i, 2], z / shapes[i, 3]
         scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
         nx, ny, nz = nx * scale, ny * scale, nz * scale
-    nx, ny, nz = to_world(shape, nx, ny, nz)
+    nx, ny, nz = to_world(shapes, i, nx, ny, nz)
     return chart, s, t, nx, ny, nz
 
 
-@njit(cache=True, nogil=True)
-def point_on(shape, chart, s, t):
+@compiled
+def point_on(shapes, i, chart, s, t):
     """The point (world) at (s, t) of a chart: the inverse of `surface_at`."""
     u, v = 2 * s - 1, 2 * t - 1
-    a, b, c = shape[1], shape[2], shape[3]
-    if shape[0] == BOX:
+    a, b, c = shapes[i, 1], shapes[i, 2], shapes[i, 3]
+    if shapes[i, 0] == BOX:
         side = 1.0 if chart % 2 == 1 else -1.0
         if chart < 2:
             x, y, z = side * a, u * b, v * c
@@ -249,24 +244,24 @@ def point_on(shape, chart, s, t):
             x, y, z = u * a, side * b, v * c
         else:
             x, y, z = u * a, v * b, side * c
-    elif shape[0] == FRUSTUM:
+    elif shapes[i, 0] == FRUSTUM:
         r = (a * (1 - t) + b * t) if chart == 0 else (a if chart == 1 else b)
         x, y, z = np.cos(np.pi * u) * r, np.sin(np.pi * u) * r, v * c
         if chart > 0:
             x, y, z = u * r, v * r, (c if chart == 2 else -c)
     else:
         x, y, z = np.cos(np.pi * u) * np.cos(np.pi * v / 2) * a, np.sin(np.pi * u) * np.cos(np.pi * v / 2) * b, np.sin(np.pi * v / 2) * c
-    x, y, z = to_world(shape, x, y, z)
-    return x + shape[4], y + shape[5], z + shape[6]
+    x, y, z = to_world(shapes, i, x, y, z)
+    return x + shapes[i, 4], y + shapes[i, 5], z + shapes[i, 6]
 
 
-@njit(cache=True, nogil=True)
-def chart_size(shape, chart):
+@compiled
+def chart_size(shapes, i, chart):
     """Extent (u, v) [m] of a chart; (0, 0): the shape does not have it."""
-    a, b, c = 2 * shape[1], 2 * shape[2], 2 * shape[3]
-    if shape[0] == BOX:
+    a, b, c = 2 * shapes[i, 1], 2 * shapes[i, 2], 2 * shapes[i, 3]
+    if shapes[i, 0] == BOX:
         return (b, c) if chart < 2 else ((a, c) if chart < 4 else (a, b))
-    if shape[0] == FRUSTUM:
+    if shapes[i, 0] == FRUSTUM:
         if chart == 0:
             return np.pi * (a + b) / 2, c
         r = a if chart == 1 else b

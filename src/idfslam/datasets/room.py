@@ -10,7 +10,7 @@ from idfslam.datasets import furniture, lightmap
 from idfslam.datasets import procedural_textures as pattern
 from idfslam.datasets.furniture import Rgb, Scene, place
 from idfslam.datasets.lightmap import Lightmap
-from idfslam.datasets.ray_casting import BOX, ELLIPSOID, Hierarchy, build_hierarchy, point_on
+from idfslam.datasets.ray_casting import BOX, ELLIPSOID, build_hierarchy, point_on
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,8 @@ class Room:
     """(P, 17), see `ray_casting`."""
     materials: Array
     """(M, 13), see `procedural_textures`."""
-    tree: Hierarchy
+    nodes: Array
+    """The bounding volumes of the shapes."""
     lightmap: Lightmap
     exposure: float
     """Scale from irradiance to film."""
@@ -53,9 +54,9 @@ def build_room(seed: int, *, bare_wall: bool = False) -> Room:
             _trim(scene, T, 2 * half[k % 2], height)
     _centre(scene, height)
     shapes, materials = np.array(scene.shapes), np.array(scene.materials)
-    tree = build_hierarchy(shapes)
-    light = lightmap.bake(shapes, materials, tree, np.array(scene.lights))
-    return Room(half, height, shapes, materials, tree, light, _exposure(light))
+    nodes = build_hierarchy(shapes)
+    light = lightmap.bake(shapes, materials, nodes, np.array(scene.lights))
+    return Room(half, height, shapes, materials, nodes, light, _exposure(light))
 
 
 def wall_frame(k: int, half: tuple[float, float]) -> Array:
@@ -69,15 +70,16 @@ def room_surface(room: Room) -> trimesh.Trimesh:
     parts = []
     for p, shape in enumerate(room.shapes):
         charts = (_INNER_CHART[p],) if p < _SHELL else (range(6) if shape[0] == BOX else (range(1) if shape[0] == ELLIPSOID else range(3)))
-        parts += [_chart_mesh(shape, chart) for chart in charts]
+        parts += [_chart_mesh(room.shapes, p, chart) for chart in charts]
     vertices = np.concatenate([v for v, _ in parts])
     offsets = np.cumsum([0] + [len(v) for v, _ in parts[:-1]])
     faces = np.concatenate([f + offset for (_, f), offset in zip(parts, offsets)])
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def _chart_mesh(shape: Array, chart: int) -> tuple[Array, NDArray[np.int64]]:
+def _chart_mesh(shapes: Array, p: int, chart: int) -> tuple[Array, NDArray[np.int64]]:
     """Vertices and outward faces of one chart."""
+    shape = shapes[p]
     kind = int(shape[0])
     radius = max(shape[1:3].max(), shape[3] if kind == ELLIPSOID else 0)
     segments = max(12, int(np.ceil(np.pi / np.arccos(1 - min(_CHORD / radius, 0.5)))))
@@ -96,7 +98,7 @@ def _chart_mesh(shape: Array, chart: int) -> tuple[Array, NDArray[np.int64]]:
         faces = np.concatenate([np.stack([corner, corner + 1, up], 1), np.stack([corner + 1, up + 1, up], 1)])
         if kind == BOX and chart in (0, 3, 4):  # s x t points inwards there
             faces = faces[:, ::-1]
-    return np.array([point_on(shape, chart, s, t) for s, t in st]), faces
+    return np.array([point_on(shapes, p, chart, s, t) for s, t in st]), faces
 
 
 def _exposure(light: Lightmap) -> float:

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from idfslam.datasets.lightmap import Lightmap, irradiance
 from idfslam.datasets.procedural_textures import Colour, albedo
-from idfslam.datasets.ray_casting import Hierarchy, cast, chart_size, surface_at
+from idfslam.datasets.ray_casting import cast, chart_size, compiled, surface_at
 from idfslam.geometry.camera import Camera
 
 Array = NDArray[np.float64]
+Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy [px]
 
 _FAR = 1e3  # [m]
 
@@ -28,27 +28,27 @@ class Rendering:
     """(H, W, 3) outward unit normals in the camera's frame."""
 
 
-def render(shapes: Array, materials: Array, tree: Hierarchy, lightmap: Lightmap, exposure: float, camera: Camera, T_wc: Array) -> Rendering:
+def render(shapes: Array, materials: Array, nodes: Array, lightmap: Lightmap, exposure: float, camera: Camera, T_wc: Array) -> Rendering:
     """The scene from the pose `T_wc` (4, 4); every surface is Lambertian, so a point has one colour in all views."""
     size = (camera.height, camera.width)
     colour, depth, normals = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.zeros((*size, 3), np.float32)
     labels = np.full(size, -1, np.int64)
-    scene = (shapes, materials, (tree.bounds, tree.skip, tree.first, tree.count, tree.order), lightmap.layout, lightmap.light, exposure)
+    light = (lightmap.layout, lightmap.light, exposure)
     pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
     T_wc = np.ascontiguousarray(T_wc, dtype=np.float64)
-    _render(scene, pinhole, T_wc, colour, depth, normals, labels)
-    _smooth_edges(scene, pinhole, T_wc, labels, colour)
+    _render(shapes, materials, nodes, *light, pinhole, T_wc, colour, depth, normals, labels)
+    _smooth_edges(shapes, materials, nodes, *light, pinhole, T_wc, labels, colour)
     return Rendering(colour, depth, normals)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _tone(x: float) -> float:
     """Film: exponential saturation, then gamma 2."""
-    return np.sqrt(1.0 - np.exp(-x))
+    return np.sqrt(1.0 - np.exp(-max(x, 0.0)))
 
 
-@njit(cache=True, nogil=True)
-def _ray(pinhole: tuple[float, float, float, float], T: Array, u: float, v: float) -> Colour:
+@compiled
+def _ray(pinhole: Pinhole, T: Array, u: float, v: float) -> Colour:
     """Direction in the world with z = 1 in the camera."""
     x, y = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
     return (
@@ -58,40 +58,47 @@ def _ray(pinhole: tuple[float, float, float, float], T: Array, u: float, v: floa
     )
 
 
-@njit(cache=True, nogil=True)
-def _shade(scene: tuple, T: Array, d: Colour, t: float, shape: int, pixel: float) -> tuple:
+@compiled
+def _shade(
+    shapes: Array, materials: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
+    T: Array, d: Colour, t: float, shape: int, pixel: float,
+) -> tuple[float, float, float, int, float, float, float]:  # fmt: skip
     """Colour, chart and normal (world) where a ray meets a shape; `pixel` is a pixel's width at depth 1."""
-    shapes, materials, _, layout, light, exposure = scene
-    chart, s, r, nx, ny, nz = surface_at(shapes[shape], T[0, 3] + t * d[0], T[1, 3] + t * d[1], T[2, 3] + t * d[2])
-    su, sv = chart_size(shapes[shape], chart)
+    chart, s, r, nx, ny, nz = surface_at(shapes, shape, T[0, 3] + t * d[0], T[1, 3] + t * d[1], T[2, 3] + t * d[2])
+    su, sv = chart_size(shapes, shape, chart)
     cosine = abs(nx * d[0] + ny * d[1] + nz * d[2]) / np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
     width = t * pixel / max(cosine, 0.1) ** 0.7
-    material = materials[int(shapes[shape, 16])]
-    a = albedo(material, chart, s, r, su, sv, 8.0 * shape + chart, width)
+    m = int(shapes[shape, 16])
+    a = albedo(materials, m, chart, s, r, su, sv, 8.0 * shape + chart, width)
     e = irradiance(layout, light, shape, chart, s, r)
-    red, green, blue = a[0] * (e[0] * exposure + material[3]), a[1] * (e[1] * exposure + material[3]), a[2] * (e[2] * exposure + material[3])
+    red, green, blue = a[0] * (e[0] * exposure + materials[m, 3]), a[1] * (e[1] * exposure + materials[m, 3]), a[2] * (e[2] * exposure + materials[m, 3])
     return _tone(red), _tone(green), _tone(blue), chart, nx, ny, nz
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _render(
-    scene: tuple, pinhole: tuple[float, float, float, float], T: Array, colour: Array, depth: Array, normals: Array, labels: NDArray[np.int64]
-) -> None:
+    shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
+    pinhole: Pinhole, T: Array, colour: NDArray[np.float32], depth: NDArray[np.float32], normals: NDArray[np.float32], labels: NDArray[np.int64],
+) -> None:  # fmt: skip
+    shape = -1
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             d = _ray(pinhole, T, u, v)
-            t, shape = cast(scene[0], scene[2], T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR)
+            t, shape = cast(shapes, nodes, T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, shape)
             if shape < 0:
                 continue
-            red, green, blue, chart, nx, ny, nz = _shade(scene, T, d, t, shape, 1.0 / pinhole[0])
+            red, green, blue, chart, nx, ny, nz = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 1.0 / pinhole[0])
             depth[v, u], labels[v, u] = t, shape * 8 + chart
             colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue
             for k in range(3):
                 normals[v, u, k] = T[0, k] * nx + T[1, k] * ny + T[2, k] * nz
 
 
-@njit(cache=True, nogil=True)
-def _smooth_edges(scene: tuple, pinhole: tuple[float, float, float, float], T: Array, labels: NDArray[np.int64], colour: Array) -> None:
+@compiled
+def _smooth_edges(
+    shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
+    pinhole: Pinhole, T: Array, labels: NDArray[np.int64], colour: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Where a neighbour shows another surface, the mean of 2 x 2 rays stands for the pixel."""
     rows, columns = labels.shape
     for v in range(rows):
@@ -103,8 +110,8 @@ def _smooth_edges(scene: tuple, pinhole: tuple[float, float, float, float], T: A
             red, green, blue = 0.0, 0.0, 0.0
             for k in range(4):
                 d = _ray(pinhole, T, u + 0.5 * (k % 2) - 0.25, v + 0.5 * (k // 2) - 0.25)
-                t, shape = cast(scene[0], scene[2], T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR)
+                t, shape = cast(shapes, nodes, T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, here // 8)
                 if shape >= 0:
-                    r, g, b, _, _, _, _ = _shade(scene, T, d, t, shape, 0.7 / pinhole[0])
+                    r, g, b, _, _, _, _ = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 0.7 / pinhole[0])
                     red, green, blue = red + r / 4, green + g / 4, blue + b / 4
             colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue

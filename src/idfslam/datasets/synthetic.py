@@ -60,7 +60,7 @@ class SyntheticRoom:
     def render(self, T_wc: NDArray[np.float64], camera: Camera | None = None) -> Rendering:
         """Exact colour, depth and normals from any camera-to-world pose (4, 4)."""
         room = self.room
-        return render(room.shapes, room.materials, room.tree, room.lightmap, room.exposure, camera or self.camera, T_wc)
+        return render(room.shapes, room.materials, room.nodes, room.lightmap, room.exposure, camera or self.camera, T_wc)
 
     def surface(self) -> trimesh.Trimesh:
         """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
