@@ -13,7 +13,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.slam import Slam
 
 CAMERA = Camera(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)  # pixel centres at integers
-HALF = np.array([1.5, 1.1, 1.8])  # half the sides of the room [m]
+HALF = np.array([0.6, 0.45, 1.5])  # half the sides of the room [m]: five walls in view, so that every direction is held
 
 
 def grab(i: int) -> tuple[np.ndarray, np.ndarray]:
