@@ -22,7 +22,7 @@ class FieldConfig:
     """Frequencies of the positional encoding of a position."""
     direction_frequencies: int = 0
     """Frequencies of the positional encoding of a view direction; 0: colour does not depend on it."""
-    layers: int = 2
+    layers: int = 1
     """Hidden layers of the trunk (Sec. IV: 8)."""
     width: int = 32
     """Width of the trunk (Sec. IV: 256)."""
@@ -58,12 +58,14 @@ class MapperConfig:
     """Further samples around the rendered surface."""
     sharpness: float = 1.0
     """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
-    photometric_weight: float = 0.5
+    photometric_weight: float = 2.0
     """w_p of Eq. 3."""
-    free_space_weight: float = 1.0
+    free_space_weight: float = 0.2
     """w_fs of Eq. 2."""
     truncation_weight: float = 10.0
     """w_tr of Eq. 2."""
+    redraw: int = 10
+    """Steps for which pixels are drawn at once; 1: the losses of each step decide on the pixels of the next, as in the paper."""
     active_sampling: bool = True
     """Choose pixels by the loss of their 8 x 8 image cell."""
     cells: int = 8
@@ -88,6 +90,8 @@ class MapperConfig:
     """Adam's rate for the feature grid."""
     free_margin: float = 0.6
     """In free space the T-SDF, in units of tr, should be no less (samples supervision)."""
+    certainty: float = 0.0
+    """Power of a reading's relative certainty by which it counts (samples supervision); 0: all alike."""
     every: int = 4
     """A map update on every so many frames, keyframe or not; 0: on keyframes alone, as in the paper."""
     gradient_clip: float = 0.0
@@ -249,6 +253,7 @@ PAPER = Config(
         free_space_weight=10.0,
         truncation_weight=6000.0,
         every=0,
+        redraw=1,
         pose_optimisation=True,
         learning_rate=0.005,
         first_iterations=500,

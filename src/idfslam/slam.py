@@ -117,7 +117,8 @@ class Slam:
         if self.config.mapper.pose_optimisation and not first:
             with self._timed("pose"):
                 losses |= self.mapper.optimise_pose(keyframe)
-        self.graph.promote(keyframe)
+        if self.graph.promote(keyframe):
+            self.mapper.optimiser.grow()
         self._described(keyframe)
         with self._timed("map"):
             if first:

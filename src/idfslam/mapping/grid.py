@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from idfslam.config import FieldConfig
-from idfslam.mapping.kernels import grid_encode
+from idfslam.mapping.kernels import grid_encode, grid_scatter
 
 
 class GridEncoding(nn.Module):
@@ -19,16 +19,19 @@ class GridEncoding(nn.Module):
         ratio = (config.finest / config.coarsest) ** (1 / max(config.levels - 1, 1))
         self.register_buffer("cells", config.coarsest * ratio ** torch.arange(config.levels, dtype=torch.float32))
         self.tables = nn.Parameter(torch.empty(config.levels, 2**config.table_log2, config.features).uniform_(-1e-4, 1e-4))
-        self.gradient = torch.zeros_like(self.tables.detach())  # added to in place by backward, zeroed by the optimiser
+        self.register_buffer("gradient", torch.zeros_like(self.tables.detach()), persistent=False)  # backward adds, the optimiser zeroes
         self.out_dim = config.levels * config.features
 
     def forward(self, points: Tensor) -> Tensor:
         """Points (..., 3) [m] -> (..., levels * features)."""
-        if self.gradient.shape != self.tables.shape or self.gradient.device != self.tables.device:
-            self.gradient = torch.zeros_like(self.tables.detach())
         features = grid_encode(points.reshape(-1, 3), self.tables, self.cells, accumulate_into=self.gradient)
         return features.reshape(*points.shape[:-1], self.out_dim)
 
+    def add_gradient(self, points: Tensor, g_features: Tensor) -> None:
+        """Add to the tables' gradient what (N, levels * features) means for them, without autograd."""
+        grid_scatter(points, self.cells, g_features, self.gradient)
+
     def grow(self) -> None:
         """Twice the entries, the same function."""
-        self.tables = nn.Parameter(torch.cat([self.tables.detach(), self.tables.detach()], 1))
+        self.tables = nn.Parameter(torch.cat([self.tables.detach(), self.tables.detach()], 1), requires_grad=self.tables.requires_grad)
+        self.gradient = torch.zeros_like(self.tables.detach())

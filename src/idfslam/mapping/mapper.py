@@ -14,7 +14,7 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
-from idfslam.mapping.rays import cast, join
+from idfslam.mapping.rays import Rays, cast, join
 from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 
 SUPERVISION = {"rendering": RenderingObjective, "samples": SampleObjective}
@@ -38,12 +38,21 @@ class Mapper:
         """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses."""
         losses: Losses | None = None
         with self.optimiser.learning():
-            for _ in range(iterations):
-                self.optimiser.zero_grad()
-                losses = self._losses(keyframes, [k.T_wk for k in keyframes], invert=False)
-                losses.total.backward()
-                self.optimiser.step()
+            for first in range(0, iterations, self.config.redraw):
+                steps = min(self.config.redraw, iterations - first)
+                pixels = [self._draw(k, steps, invert=False) for k in keyframes]
+                rays = join([cast(k, uv) for k, uv in zip(keyframes, pixels)])
+                for step in range(steps):
+                    losses = self._step(rays.every(steps, step))
+                    self._remember(keyframes, [uv[step::steps] for uv in pixels], losses)
         return named(losses, keyframes[0].index) if losses else {}
+
+    def _step(self, rays: Rays) -> Losses:
+        """One step of Adam on the map."""
+        self.optimiser.zero_grad()
+        losses = self.objective.learn(self.field, rays, self.generator)
+        self.optimiser.step()
+        return losses
 
     def optimise_pose(self, keyframe: Keyframe) -> dict[str, float]:
         """Eq. 4: the keyframe's pose against the frozen map, by Adam on an increment; pixels where the loss is low."""
@@ -55,32 +64,32 @@ class Mapper:
         losses: Losses | None = None
         for _ in range(c.pose_iterations):
             adam.zero_grad()
-            losses = self._losses([keyframe], [start @ se3.exp(xi)], invert=True)
+            uv = self._draw(keyframe, 1, invert=True)
+            losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
+            self._remember([keyframe], [uv], losses)
             losses.total.backward()
             adam.step()
             schedule.step()
         keyframe.T_wk = se3.orthonormal(keyframe.T_wk @ se3.exp(xi.detach().double().cpu()))
         return {f"pose_{k}": v for k, v in named(losses, keyframe.index).items()} if losses else {}
 
-    def _losses(self, keyframes: Sequence[Keyframe], poses: Sequence[Tensor], *, invert: bool) -> Losses:
-        """The objective on B pixels of each keyframe, seen from `poses`; remembers how the loss is spread over the image."""
-        pixels = [self._draw(k, invert=invert) for k in keyframes]
-        rays = join([cast(k, uv, T) for k, uv, T in zip(keyframes, pixels, poses)])
-        losses = self.objective(self.field, rays, self.generator)
-        for keyframe, uv, per_ray in zip(keyframes, pixels, losses.per_ray.split([len(uv) for uv in pixels])):
-            height, width = keyframe.depth.shape
-            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, uv, per_ray, height, width)
-        return losses
-
-    def _draw(self, keyframe: Keyframe, *, invert: bool) -> Tensor:
-        """B pixels of a keyframe (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
+    def _draw(self, keyframe: Keyframe, steps: int, *, invert: bool) -> Tensor:
+        """B pixels of a keyframe for each of `steps` (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
         cells = self.config.cells
         if keyframe.pixels is None or keyframe.cell_losses is None:
             keyframe.pixels = group_pixels(keyframe.depth > 0, cells)
             keyframe.cell_losses = initial_cell_losses(cells, self.device)
-        even = torch.ones_like(keyframe.cell_losses)
-        shares = cell_shares(keyframe.cell_losses if self.config.active_sampling else even, invert=invert)
-        return draw_pixels(keyframe.pixels, shares, self.config.pixels, self.generator)
+        losses = keyframe.cell_losses if self.config.active_sampling else torch.ones_like(keyframe.cell_losses)
+        drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), self.config.pixels * steps, self.generator)
+        return drawn[torch.randperm(len(drawn), generator=self.generator, device=self.device)] if steps > 1 else drawn
+
+    def _remember(self, keyframes: Sequence[Keyframe], pixels: Sequence[Tensor], losses: Losses) -> None:
+        """How the loss is spread over each image, for active sampling."""
+        if not self.config.active_sampling:
+            return
+        for keyframe, uv, per_ray in zip(keyframes, pixels, losses.per_ray.split([len(uv) for uv in pixels])):
+            assert keyframe.cell_losses is not None
+            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, uv, per_ray, *keyframe.depth.shape)
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:

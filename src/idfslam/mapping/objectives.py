@@ -1,5 +1,6 @@
 """What the map is taught from: volume rendering as in the paper, or the samples themselves."""
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
@@ -7,15 +8,23 @@ from torch import Tensor
 
 from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
-from idfslam.mapping.losses import Losses, LossWeights, rendering_losses, sample_losses
+from idfslam.mapping.fused import fusable
+from idfslam.mapping.fused import learn as fused_learn
+from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render, stratified_depths
 
 
 class Objective(Protocol):
-    """A loss of the field over rays; differentiable in the field's weights and in the rays (so in their poses)."""
+    """A loss of the field over rays."""
 
-    def __call__(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses: ...
+    def __call__(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
+        """Differentiable in the field's weights and in the rays (so in their poses)."""
+        ...
+
+    def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
+        """The loss, its gradients added to the field's."""
+        ...
 
 
 def loss_weights(config: MapperConfig) -> LossWeights:
@@ -35,6 +44,12 @@ class RenderingObjective:
         rendered = render(field, rays.origins, rays.directions, far, self.march, generator=generator)
         return rendering_losses(rendered, rays.colour, rays.depth, self.march.truncation, self.weights)
 
+    def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
+        """The loss, its gradients added to the field's."""
+        losses = self(field, rays, generator)
+        losses.total.backward()
+        return losses
+
 
 def far_depth(rays: Rays, truncation: float) -> Tensor:
     """Where to stop (B,) [m]: twice the truncation behind the measured surface; without a reading, behind the farthest of all."""
@@ -42,8 +57,16 @@ def far_depth(rays: Rays, truncation: float) -> Tensor:
     return torch.where(rays.depth > 0, rays.depth, farthest) + 2 * truncation
 
 
-import os
-EXPO = float(os.environ.get("EXPO", "0.5"))
+@dataclass(frozen=True)
+class Samples:
+    """Points along B rays with what the field should say there; the first `near` are about the surface, the rest in free space."""
+
+    points: Tensor  # (N, 3) [m]
+    near: int  # B * S of the N points
+    target: Tensor  # (N,) T-SDF [tr]; in free space: unused
+    weight: Tensor  # (N,) of the T-SDF's residual; they sum to the share of their loss
+    colour: Tensor  # (near, 3)
+    colour_weight: Tensor  # (near,)
 
 
 class SampleObjective:
@@ -57,22 +80,48 @@ class SampleObjective:
         self.config, self.truncation = config, truncation
 
     def __call__(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
+        samples = self.samples(rays, generator)
+        sdf, colour = field(samples.points[: samples.near])
+        free_sdf = field.sdf(samples.points[samples.near :])
+        residual = torch.cat([sdf - samples.target[: samples.near], (free_sdf - self.config.free_margin).clamp(max=0)])
+        terms = samples.weight * residual**2
+        colour_terms = (colour - samples.colour).abs().mean(-1)
+        return self._losses(samples, len(rays), terms, colour_terms)
+
+    def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
+        """The loss, its gradients added to the field's; fused where the field allows."""
+        if fusable(field):
+            samples = self.samples(rays, generator)
+            terms, colour_terms = fused_learn(field, samples, self.config.free_margin)
+            return self._losses(samples, len(rays), terms, colour_terms)
+        losses = self(field, rays, generator)
+        losses.total.backward()
+        return losses
+
+    def samples(self, rays: Rays, generator: torch.Generator) -> Samples:
+        """S near the surface, the first of them on it, and S' in free space, of each ray."""
         c, tr = self.config, self.truncation
-        depth = rays.depth[:, None]
-        span = torch.full_like(rays.depth, 2 * tr)
-        near = depth - tr + stratified_depths(0.0, span, c.samples, generator)
+        depth, count = rays.depth[:, None], len(rays)
+        near = depth - tr + stratified_depths(0.0, torch.full_like(rays.depth, 2 * tr), c.samples, generator)
         near[:, 0] = rays.depth
         free = stratified_depths(0.05, (rays.depth - tr).clamp(min=0.1), c.importance_samples, generator)
-        sdf, colour = field(_points(rays, near))
-        free_sdf = field.sdf(_points(rays, free)).view(free.shape)
-        target = ((depth - near) * rays.facing[:, None] / tr).clamp(-1, 1)
-        certainty = 1 / noise_ratio(rays.depth)
-        residual = (sdf.view(near.shape) - target) * certainty[:, None] ** EXPO
-        truncation_term = (residual**2).mean(1)
-        free_term = torch.relu(c.free_margin - free_sdf).square().mean(1)
-        colour_term = (colour.view(*near.shape, 3) - rays.colour[:, None]).abs().mean((1, 2))
-        per_ray = c.truncation_weight * truncation_term + c.free_space_weight * free_term + c.photometric_weight * colour_term
-        return Losses(per_ray.mean(), colour_term.mean(), free_term.mean(), truncation_term.mean(), per_ray.detach())
+        points = torch.cat([_points(rays, near), _points(rays, free)])
+        target = ((depth - near) * rays.facing[:, None] / tr).clamp(-1, 1).flatten()
+        certainty = noise_ratio(rays.depth) ** -c.certainty
+        certainty = certainty / certainty.mean().clamp(min=1e-6)
+        weight = (c.truncation_weight / near.numel() * certainty)[:, None].expand_as(near).flatten()
+        free_weight = torch.full((free.numel(),), c.free_space_weight / max(free.numel(), 1), device=points.device)
+        colour = rays.colour[:, None].expand(count, c.samples, 3).reshape(-1, 3)
+        colour_weight = torch.full((near.numel(),), c.photometric_weight / near.numel(), device=points.device)
+        return Samples(points, near.numel(), torch.cat([target, torch.ones_like(free_weight)]), torch.cat([weight, free_weight]), colour, colour_weight)
+
+    def _losses(self, samples: Samples, rays: int, terms: Tensor, colour_terms: Tensor) -> Losses:
+        near, free = terms[: samples.near], terms[samples.near :]
+        photometric = samples.colour_weight * colour_terms
+        per_ray = (near + photometric).view(rays, -1).sum(1) + free.view(rays, -1).sum(1)
+        c = self.config
+        share = [photometric.sum() / c.photometric_weight, free.sum() / c.free_space_weight, near.sum() / c.truncation_weight]
+        return Losses(per_ray.sum(), *share, per_ray.detach() * rays)
 
 
 def _points(rays: Rays, depths: Tensor) -> Tensor:

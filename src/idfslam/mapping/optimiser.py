@@ -40,11 +40,11 @@ class MapOptimiser:
             sparse_adam(self.grid.tables.detach(), self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=self.config.table_rate)
 
     def grow(self) -> bool:
-        """Double the tables when they fill up, with the optimiser's memory; the map stays the same function."""
-        if self.grid is None or self.grid.tables.shape[1] >= 2**self.grid.table_log2_max or float(load(self.v).max()) < 0.5:
+        """Double the tables when they fill up; the map stays the same function."""
+        if self.grid is None or self.grid.tables.shape[1] >= 2**self.field.config.table_log2_max or float(load(self.v).max()) < 0.5:
             return False
         self.grid.grow()
-        self.m, self.v = torch.cat([self.m, self.m], 1), torch.cat([self.v, self.v], 1)
+        self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)  # the load counts anew
         return True
 
     @contextmanager

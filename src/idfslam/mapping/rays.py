@@ -33,6 +33,10 @@ class Rays:
     def __len__(self) -> int:
         return len(self.depth)
 
+    def every(self, step: int, first: int) -> "Rays":
+        """Each `step`-th ray from `first` on."""
+        return Rays(*(getattr(self, name)[first::step] for name in Rays.__dataclass_fields__))
+
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""

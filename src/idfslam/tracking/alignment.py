@@ -13,7 +13,8 @@ from torch import Tensor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.mapping.field import Field
+from idfslam.mapping.field import Field, FieldSample
+from idfslam.mapping.fused import sampler
 from idfslam.mapping.objectives import noise_ratio
 from idfslam.mapping.rays import View
 
@@ -35,18 +36,8 @@ class Alignment:
         return self.overlap / (self.rmse + 0.005)
 
 
-@dataclass(frozen=True)
-class MapSample:
-    """The map at N points: what alignment needs of it."""
-
-    distance: Tensor  # (N,) signed distance [m]
-    distance_gradient: Tensor  # (N, 3) [1]
-    luminance: Tensor  # (N,) in [0, 1]
-    luminance_gradient: Tensor  # (N, 3) [1/m]
-
-
-MapQuery = Callable[[Tensor], MapSample]
-"""Points (N, 3) [m] in the world -> MapSample."""
+MapQuery = Callable[[Tensor], FieldSample]
+"""Points (N, 3) [m] in the world -> FieldSample."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +146,7 @@ class Aligner:
 
     def __init__(self, config: AlignmentConfig, field: Field, generator: torch.Generator) -> None:
         self.config, self.field, self._generator = config, field, generator
+        self.query = sampler(field)
 
     def surface(self, view: View) -> Surface:
         """Points of a view, one in each of about `config.points` equal patches, at random within it; patches without depth give none."""
@@ -169,17 +161,6 @@ class Aligner:
         v, u, depth = v[keep], u[keep], depth[keep]
         points = view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
         return Surface(points, view.colour[v, u].mean(-1), noise_ratio(depth))
-
-    def query(self, points: Tensor) -> MapSample:
-        """The field and its slopes at world points (N, 3)."""
-        points = points.detach().requires_grad_(True)
-        with torch.enable_grad():
-            sdf, colour = self.field(points)
-            luminance = colour.mean(-1)
-            (d_sdf,) = torch.autograd.grad(sdf.sum(), points, retain_graph=True)
-            (d_luminance,) = torch.autograd.grad(luminance.sum(), points)
-        truncation = self.field.config.truncation
-        return MapSample(sdf.detach() * truncation, d_sdf * truncation, luminance.detach(), d_luminance)
 
     def align(self, view: View, T_guess: Tensor) -> Alignment:
         """The view's pose near `T_guess` (4, 4); LOST if it has no depth."""

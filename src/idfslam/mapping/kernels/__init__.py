@@ -1,5 +1,5 @@
 """Kernels of the grid encoding: one contract, implemented in plain torch, Numba and Triton."""
 
-from idfslam.mapping.kernels.grid import Implementation, grid_encode, grid_jacobian, load, sparse_adam
+from idfslam.mapping.kernels.grid import Implementation, grid_encode, grid_jacobian, grid_scatter, load, sparse_adam
 
-__all__ = ["Implementation", "grid_encode", "grid_jacobian", "load", "sparse_adam"]
+__all__ = ["Implementation", "grid_encode", "grid_jacobian", "grid_scatter", "load", "sparse_adam"]

@@ -50,6 +50,16 @@ def grid_jacobian(points: Tensor, tables: Tensor, cells: Tensor, *, implementati
 
 
 @torch.no_grad()
+def grid_scatter(
+    points: Tensor, cells: Tensor, grad_features: Tensor, into: Tensor, *, implementation: Implementation | None = None
+) -> None:
+    """Add to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd."""
+    kernels = _kernels(points.device, implementation)
+    _check(points, into, cells, any_dtype=kernels is torch_grid)
+    kernels.backward_tables(points.contiguous(), cells, grad_features.contiguous(), into)
+
+
+@torch.no_grad()
 def sparse_adam(
     tables: Tensor,
     grad: Tensor,

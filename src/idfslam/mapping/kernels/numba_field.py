@@ -1,0 +1,212 @@
+"""The small network on the feature grid, on the CPU: one hidden layer, T-SDF and colour, compiled by Numba.
+
+Between a grid's features and a loss the network's own arithmetic is small; what costs is writing every layer's output to memory and
+waking threads for every layer. Here points go through the whole network, and back, in blocks that stay in the first-level
+cache, transposed so that each loop runs over points and vectorises. `tests/test_numba_field.py` holds it against torch's autograd.
+
+Sums over points are gathered in a fixed number of parts, whatever the number of threads, so that results repeat exactly.
+"""
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+BLOCK = 64  # points: the block's activations fill half of the first-level cache
+PARTS = 8  # separate sums of the weights' gradients
+
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
+
+
+@_inlined
+def _transpose(rows: Floats, start: int, count: int, columns: Floats) -> None:
+    """Rows start .. start + count of (N, K) as columns of (K, BLOCK); the rest of the block is zero."""
+    for i in range(count):
+        for k in range(columns.shape[0]):
+            columns[k, i] = rows[start + i, k]
+    for k in range(columns.shape[0]):
+        for i in range(count, BLOCK):
+            columns[k, i] = _ZERO
+
+
+@_inlined
+def _linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
+    """y (O, BLOCK) = weight (O, K) x (K, BLOCK) + bias (O,)."""
+    for o in range(weight.shape[0]):
+        for p in range(BLOCK):
+            y[o, p] = bias[o]
+        for k in range(0, weight.shape[1], 4):
+            a, b, c, d = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
+            for p in range(BLOCK):
+                y[o, p] += a * x[k, p] + b * x[k + 1, p] + c * x[k + 2, p] + d * x[k + 3, p]
+
+
+@_inlined
+def _relu(x: Floats) -> None:
+    for k in range(x.shape[0]):
+        for p in range(BLOCK):
+            x[k, p] = max(x[k, p], _ZERO)
+
+
+@_inlined
+def _linear_back(weight: Floats, g_y: Floats, g_x: Floats) -> None:
+    """g_x (K, BLOCK) = weight^T g_y."""
+    for k in range(weight.shape[1]):
+        for p in range(BLOCK):
+            g_x[k, p] = _ZERO
+        for o in range(0, weight.shape[0] - 3, 4):
+            a, b, c, d = weight[o, k], weight[o + 1, k], weight[o + 2, k], weight[o + 3, k]
+            for p in range(BLOCK):
+                g_x[k, p] += a * g_y[o, p] + b * g_y[o + 1, p] + c * g_y[o + 2, p] + d * g_y[o + 3, p]
+        for o in range(weight.shape[0] // 4 * 4, weight.shape[0]):
+            for p in range(BLOCK):
+                g_x[k, p] += weight[o, k] * g_y[o, p]
+
+
+@_inlined
+def _masked(g: Floats, activation: Floats) -> None:
+    """The gradient where relu let through."""
+    for k in range(g.shape[0]):
+        for p in range(BLOCK):
+            g[k, p] = g[k, p] if activation[k, p] > _ZERO else _ZERO
+
+
+@_inlined
+def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats, g_bias: Floats) -> None:
+    for o in range(g_y.shape[0]):
+        total = _ZERO
+        for p in range(BLOCK):
+            total += g_y[o, p]
+        g_bias[o] += total
+        for k in range(x.shape[0]):
+            total = _ZERO
+            for p in range(BLOCK):
+                total += g_y[o, p] * x[k, p]
+            g_weight[o, k] += total
+
+
+@_inlined
+def _sigmoid(x: Floats) -> None:
+    for k in range(x.shape[0]):
+        for p in range(BLOCK):
+            x[k, p] = _ONE / (_ONE + np.exp(-x[k, p]))
+
+
+@_parallel
+def evaluate(  # type: ignore[no-untyped-def]
+    features, slopes, w1, b1, ws, bs, wc1, bc1, wc2, bc2, distance, d_distance, luminance, d_luminance
+) -> None:
+    """T-SDF (N,) [tr], mean colour (N,), and their derivatives (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
+    inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
+    for block in prange((len(features) + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        count = min(len(features) - start, BLOCK)
+        x, h, g_h = np.empty((inputs, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
+        c, g_c, o = np.empty((colours, BLOCK), np.float32), np.empty((colours, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
+        g_s, g_l, s = np.empty((inputs, BLOCK), np.float32), np.empty((inputs, BLOCK), np.float32), np.empty((1, BLOCK), np.float32)
+        _transpose(features, start, count, x)
+        _linear(w1, b1, x, h)
+        _relu(h)
+        _linear(ws, bs, h, s)
+        for k in range(hidden):
+            for p in range(BLOCK):
+                g_h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
+        _linear_back(w1, g_h, g_s)
+        _linear(wc1, bc1, h, c)
+        _relu(c)
+        _linear(wc2, bc2, c, o)
+        _sigmoid(o)
+        for p in range(count):
+            distance[start + p] = s[0, p]
+            luminance[start + p] = (o[0, p] + o[1, p] + o[2, p]) / np.float32(3)
+        for k in range(3):
+            for p in range(BLOCK):
+                o[k, p] = o[k, p] * (_ONE - o[k, p]) / np.float32(3)
+        _linear_back(wc2, o, g_c)
+        _masked(g_c, c)
+        _linear_back(wc1, g_c, g_h)
+        _masked(g_h, h)
+        _linear_back(w1, g_h, g_l)
+        for p in range(count):
+            for axis in range(3):
+                a, b = _ZERO, _ZERO
+                for k in range(inputs):
+                    a += g_s[k, p] * slopes[start + p, k, axis]
+                    b += g_l[k, p] * slopes[start + p, k, axis]
+                d_distance[start + p, axis] = a
+                d_luminance[start + p, axis] = b
+
+
+@_parallel
+def learn(  # type: ignore[no-untyped-def]
+    features, coloured, target, weight, margin, target_colour, colour_weight,
+    w1, b1, ws, bs, wc1, bc1, wc2, bc2,
+    g_features, g_w1, g_b1, g_ws, g_bs, g_wc1, g_bc1, g_wc2, g_bc2, loss, colour_loss,
+) -> None:  # fmt: skip
+    """Losses (N,) of T-SDF and (coloured,) of colour, and the gradients of the sum of `loss` and `colour_weight colour_loss`.
+
+    The first `coloured` samples are near the surface: loss = weight (t - s)^2, colour_loss = the mean absolute difference of colour;
+    the rest is free space: loss = weight max(margin - s, 0)^2. Gradients of the network's weights come in PARTS to be added up.
+    """
+    inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
+    n = len(features)
+    near_blocks = (coloured + BLOCK - 1) // BLOCK
+    blocks = near_blocks + (n - coloured + BLOCK - 1) // BLOCK
+    for part in prange(PARTS):
+        x, h, g_h = np.empty((inputs, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
+        c, g_c, o = np.empty((colours, BLOCK), np.float32), np.empty((colours, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
+        g_x, s, g_more = np.empty((inputs, BLOCK), np.float32), np.empty((1, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
+        for block in range(part, blocks, PARTS):
+            near = block < near_blocks
+            start = block * BLOCK if near else coloured + (block - near_blocks) * BLOCK
+            count = min((coloured if near else n) - start, BLOCK)
+            _transpose(features, start, count, x)
+            _linear(w1, b1, x, h)
+            _relu(h)
+            _linear(ws, bs, h, s)
+            for p in range(count):
+                residual = s[0, p] - target[start + p] if near else min(s[0, p] - margin, _ZERO)
+                loss[start + p] = weight[start + p] * residual * residual
+                s[0, p] = np.float32(2) * weight[start + p] * residual
+            for p in range(count, BLOCK):
+                s[0, p] = _ZERO
+            _weight_gradient(s, h, g_ws[part], g_bs[part])
+            for k in range(hidden):
+                for p in range(BLOCK):
+                    g_h[k, p] = ws[0, k] * s[0, p]
+            if near:
+                _linear(wc1, bc1, h, c)
+                _relu(c)
+                _linear(wc2, bc2, c, o)
+                _sigmoid(o)
+                for p in range(count):
+                    total = _ZERO
+                    for k in range(3):
+                        value = o[k, p]
+                        difference = value - target_colour[start + p, k]
+                        total += abs(difference)
+                        sign = _ONE if difference > _ZERO else -_ONE
+                        o[k, p] = colour_weight[start + p] / np.float32(3) * sign * value * (_ONE - value)
+                    colour_loss[start + p] = total / np.float32(3)
+                for k in range(3):
+                    for p in range(count, BLOCK):
+                        o[k, p] = _ZERO
+                _weight_gradient(o, c, g_wc2[part], g_bc2[part])
+                _linear_back(wc2, o, g_c)
+                _masked(g_c, c)
+                _weight_gradient(g_c, h, g_wc1[part], g_bc1[part])
+                _linear_back(wc1, g_c, g_more)
+                for k in range(hidden):
+                    for p in range(BLOCK):
+                        g_h[k, p] += g_more[k, p]
+            _masked(g_h, h)
+            _weight_gradient(g_h, x, g_w1[part], g_b1[part])
+            _linear_back(w1, g_h, g_x)
+            for p in range(count):
+                for k in range(inputs):
+                    g_features[start + p, k] = g_x[k, p]
