@@ -76,7 +76,7 @@ def test_validation() -> None:
             Trajectory(np.arange(3), bad)
     mirrored = good.copy()
     mirrored[2, :3, :3] *= -1
-    with pytest.raises(TrajectoryError, match="pose 2 .* det R = -1"):
+    with pytest.raises(TrajectoryError, match=r"pose 2 .* det R = -1"):
         Trajectory(np.arange(3), mirrored)
     assert len(Trajectory(np.zeros(0), np.zeros((0, 4, 4)))) == 0
 

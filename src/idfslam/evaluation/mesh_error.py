@@ -3,9 +3,9 @@
 What counts as surface differs between publications and moves the numbers by centimetres, so every number carries its protocol's name:
 
 - `seen` (ours, the default): what the recording shows. Reconstruction: faces in a frustum and unoccluded (its own depth, margin 3 cm).
-  Truth: the same, and each sampled point itself must be seen. All evaluated frames, depth range 0.1 to 10 m. Distances are to the
-  surface, not to sampled points, so that a perfect reconstruction has accuracy 0 (between two sets of 200 000 points on 150 m^2 it is
-  1.4 cm). Depth L1 over pixels where both have a surface, the share of the rest beside it.
+  Completion: true points that are seen by the same rule. All evaluated frames, depth range 0.1 to 10 m. Distances are to the surface,
+  for the accuracy to all of the true one, not to sampled points, so that a perfect reconstruction has accuracy 0 (between two sets of
+  200 000 points on 150 m^2 it is 1.4 cm). Depth L1 over pixels where both have a surface, the share of the rest beside it.
 - `nice` (NICE-SLAM): faces in a frustum, no occlusion test; then ICP, point to point, 0.1 m. All frames, no far plane.
 - `neural-rgbd` (Neural RGB-D, GO-Surf): faces in a frustum and unoccluded by the mesh itself, margin 3 cm, 0.01 to 10 m, every second
   frame.
@@ -34,6 +34,7 @@ from idfslam.geometry.trajectory import align
 
 Floats = NDArray[np.float64]
 _WITHIN = 0.05  # [m] distance up to which a true point counts as found
+_CANDIDATES = 8  # triangles near a point to which its distance is measured
 
 
 @dataclass(frozen=True)
@@ -47,15 +48,14 @@ class Protocol:
     stride: int = 1  # of the recorded frames
     virtual: int = 0  # positions of virtual views
     icp: bool = False
-    points: bool = False  # whether a true point must itself be seen, not only a vertex of its face
-    exact: bool = False  # distances to the other surface, not to points sampled on it
+    exact: bool = False  # distances to the surface, not to points on it; a true point must itself be seen, not only a vertex of its face
     missing_is_zero: bool = True  # depth L1 counts pixels without reconstruction with depth 0
 
 
 PROTOCOLS = {
     p.name: p
     for p in (
-        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, points=True, exact=True, missing_is_zero=False),
+        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, exact=True, missing_is_zero=False),
         Protocol("nice", Visibility(0.0, np.inf, 0.0), occlusion=False, icp=True),
         Protocol("neural-rgbd", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2),
         Protocol("coslam", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2, virtual=20),
@@ -103,23 +103,20 @@ def mesh_error(
     _check_mesh(reconstruction, "reconstruction")
     _check_mesh(truth, "true mesh")
     moved = reconstruction.copy().apply_transform(np.eye(4) if T_gt_est is None else T_gt_est)
-    truth_caster, fine_truth = RayCaster(truth), subdivided(truth)
+    truth_caster, fine_truth, fine = RayCaster(truth), subdivided(truth), subdivided(moved)
     kept_truth = _cull(fine_truth, truth_caster, truth_caster, known, camera, chosen, seed, "true mesh")
-    fine = subdivided(moved)
     kept = submesh(fine, _cull(fine, RayCaster(moved), truth_caster, known, camera, chosen, seed, "reconstruction"))
-    true_points = _sample(submesh(fine_truth, kept_truth), samples, seed)
-    if chosen.points:
-        true_points = true_points.where(
-            in_any_view(true_points.points, known[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
-        )
-    points, shift = _sample(kept, samples, seed + 1), 0.0
-    if chosen.icp:
-        T = icp(points.points, true_points.points, threshold=0.1)
-        shift = float(np.linalg.norm(T[:3, :3] @ points.points.mean(0) + T[:3, 3] - points.points.mean(0)))
-        points = points.moved(T)
-        kept.apply_transform(T)
-    accuracy = _distances(points, true_points, exact=chosen.exact)
-    completion = _distances(true_points, points, exact=chosen.exact)
+    points, true_points = _sample(kept, samples, seed + 1), _sample(submesh(fine_truth, kept_truth), samples, seed)
+    T = icp(points.points, true_points.points, threshold=0.1) if chosen.icp else np.eye(4)
+    points, kept = points.moved(T), kept.apply_transform(T)
+    if chosen.exact:
+        seen = in_any_view(true_points.points, known[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
+        # Surface that is true is no error, seen or not
+        accuracy = _to_triangles(points.points, _sample(fine_truth, samples, seed), fine_truth)
+        completion = _to_triangles(true_points.points[seen], points, kept)
+    else:
+        accuracy = cKDTree(true_points.points).query(points.points, workers=-1)[0]
+        completion = cKDTree(points.points).query(true_points.points, workers=-1)[0]
     depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, known, views=views, seed=seed)
     return MeshError(
         protocol=chosen.name,
@@ -130,7 +127,7 @@ def mesh_error(
         depth_missing=None if depth is None else depth.missing,
         samples=samples,
         views=0 if depth is None else depth.views,
-        icp_shift=shift,
+        icp_shift=float(np.linalg.norm(T[:3, 3] + (T[:3, :3] - np.eye(3)) @ points.points.mean(0))),
     )
 
 
@@ -175,9 +172,6 @@ class _Samples:
     points: Floats
     triangles: Floats
 
-    def where(self, kept: NDArray[np.bool_]) -> "_Samples":
-        return _Samples(self.points[kept], self.triangles[kept])
-
     def moved(self, T: Floats) -> "_Samples":
         R_t, t = T[:3, :3].T, T[:3, 3]
         return _Samples(self.points @ R_t + t, self.triangles @ R_t + t)
@@ -189,16 +183,17 @@ def _sample(mesh: trimesh.Trimesh, count: int, seed: int) -> _Samples:
     return _Samples(np.asarray(points), np.asarray(mesh.triangles[faces]))
 
 
-def _distances(source: _Samples, target: _Samples, *, exact: bool) -> Floats:
-    """(N,) from the source's points to the nearest of the target's points or, if exact, to the triangles of the nearest four."""
-    tree = cKDTree(target.points)
-    if not exact:
-        return tree.query(source.points, workers=-1)[0]
-    nearest = tree.query(source.points, k=min(4, len(target.points)), workers=-1)[1].reshape(len(source.points), -1)
-    result = np.full(len(source.points), np.inf)
-    for column in nearest.T:
-        closest = trimesh.triangles.closest_point(target.triangles[column], source.points)
-        result = np.minimum(result, np.linalg.norm(closest - source.points, axis=-1))
+def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Floats:
+    """(N,) distances [m] from points (N, 3) to the nearest triangle of the mesh, of which `target` are samples.
+
+    Looked for among the triangles of the nearest samples (which find large ones) and of the nearest centres (which find small ones).
+    """
+    every = np.asarray(mesh.triangles)
+    triangles = np.concatenate([target.triangles, every])
+    tree = cKDTree(np.concatenate([target.points, every.mean(1)]))
+    result = np.full(len(points), np.inf)
+    for column in tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1].T:
+        result = np.minimum(result, np.linalg.norm(trimesh.triangles.closest_point(triangles[column], points) - points, axis=-1))
     return result
 
 

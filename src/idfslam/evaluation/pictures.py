@@ -16,7 +16,7 @@ from idfslam.geometry.camera import Camera
 Floats = NDArray[np.floating]
 _LAYERS = 12  # back faces a ray passes before it is given up
 _STEP = 1e-4  # [m] past a back face
-_OCCLUSION_RAYS = 12  # a pixel
+_OCCLUSION_RAYS = 16  # a pixel of the finished picture
 _OCCLUSION_REACH = 0.4  # [m]
 
 
@@ -30,6 +30,7 @@ class Shading:
     supersample: int = 2
 
 
+_WIDE = Camera(1280, 960, 1400.0, 1400.0, 639.5, 479.5)
 _PLAIN = Shading(background=(0.0, 0.0, 0.0), ambient=1.0, occlusion=0.0)
 
 
@@ -96,7 +97,11 @@ class Picture:
         normal = self._facing((self._smooth[corners] * w).sum(1), self._normals[face[hit]], rays[hit])
         light = shading.ambient + (1 - shading.ambient) * np.abs((normal * _unit(rays[hit])).sum(-1))
         if shading.occlusion:
-            light = light * (1 - shading.occlusion * self._occlusion(origins[hit] + rays[hit] * distance[hit, None], normal))
+            light = light * (
+                1
+                - shading.occlusion
+                * self._occlusion(origins[hit] + rays[hit] * distance[hit, None], normal, max(1, _OCCLUSION_RAYS // shading.supersample**2))
+            )
         image = np.empty((len(rays), 3), np.float32)
         image[:] = shading.background
         image[hit] = np.clip(rgb * light[:, None], 0, 1)
@@ -108,17 +113,17 @@ class Picture:
         normal = np.where(np.linalg.norm(smooth, axis=-1, keepdims=True) > 1e-3, smooth, flat)
         return _unit(np.where((normal * rays).sum(-1, keepdims=True) > 0, -normal, normal))
 
-    def _occlusion(self, points: Floats, normals: Floats) -> Floats:
+    def _occlusion(self, points: Floats, normals: Floats, rays_each: int) -> Floats:
         """(N,) share of the hemisphere's light (cosine-weighted) that surface nearer than the reach takes away; nearer takes more."""
         generator = np.random.default_rng(0)
         taken = np.zeros(len(points), np.float32)
         origins = points + normals * 2e-3
-        for _ in range(_OCCLUSION_RAYS):
+        for _ in range(rays_each):
             sphere = _unit(generator.normal(size=points.shape).astype(np.float32))
             rays = _unit(normals + 0.999 * sphere)
             distance = self._caster.cast(origins, rays).distance
             taken += np.clip(1 - distance / _OCCLUSION_REACH, 0, 1)
-        return taken / _OCCLUSION_RAYS
+        return taken / rays_each
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -185,10 +190,16 @@ def overview_pose(
 
 
 def draw_mesh(
-    mesh: trimesh.Trimesh, folder: Path, *, poses: NDArray[np.float64], camera: Camera, views: int = 3, stem: str = "mesh"
+    mesh: trimesh.Trimesh,
+    folder: Path,
+    *,
+    poses: NDArray[np.float64],
+    camera: Camera,
+    views: int = 3,
+    stem: str = "mesh",
+    wide: Camera = _WIDE,
 ) -> list[Path]:
-    """Writes STEM_overview.png (from outside, into the room) and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
-    wide = Camera(1280, 960, 1400.0, 1400.0, 639.5, 479.5)
+    """Writes STEM_overview.png (from outside, into the room, with the camera `wide`) and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
     pictures = {f"{stem}_overview.png": (Picture(mesh, inside=poses[:, :3, 3]), overview_pose(mesh, poses, wide), wide)}
     both_sides = Picture(mesh)
     for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):

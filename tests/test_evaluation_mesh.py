@@ -1,0 +1,224 @@
+"""Mesh errors on boxes whose numbers can be worked by hand; what each protocol counts; pictures; whole result folders."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError, IdfSlamError, ResultError
+from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
+from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
+from idfslam.evaluation.pictures import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
+from idfslam.evaluation.raycasting import RayCaster, render_depth
+from idfslam.evaluation.report import table
+from idfslam.evaluation.result import evaluate, load_mesh
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.trajectory import Trajectory, save_tum
+
+CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
+FEW = {"samples": 20_000, "views": 20}
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def room(size: tuple[float, float, float] = (4.0, 3.0, 2.5)) -> trimesh.Trimesh:
+    return trimesh.creation.box(size)
+
+
+def turning(count: int = 48) -> NDArray[np.float64]:
+    """Cameras that circle the middle of the room and look outwards, tilted down and up in turns: all surface is seen."""
+    poses = []
+    for i, angle in enumerate(np.linspace(0, 4 * np.pi, count, endpoint=False)):
+        out, tilt = np.array([np.cos(angle), np.sin(angle), 0.0]), 0.35 * DOWN * (-1) ** (i // (count // 2))
+        poses.append(looking_at(out + tilt, 0.3 * out, -DOWN))
+    poses += [looking_at(DOWN * s, np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])) for s in (1, -1)]
+    return np.array(poses)
+
+
+def error(reconstruction: trimesh.Trimesh, **options: object) -> MeshError:
+    return mesh_error(reconstruction, room(), poses=turning(), camera=CAMERA, **{**FEW, **options})  # type: ignore[arg-type]
+
+
+def test_a_perfect_reconstruction_has_no_error() -> None:
+    e = error(room())
+    assert e.protocol == "seen"
+    assert e.accuracy < 1e-6 and e.completion < 1e-6 and e.completion_ratio == 1
+    assert e.depth_l1 is not None and e.depth_l1 < 1e-5 and e.depth_missing == 0
+
+
+def test_a_larger_room_by_hand() -> None:
+    # Every wall 2 cm further out: accuracy 2 cm but for the edges (at most sqrt(2) there), completion 2 cm likewise
+    e = error(room((4.04, 3.04, 2.54)))
+    assert e.accuracy == pytest.approx(0.02, rel=0.02) and e.completion == pytest.approx(0.02, rel=0.02)
+    assert e.completion_ratio == 1
+    # Along a ray depth grows by at least 2 cm / cos(angle to the wall), in z-depth by 2 cm where the camera faces the wall
+    assert e.depth_l1 is not None and 0.02 < e.depth_l1 < 0.06
+
+
+def test_a_missing_floor_by_hand() -> None:
+    # The floor is 12 of the room's 2 * (12 + 10 + 7.5) = 59 m^2. Its points within 5 cm of a wall still count: a rim of
+    # 12 - 3.9 * 2.9 = 0.69 m^2. So the ratio is 1 - 11.31 / 59 = 0.808; accuracy stays 0
+    box = room()
+    open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] > -0.5], process=False)
+    e = error(open_box, samples=40_000)
+    assert e.accuracy < 1e-4
+    assert e.completion_ratio == pytest.approx(1 - 11.31 / 59, abs=0.01)
+    assert e.depth_missing is not None and 0.03 < e.depth_missing < 0.5
+    nice = error(open_box, protocol="neural-rgbd")
+    assert nice.depth_l1 is not None and nice.depth_l1 > 0.05  # missing surface counts with depth 0 there
+
+
+def test_the_reconstruction_is_moved_by_the_alignment() -> None:
+    T = looking_at(np.array([1.0, 0.2, 0.3]), np.array([0.5, 2.0, 0.0]), -DOWN)
+    assert error(room().apply_transform(np.linalg.inv(T)), T_gt_est=T).accuracy < 1e-6
+
+
+def test_same_seed_same_numbers() -> None:
+    rough = trimesh.permutate.noise(subdivided(room(), max_edge=0.3), 0.01)
+    assert error(rough) == error(rough)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_every_protocol_on_a_perfect_reconstruction(protocol: str) -> None:
+    # Between two sets of n points on an area A the mean nearest distance is sqrt(A / n) / 2 = 2.7 cm here, but 0 for ours
+    e = error(room(), protocol=protocol)
+    assert e.protocol == protocol
+    assert e.accuracy == pytest.approx(0 if protocol == "seen" else 0.5 * (59 / 20_000) ** 0.5, abs=2e-3)
+    assert e.depth_l1 == pytest.approx(0, abs=2e-3)
+
+
+def test_icp_of_nice_takes_out_a_shift() -> None:
+    shifted = room().apply_translation([0.03, -0.02, 0.01])
+    e = error(shifted, protocol="nice")
+    assert e.icp_shift == pytest.approx((9 + 4 + 1) ** 0.5 / 100, abs=0.004)
+    assert e.accuracy < error(shifted, protocol="neural-rgbd").accuracy + 1e-3
+
+
+def test_icp_recovers_a_small_motion_and_leaves_far_points() -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (2000, 3))
+    T = trimesh.transformations.rotation_matrix(0.01, [1, 2, 3])
+    T[:3, 3] = [0.01, 0.0, -0.01]
+    assert np.abs(icp(points, points @ T[:3, :3].T + T[:3, 3], threshold=0.1) - T).max() < 1e-6
+    assert np.array_equal(icp(points, points + 100, threshold=0.1), np.eye(4))
+
+
+def half_recording() -> NDArray[np.float64]:
+    """Cameras that see the wall at x = +2 alone."""
+    return np.array([looking_at(np.array([1.0, y, 0.0]), np.array([0.5, y, 0.0]), -DOWN) for y in (-0.2, 0.0, 0.2)])
+
+
+def test_only_what_was_seen_counts_as_truth() -> None:
+    wall = trimesh.Trimesh(room().vertices, room().faces[room().face_normals[:, 0] > 0.5], process=False)
+    seen = mesh_error(subdivided(wall), room(), poses=half_recording(), camera=CAMERA, **FEW)  # type: ignore[arg-type]
+    # 1.5 m from the wall the image spans 64 / 40 * 1.5 = 2.4 m, + 0.4 m of motion, x 48 / 40 * 1.5 = 1.8 m: nothing but the wall
+    assert seen.completion_ratio == 1 and seen.accuracy < 1e-4 and seen.depth_missing == 0
+
+
+def test_frustum_and_occlusion_by_hand() -> None:
+    # A plate 1 m ahead hides the middle of a wall 2 m ahead; its shadow is twice its size
+    wall, plate = trimesh.creation.box((4, 4, 0.01)).apply_translation([0, 0, 2.005]), trimesh.creation.box((0.5, 0.5, 0.01))
+    scene = trimesh.util.concatenate([wall, plate.apply_translation([0, 0, 1.0])])
+    points = np.array([[0.45, 0, 2.0], [0.6, 0, 2.0], [0, 0, 0.995], [0, 0, -2.0], [1.7, 0, 2.0], [0.6, 0, 2.02], [0.6, 0, 2.05]])
+    rule = Visibility(0.1, 10.0, 0.03)
+    pose = np.eye(4)[None]
+    assert in_any_view(points, pose, CAMERA, rule).tolist() == [True, True, True, False, False, True, True]
+    hidden = in_any_view(points, pose, CAMERA, rule, occluder=RayCaster(scene))
+    assert hidden.tolist() == [False, True, True, False, False, True, False]
+    assert not in_any_view(points, pose, CAMERA, Visibility(0.1, 1.5, 0.03))[1]
+
+
+def test_virtual_views_stand_in_free_space_and_see_all_of_a_room() -> None:
+    caster = RayCaster(room())
+    views = virtual_views(caster, turning(), positions=4, reach=5.0, seed=0)
+    assert views.shape == (24, 4, 4) and np.allclose(np.linalg.det(views[:, :3, :3]), 1)
+    free = free_positions(caster, turning(), count=200, reach=5.0, seed=1)
+    assert (np.abs(free) < [2, 1.5, 1.25]).all()
+    cube = Camera(100, 100, 50.0, 50.0, 49.5, 49.5)
+    assert in_any_view(subdivided(room()).vertices, views[:6], cube, Visibility(0.0, 10.0, 0.1), occluder=caster).mean() > 0.99
+
+
+def test_subdivision_keeps_the_surface() -> None:
+    fine = subdivided(room(), max_edge=0.2)
+    assert fine.area == pytest.approx(room().area) and fine.edges_unique_length.max() <= 0.2
+
+
+def test_user_mistakes() -> None:
+    with pytest.raises(ConfigError, match="unknown protocol 'nicer'; expected one of seen, nice"):
+        error(room(), protocol="nicer")
+    with pytest.raises(ResultError, match="the reconstruction has 0 vertices"):
+        error(trimesh.Trimesh())
+    with pytest.raises(ResultError, match="nothing of the reconstruction is visible"):
+        error(room((0.1, 0.1, 0.1)).apply_translation([500, 0, 0]))
+    with pytest.raises(ResultError, match="no frame has a true pose"):
+        mesh_error(room(), room(), poses=np.full((3, 4, 4), np.nan), camera=CAMERA)
+
+
+def test_rendered_depth_and_colour_by_hand() -> None:
+    mesh = room()
+    mesh.visual.vertex_colors = np.tile(np.array([200, 100, 50, 255], np.uint8), (8, 1))
+    T_wc = looking_at(np.array([1.0, 0.0, 0.0]), np.zeros(3), -DOWN)
+    rgb, depth = render_mesh(mesh, T_wc, CAMERA)
+    # Wall at 2 m: z-depth 2 over the whole image but the last rows (1.25 m / 2 m * 40 = 25 px > 24: all rows) and columns (30 px of 32)
+    assert depth[:, 2:-2] == pytest.approx(2.0, abs=1e-5)
+    assert (rgb == [200, 100, 50]).all()
+    assert render_depth(RayCaster(mesh), T_wc, CAMERA) == pytest.approx(depth)
+    empty_rgb, empty_depth = render_mesh(mesh, looking_at(np.array([100.0, 0, 0]), np.array([50.0, 0, 0]), -DOWN), CAMERA)
+    assert (empty_depth == 0).all() and (empty_rgb == 0).all()
+
+
+def test_overview_looks_through_the_near_walls() -> None:
+    mesh, poses, camera = room(), turning(), Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
+    assert np.abs(up_direction(mesh, poses) @ DOWN) > 0.999
+    T_wc = overview_pose(mesh, poses, camera)
+    _, depth = Picture(mesh, inside=poses[:, :3, 3]).draw(T_wc, camera)
+    _, outside = render_mesh(mesh, T_wc, camera)
+    assert depth[30, 40] > outside[30, 40] + 1
+    assert outside[0].max() == outside[-1].max() == outside[:, 0].max() == outside[:, -1].max() == 0  # all of it fits
+    assert (outside > 0).mean() > 0.2
+
+
+def test_pictures_are_written(tmp_path: Path) -> None:
+    paths = draw_mesh(room(), tmp_path, poses=turning(), camera=CAMERA, views=2, wide=CAMERA)
+    assert [p.name.split("_")[1] for p in paths] == ["overview.png", "view", "view"] and all(p.stat().st_size > 300 for p in paths)
+
+
+def result_folder(folder: Path, T: NDArray[np.float64]) -> Path:
+    """A perfect result in a frame of its own: T maps the truth into it."""
+    save_tum(folder / "trajectory.txt", Trajectory(np.arange(50) / 10, T @ turning()))
+    room().apply_transform(T).export(folder / "mesh.ply")
+    return folder
+
+
+def test_a_whole_result_folder(tmp_path: Path) -> None:
+    T = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [1.0, 2.0, 0.5])
+    truth = Trajectory(np.arange(50) / 10 + 0.001, turning())
+    evaluation = evaluate(result_folder(tmp_path, T), gt_trajectory=truth, gt_mesh=room(), camera=CAMERA, keyframes=np.array([0, 5]))
+    assert evaluation.ate.translation.max < 1e-6 and evaluation.mesh is not None and evaluation.mesh.accuracy < 1e-4
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert written["frames"] == written["frames_with_truth"] == 50 and written["mesh"]["protocol"] == "seen"
+    assert "rpe_1" in written and "rpe_30" in written
+    assert (tmp_path / "trajectory.png").stat().st_size > 5000 and (tmp_path / "error.png").stat().st_size > 5000
+    assert table(evaluation).row_count == 10
+
+
+def test_incomplete_result_folders(tmp_path: Path) -> None:
+    truth = Trajectory(np.arange(50) / 10, turning())
+    expected: list[tuple[Path, str]] = [(tmp_path / "none", "no such folder"), (tmp_path, "no trajectory.txt")]
+    for folder, message in expected:
+        with pytest.raises(ResultError, match=message):
+            evaluate(folder, gt_trajectory=truth)
+    result_folder(tmp_path, np.eye(4))
+    with pytest.raises(ResultError, match="no camera"):
+        evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room())
+    (tmp_path / "mesh.ply").unlink()
+    with pytest.raises(ResultError, match=r"mesh\.ply: no such file"):
+        evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)
+
+
+@pytest.mark.parametrize("content", [b"", b"ply\nnonsense", b"\x00\x01\x02"])
+def test_damaged_meshes(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "mesh.ply").write_bytes(content)
+    with pytest.raises(IdfSlamError, match=r"mesh\.ply"):
+        load_mesh(tmp_path / "mesh.ply")
