@@ -199,7 +199,7 @@ def draw_mesh(
     stem: str = "mesh",
     wide: Camera = _WIDE,
 ) -> list[Path]:
-    """Writes STEM_overview.png (from outside, into the room, with the camera `wide`) and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
+    """Writes STEM_overview.png, from outside into the room, and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
     pictures = {f"{stem}_overview.png": (Picture(mesh, inside=poses[:, :3, 3]), overview_pose(mesh, poses, wide), wide)}
     both_sides = Picture(mesh)
     for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):
