@@ -75,11 +75,28 @@ class Scene:
             self.lights.append(np.concatenate([point[:3], [0, 0, normal], np.array(power) / samples]))
 
 
+PIGMENTS: tuple[Rgb, ...] = (
+    (0.45, 0.13, 0.06),  # terracotta
+    (0.52, 0.32, 0.08),  # ochre
+    (0.035, 0.07, 0.2),  # navy
+    (0.05, 0.16, 0.07),  # forest
+    (0.04, 0.22, 0.24),  # teal
+    (0.28, 0.03, 0.05),  # burgundy
+    (0.55, 0.47, 0.34),  # cream
+    (0.06, 0.06, 0.065),  # charcoal
+    (0.42, 0.22, 0.2),  # dusty rose
+    (0.24, 0.3, 0.18),  # sage
+    (0.16, 0.26, 0.4),  # dusk blue
+    (0.22, 0.1, 0.2),  # plum
+    (0.33, 0.2, 0.11),  # leather
+    (0.4, 0.38, 0.34),  # stone
+)
+
+
 def vivid(rng: Generator, low: float = 0.05, high: float = 0.55) -> Rgb:
-    """A saturated colour."""
-    hue, value, pale = rng.uniform(0, 6), rng.uniform((low + high) / 2, high), rng.uniform(low, 0.4 * high + 0.6 * low)
-    weights = np.clip([abs(hue - 3) - 1, 2 - abs(hue - 2), 2 - abs(hue - 4)], 0, 1)
-    r, g, b = pale + (value - pale) * weights
+    """One of the pigments, a little off its hue, its strongest part between `low` and `high`."""
+    colour = np.array(PIGMENTS[rng.integers(len(PIGMENTS))]) * rng.uniform(0.75, 1.3, 3)
+    r, g, b = colour * np.clip(colour.max(), low, high) / colour.max()
     return float(r), float(g), float(b)
 
 
@@ -115,7 +132,7 @@ def cloth(scene: Scene, colour: Rgb | None = None) -> int:
 def vase(scene: Scene, T: Array, x: float, y: float, z: float, size: float) -> None:
     """A glazed body with neck, `size` high; sometimes a plain ball."""
     rng = scene.rng
-    glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), (0.75, 0.72, 0.65))
+    glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), vivid(rng, 0.4, 0.7), contrast=rng.integers(4))
     r = 0.3 * size
     if rng.random() < 0.3:
         scene.ball(T, (x, y, z + 0.36 * size), (0.36 * size,) * 3, glaze)
@@ -272,7 +289,12 @@ def desk(scene: Scene, T: Array, width: float) -> None:
     scene.tube(T, (0, 0.2, 0.74), 0.13, (0.03, 0.02), dark)
     scene.tube(T, (0, 0.2, 0.74), 0.012, (0.12, 0.12), dark)
     books(scene, T, -h + 0.05, -0.33, 0.28, 0.74, 0.26)
-    scene.box(T @ place(0.0, 0.48, 0.74, turn=4), (-0.2, -0.07, 0), (0.2, 0.07, 0.02), scene.material(pattern.TILES, (0.25,) * 3, (0.18,) * 3, (0.03,) * 3, scale=0.025))
+    scene.box(
+        T @ place(0.0, 0.48, 0.74, turn=4),
+        (-0.2, -0.07, 0),
+        (0.2, 0.07, 0.02),
+        scene.material(pattern.TILES, (0.25,) * 3, (0.18,) * 3, (0.03,) * 3, scale=0.025),
+    )
     vase(scene, T, h - 0.2, 0.3, 0.74, 0.22)
     chair(scene, T @ place(rng.uniform(-0.1, 0.1), 0.72, turn=rng.uniform(-20, 20)), timber)
 
@@ -280,18 +302,18 @@ def desk(scene: Scene, T: Array, width: float) -> None:
 def floor_lamp(scene: Scene, T: Array) -> None:
     """A stand with a glowing shade."""
     metal = scene.material(pattern.PAINT, (0.25, 0.22, 0.18), contrast=0.3)
-    shade = scene.material(pattern.STRIPES, (0.9, 0.72, 0.45), (0.85, 0.6, 0.33), (0.9, 0.8, 0.6), scale=0.06, contrast=0.5, glow=1.4)
+    shade = scene.material(pattern.STRIPES, (0.9, 0.72, 0.45), (0.85, 0.6, 0.33), (0.9, 0.8, 0.6), scale=0.06, contrast=0.5, glow=1.1)
     scene.tube(T, (0, 0.25, 0), 0.03, (0.14, 0.12), metal)
     scene.tube(T, (0, 0.25, 0.03), 1.35, (0.012, 0.012), metal)
     scene.tube(T, (0, 0.25, 1.38), 0.26, (0.18, 0.12), shade)
-    scene.glowing_disc(T, (0, 0.25, 1.37), 0.17, -1, (0.9, 0.7, 0.42), 5)
-    scene.glowing_disc(T, (0, 0.25, 1.65), 0.11, 1, (1.1, 0.85, 0.5), 5)
+    scene.glowing_disc(T, (0, 0.25, 1.37), 0.17, -1, (0.5, 0.38, 0.22), 5)
+    scene.glowing_disc(T, (0, 0.25, 1.65), 0.11, 1, (0.3, 0.23, 0.13), 5)
 
 
 def pendant(scene: Scene, T: Array, ceiling: float) -> None:
     """A lamp that hangs from the ceiling."""
     metal = scene.material(pattern.PAINT, (0.2, 0.2, 0.2), contrast=0.3)
-    shade = scene.material(pattern.STRIPES, (0.9, 0.78, 0.55), (0.75, 0.6, 0.4), (0.95, 0.85, 0.65), scale=0.08, contrast=0.5, glow=1.3)
+    shade = scene.material(pattern.STRIPES, (0.9, 0.78, 0.55), (0.75, 0.6, 0.4), (0.95, 0.85, 0.65), scale=0.08, contrast=0.5, glow=1.1)
     z = ceiling - 0.5
     scene.tube(T, (0, 0, z + 0.2), ceiling - z - 0.2, (0.008, 0.008), metal)
     scene.tube(T, (0, 0, ceiling - 0.03), 0.03, (0.04, 0.06), metal)
@@ -335,7 +357,7 @@ def window(scene: Scene, T: Array, width: float, low: float, high: float) -> Non
     """A view in a white frame with mullions, sill and curtains; daylight comes in through it."""
     rng, h = scene.rng, width / 2
     white = scene.material(pattern.PAINT, (0.72, 0.71, 0.68), contrast=0.15)
-    view = scene.material(pattern.LANDSCAPE, (0.62, 0.74, 0.85), (0.25, 0.45, 0.8), (0.08, 0.2, 0.04), glow=1.7)
+    view = scene.material(pattern.LANDSCAPE, (0.62, 0.74, 0.85), (0.25, 0.45, 0.8), (0.06, 0.15, 0.03), glow=1.9)
     scene.box(T, (-h, 0, low), (h, 0.01, high), view)
     for x in (-h - 0.06, -0.025, h):
         scene.box(T, (x, 0, low - 0.06), (x + (0.05 if x == -0.025 else 0.06), 0.045, high + 0.06), white)

@@ -6,6 +6,7 @@ direct light from area lights given as point samples, then one bounce gathered o
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +15,9 @@ from idfslam.datasets.ray_casting import CHARTS, cast, chart_size, compiled, poi
 
 Array = NDArray[np.float64]
 
-_TEXEL = 0.045  # [m]
+_TEXEL = 0.05  # [m]
 _OFFSET = 1e-4  # [m] by which rays start off the surface
-_RAYS = 40  # of the hemisphere
+_RAYS = 36  # of the hemisphere
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,11 @@ def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightm
     layout = _layout(shapes)
     direct = np.zeros((int(layout[-1, -1, 0] + layout[-1, -1, 1] * layout[-1, -1, 2]), 3))
     bounced = np.zeros_like(direct)
-    _bake_direct(shapes, nodes, layout, lights, direct)
-    direct = _blurred(layout, direct)
+    seen = np.zeros(len(direct), np.bool_)
+    _bake_direct(shapes, nodes, layout, lights, direct, seen)
+    direct = _blurred(layout, direct, seen)
     _gather(shapes, materials, nodes, layout, direct, bounced)
-    return Lightmap(layout, (direct + _blurred(layout, _blurred(layout, bounced))).astype(np.float32))
+    return Lightmap(layout, (direct + _blurred(layout, _blurred(layout, bounced, seen), seen)).astype(np.float32))
 
 
 def _layout(shapes: Array) -> NDArray[np.int64]:
@@ -52,14 +54,20 @@ def _layout(shapes: Array) -> NDArray[np.int64]:
     return layout
 
 
-def _blurred(layout: NDArray[np.int64], light: Array) -> Array:
-    """A 3 x 3 box filter within each chart: it takes the noise of the sampling out."""
+def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -> Array:
+    """A 3 x 3 box filter within each chart takes the noise of the sampling out; texels inside a shape get what lies next to them."""
     out = light.copy()
     for offset, columns, rows in layout.reshape(-1, 3).tolist():
-        if columns > 2 and rows > 2:
-            padded = np.pad(light[offset : offset + columns * rows].reshape(rows, columns, 3), ((1, 1), (1, 1), (0, 0)), mode="edge")
-            wide = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
-            out[offset : offset + columns * rows] = ((wide[:-2] + wide[1:-1] + wide[2:]) / 9).reshape(-1, 3)
+        part = slice(offset, offset + columns * rows)
+        if columns * rows == 0 or not seen[part].any():
+            continue
+        weight = seen[part].reshape(rows, columns).astype(np.float64)
+        image = cv2.blur(light[part].reshape(rows, columns, 3) * weight[..., None], (3, 3), borderType=cv2.BORDER_CONSTANT)
+        weight = cv2.blur(weight, (3, 3), borderType=cv2.BORDER_CONSTANT)
+        empty = weight < 1e-6
+        image = image / np.maximum(weight, 1e-6)[..., None]
+        image[empty] = light[part][seen[part]].mean(0)
+        out[part] = image.reshape(-1, 3)
     return out
 
 
@@ -99,23 +107,41 @@ def _direct(shapes: Array, nodes: Array, lights: Array, p: Array, n: Array, out:
 
 
 @compiled
-def _texel(shapes: Array, layout: NDArray[np.int64], shape: int, chart: int, k: int, p: Array, n: Array) -> None:
-    """Centre and normal of texel k of a chart."""
+def _texel(shapes: Array, nodes: Array, layout: NDArray[np.int64], shape: int, chart: int, k: int, p: Array, n: Array) -> bool:
+    """A point and the normal there for texel k of a chart: its middle or, inside another shape, its quarters; False: all lie inside."""
     _, columns, rows = layout[shape, chart]
-    s, t = (k % columns + 0.5) / columns, (k // columns + 0.5) / rows
-    p[0], p[1], p[2] = point_on(shapes, shape, chart, s, t)
-    _, _, _, n[0], n[1], n[2] = surface_at(shapes, shape, p[0], p[1], p[2])
+    for x, y in ((0.5, 0.5), (0.06, 0.06), (0.94, 0.06), (0.06, 0.94), (0.94, 0.94)):
+        s, t = (k % columns + x) / columns, (k // columns + y) / rows
+        p[0], p[1], p[2] = point_on(shapes, shape, chart, s, t)
+        _, _, _, n[0], n[1], n[2] = surface_at(shapes, shape, p[0], p[1], p[2])
+        if not _buried(shapes, nodes, p, n):
+            return True
+    return False
 
 
 @compiled
-def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights: Array, light: Array) -> None:
+def _buried(shapes: Array, nodes: Array, p: Array, n: Array) -> bool:
+    """Whether a ray along the normal leaves a shape before it enters one."""
+    q = p + _OFFSET * n
+    length, hit = cast(shapes, nodes, q[0], q[1], q[2], n[0], n[1], n[2], 50.0, -1)
+    if hit < 0:
+        return False
+    q += length * n
+    _, _, _, x, y, z = surface_at(shapes, hit, q[0], q[1], q[2])
+    return x * n[0] + y * n[1] + z * n[2] > 0
+
+
+@compiled
+def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights: Array, light: Array, seen: NDArray[np.bool_]) -> None:
+    """Direct light of all texels; `seen` says which of them are not inside another shape."""
     p, n = np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
         for chart in range(CHARTS):
             offset, columns, rows = layout[shape, chart]
             for k in range(columns * rows):
-                _texel(shapes, layout, shape, chart, k, p, n)
-                _direct(shapes, nodes, lights, p, n, light[offset + k])
+                seen[offset + k] = _texel(shapes, nodes, layout, shape, chart, k, p, n)
+                if seen[offset + k]:
+                    _direct(shapes, nodes, lights, p, n, light[offset + k])
 
 
 @compiled
@@ -126,7 +152,8 @@ def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.in
         for chart in range(CHARTS):
             offset, columns, rows = layout[shape, chart]
             for k in range(columns * rows):
-                _texel(shapes, layout, shape, chart, k, p, n)
+                if not _texel(shapes, nodes, layout, shape, chart, k, p, n):
+                    continue
                 helper = 1.0 if abs(n[2]) < 0.9 else 0.0
                 x[0], x[1], x[2] = -n[1] * helper, n[0] * helper - n[2] * (1 - helper), n[1] * (1 - helper)
                 x /= np.sqrt(x @ x)

@@ -99,13 +99,13 @@ def scaled(a: Colour, k: float) -> Colour:
 
 @compiled
 def palette(i: float, seed: float) -> Colour:
-    """A strong colour by number: hue by hash, saturation and value moderate."""
-    h, k = 6.0 * random(i, 11, seed), 0.08 + 0.6 * random(i, 12, seed) ** 1.5
-    low = k * (0.1 + 0.5 * random(i, 13, seed))
+    """A colour by number: hue by hash, rather muted."""
+    h, k = 6.0 * random(i, 11, seed), 0.06 + 0.5 * random(i, 12, seed) ** 1.5
+    low = k * (0.2 + 0.55 * random(i, 13, seed))
     r = min(max(abs(h - 3.0) - 1.0, 0.0), 1.0)
     g = min(max(2.0 - abs(h - 2.0), 0.0), 1.0)
     b = min(max(2.0 - abs(h - 4.0), 0.0), 1.0)
-    return low + (k - low) * r, low + (k - low) * g, low + (k - low) * b
+    return low + (k - low) * r, low + (k - low) * g * 0.85, low + (k - low) * b * 0.8
 
 
 @compiled
@@ -163,7 +163,9 @@ def bricks(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float, se
 def fabric(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: float, w: float) -> Colour:
     """A plain weave of 8 mm with thick and thin threads, and some wear."""
     weave = np.sin(u * 785.0) * np.sin(v * 785.0) * fade(0.008, w) * 0.3
-    thread = 0.5 * (noise(u * 12.0, v * 180.0, seed) - 0.5) * fade(0.011, w) + 0.5 * (noise(u * 180.0, v * 12.0, seed + 1) - 0.5) * fade(0.011, w)
+    thread = 0.5 * (noise(u * 12.0, v * 180.0, seed) - 0.5) * fade(0.011, w) + 0.5 * (noise(u * 180.0, v * 12.0, seed + 1) - 0.5) * fade(
+        0.011, w
+    )
     t = 0.4 + contrast * (weave + thread + 0.35 * grain(u, v, 0.03, seed + 2, w) + 0.35 * grain(u, v, 0.11, seed + 3, w))
     return mix(a, b, min(max(t, 0.0), 1.0))
 
@@ -256,7 +258,7 @@ def landscape(a: Colour, b: Colour, c: Colour, u: float, v: float, su: float, sv
     for k in range(4):
         f = 2.0 + 1.5 * k
         ridge = 0.55 - 0.12 * k + 0.16 * (noise(x * f, k, seed + 2) - 0.5) + 0.03 * (noise(x * f * 9, k, seed + 3) - 0.5) * k
-        tone = 0.8 + 0.5 * grain(u, v * 1.5, 0.05 * sv, seed + 4 + k, w) + 0.4 * grain(u, v, 0.015 * sv, seed + 8 + k, w)
+        tone = 0.9 + 0.1 * k * (grain(u, v * 1.5, 0.05 * sv, seed + 4 + k, w) + grain(u, v, 0.015 * sv, seed + 8 + k, w))
         base = mix(base, scaled(mix(mix(a, c, 0.45), c, k / 3.0), tone), edge(ridge - y, soft))
     return base
 
@@ -290,21 +292,30 @@ def marble(a: Colour, b: Colour, u: float, v: float, seed: float, contrast: floa
 
 
 @compiled
-def glaze(a: Colour, b: Colour, c: Colour, u: float, v: float, sv: float, seed: float, w: float) -> Colour:
-    """Pottery: rings of B, and a zigzag of C around the middle."""
+def glaze(a: Colour, b: Colour, c: Colour, kind: float, u: float, v: float, sv: float, seed: float, w: float) -> Colour:
+    """Pottery: rings of B, and around the middle a zigzag, dots or leaves of C, or nothing (`kind` 0 to 3)."""
     y = v / sv
     soft = max(w, 0.0015)
     base = scaled(a, 1 + 0.25 * grain(u, v, 0.03, seed, w) + 0.2 * grain(u, v, 0.008, seed + 1, w))
     rings = band(y, 0.22, 0.28, soft / sv) + band(y, 0.72, 0.78, soft / sv) + band(y, 0.84, 0.87, soft / sv)
+    base = mix(base, b, min(rings, 1.0))
     x = u / 0.05
-    zigzag = 0.5 + 0.25 * (2 * abs(x - np.floor(x) - 0.5) - 0.5)
-    return mix(mix(base, b, min(rings, 1.0)), c, edge(0.012 - abs(y - zigzag) * sv, soft) * fade(0.05, w))
+    wave = 2 * abs(x - np.floor(x) - 0.5)
+    if kind == 0:
+        d = 0.012 - abs(y - 0.37 - 0.25 * wave) * sv
+    elif kind == 1:
+        d = 0.013 - np.sqrt((0.5 * (1 - wave) * 0.05) ** 2 + ((y - 0.5) * sv) ** 2)
+    elif kind == 2:
+        d = 0.018 - 0.025 * (1 - wave) * 1.6 - abs(y - 0.5) * sv * 0.35
+    else:
+        return base
+    return mix(base, c, edge(d, soft) * fade(0.05, w))
 
 
 @compiled
 def plaster(a: Colour, contrast: float, u: float, v: float, seed: float, w: float) -> Colour:
     """Paint laid on by hand: clouds, roller marks, specks."""
-    t = 0.5 * grain(u, v, 0.5, seed, w) + 0.4 * grain(u, v, 0.09, seed + 1, w) + 0.4 * grain(u, v, 0.022, seed + 2, w)
+    t = 0.3 * grain(u, v, 0.5, seed, w) + 0.3 * grain(u, v, 0.09, seed + 1, w) + 0.4 * grain(u, v, 0.022, seed + 2, w)
     return scaled(a, 1 + contrast * t)
 
 
@@ -362,4 +373,4 @@ def _more_albedo(
         return marble(a, b, u, v, seed, contrast, w)
     if pattern == LEAVES:
         return leaves(a, b, s, t, seed, contrast)
-    return glaze(a, b, c, u, v, sv, seed, w)
+    return glaze(a, b, c, contrast, u, v, sv, seed, w)

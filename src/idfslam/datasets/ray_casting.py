@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 """Without Python's check of every division, sums in any order; infinities stay legal."""
 
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Surface = tuple[int, float, float, float, float, float]  # chart, s, t, normal
+
 BOX, FRUSTUM, ELLIPSOID = 0, 1, 2
 CHARTS = 6  # the most that a shape has
 _EPSILON = 1e-6  # [m] a ray does not hit the surface that it starts on
 
 
-def shape_bounds(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
+def shape_bounds(shapes: Array) -> Array:
     """(P, 17) shapes -> (P, 6) axis-aligned bounds [m]."""
     kind, R = shapes[:, 0], shapes[:, 7:16].reshape(-1, 3, 3)
     half = shapes[:, 1:4].copy()
@@ -30,7 +34,7 @@ def shape_bounds(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([shapes[:, 4:7] - reach, shapes[:, 4:7] + reach], 1)
 
 
-def build_hierarchy(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
+def build_hierarchy(shapes: Array) -> Array:
     """Bounding volumes of the shapes: a binary tree, split by the surface area heuristic, in depth-first order.
 
     Each row (2 P - 1, 8) is a node: lowest and highest corner [m], the node that follows its subtree, its shape (-1: an inner node).
@@ -50,10 +54,10 @@ def build_hierarchy(shapes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array(nodes)
 
 
-def _split(members: NDArray[np.int64], bounds: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _split(members: NDArray[np.int64], bounds: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The two halves along an axis whose areas, times how many shapes they hold, sum to the least: few rays enter both."""
 
-    def areas(ranked: NDArray[np.float64]) -> NDArray[np.float64]:
+    def areas(ranked: Array) -> Array:
         x, y, z = (np.maximum.accumulate(ranked[:, 3:]) - np.minimum.accumulate(ranked[:, :3])).T
         return x * y + y * z + z * x
 
@@ -69,7 +73,7 @@ def _split(members: NDArray[np.int64], bounds: NDArray[np.float64]) -> tuple[NDA
 
 
 @compiled
-def to_local(shapes, i, x, y, z):
+def to_local(shapes: Array, i: int, x: float, y: float, z: float) -> Vector:
     """A direction of the world in the shape's axes (R^T d)."""
     return (
         shapes[i, 7] * x + shapes[i, 10] * y + shapes[i, 13] * z,
@@ -79,7 +83,7 @@ def to_local(shapes, i, x, y, z):
 
 
 @compiled
-def to_world(shapes, i, x, y, z):
+def to_world(shapes: Array, i: int, x: float, y: float, z: float) -> Vector:
     """A direction of the shape's axes in the world (R d)."""
     return (
         shapes[i, 7] * x + shapes[i, 8] * y + shapes[i, 9] * z,
@@ -89,14 +93,14 @@ def to_world(shapes, i, x, y, z):
 
 
 @compiled
-def _slab(o, inverse, low, high, near, far):
+def _slab(o: float, inverse: float, low: float, high: float, near: float, far: float) -> tuple[float, float]:
     """The part of a ray between two parallel planes."""
     a, b = (low - o) * inverse, (high - o) * inverse
     return max(near, min(a, b)), min(far, max(a, b))
 
 
 @compiled
-def _hit_box(hx, hy, hz, ox, oy, oz, dx, dy, dz):
+def _hit_box(hx: float, hy: float, hz: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     near, far = _slab(ox, 1.0 / dx if dx != 0.0 else 1e30, -hx, hx, -np.inf, np.inf)
     near, far = _slab(oy, 1.0 / dy if dy != 0.0 else 1e30, -hy, hy, near, far)
     near, far = _slab(oz, 1.0 / dz if dz != 0.0 else 1e30, -hz, hz, near, far)
@@ -106,7 +110,7 @@ def _hit_box(hx, hy, hz, ox, oy, oz, dx, dy, dz):
 
 
 @compiled
-def _hit_ellipsoid(rx, ry, rz, ox, oy, oz, dx, dy, dz):
+def _hit_ellipsoid(rx: float, ry: float, rz: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     ox, oy, oz, dx, dy, dz = ox / rx, oy / ry, oz / rz, dx / rx, dy / ry, dz / rz
     a = dx * dx + dy * dy + dz * dz
     b = ox * dx + oy * dy + oz * dz
@@ -121,7 +125,7 @@ def _hit_ellipsoid(rx, ry, rz, ox, oy, oz, dx, dy, dz):
 
 
 @compiled
-def _hit_frustum(r0, r1, h, ox, oy, oz, dx, dy, dz):
+def _hit_frustum(r0: float, r1: float, h: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     """The side is x^2 + y^2 = (m + k z)^2 between z = -h and h; the caps are discs."""
     best = np.inf
     k, m = (r1 - r0) / (2.0 * h), (r0 + r1) / 2.0
@@ -145,7 +149,7 @@ def _hit_frustum(r0, r1, h, ox, oy, oz, dx, dy, dz):
 
 
 @compiled
-def hit_shape(shapes, i, ox, oy, oz, dx, dy, dz):
+def hit_shape(shapes: Array, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     """The ray's parameter at its first intersection with one shape; infinity: none."""
     px, py, pz = to_local(shapes, i, ox - shapes[i, 4], oy - shapes[i, 5], oz - shapes[i, 6])
     qx, qy, qz = to_local(shapes, i, dx, dy, dz)
@@ -157,7 +161,9 @@ def hit_shape(shapes, i, ox, oy, oz, dx, dy, dz):
 
 
 @compiled
-def cast(shapes, nodes, ox, oy, oz, dx, dy, dz, limit, hint):
+def cast(
+    shapes: Array, nodes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, limit: float, hint: int
+) -> tuple[float, int]:
     """First hit before `limit` along a ray: (parameter, shape), or (`limit`, -1). `nodes` is the hierarchy.
 
     `hint` is a shape that is likely to be hit (a neighbour's; -1: none); tried first, it saves most of the search.
@@ -190,7 +196,7 @@ def cast(shapes, nodes, ox, oy, oz, dx, dy, dz, limit, hint):
 
 
 @compiled
-def _box_surface(shapes, i, x, y, z):
+def _box_surface(shapes: Array, i: int, x: float, y: float, z: float) -> Surface:
     a, b, c = abs(x) - shapes[i, 1], abs(y) - shapes[i, 2], abs(z) - shapes[i, 3]
     s, t, r = x / shapes[i, 1], y / shapes[i, 2], z / shapes[i, 3]
     if a >= b and a >= c:
@@ -201,7 +207,7 @@ def _box_surface(shapes, i, x, y, z):
 
 
 @compiled
-def _frustum_surface(shapes, i, x, y, z):
+def _frustum_surface(shapes: Array, i: int, x: float, y: float, z: float) -> Surface:
     r0, r1, h = shapes[i, 1], shapes[i, 2], shapes[i, 3]
     k = (r1 - r0) / (2.0 * h)
     rho = np.sqrt(x * x + y * y)
@@ -214,7 +220,7 @@ def _frustum_surface(shapes, i, x, y, z):
 
 
 @compiled
-def surface_at(shapes, i, px, py, pz):
+def surface_at(shapes: Array, i: int, px: float, py: float, pz: float) -> Surface:
     """Chart, (s, t) and outward normal (world) of a point (world) on a shape's surface."""
     x, y, z = to_local(shapes, i, px - shapes[i, 4], py - shapes[i, 5], pz - shapes[i, 6])
     if shapes[i, 0] == BOX:
@@ -232,7 +238,7 @@ def surface_at(shapes, i, px, py, pz):
 
 
 @compiled
-def point_on(shapes, i, chart, s, t):
+def point_on(shapes: Array, i: int, chart: int, s: float, t: float) -> Vector:
     """The point (world) at (s, t) of a chart: the inverse of `surface_at`."""
     u, v = 2 * s - 1, 2 * t - 1
     a, b, c = shapes[i, 1], shapes[i, 2], shapes[i, 3]
@@ -256,7 +262,7 @@ def point_on(shapes, i, chart, s, t):
 
 
 @compiled
-def chart_size(shapes, i, chart):
+def chart_size(shapes: Array, i: int, chart: int) -> tuple[float, float]:
     """Extent (u, v) [m] of a chart; (0, 0): the shape does not have it."""
     a, b, c = 2 * shapes[i, 1], 2 * shapes[i, 2], 2 * shapes[i, 3]
     if shapes[i, 0] == BOX:

@@ -104,7 +104,7 @@ def _chart_mesh(shapes: Array, p: int, chart: int) -> tuple[Array, NDArray[np.in
 def _exposure(light: Lightmap) -> float:
     """Brings the median light on floor, ceiling and walls, inside, to a middle brightness."""
     brightness = light.light[: light.layout[_SHELL, 0, 0]].mean(1)
-    return 1.5 / float(np.median(brightness[brightness > 0]))
+    return 1.0 / float(np.median(brightness[brightness > 0]))
 
 
 def _shell(scene: Scene, half: tuple[float, float], height: float, bare_wall: bool) -> None:
@@ -135,19 +135,26 @@ def _wall_materials(scene: Scene) -> list[int]:
 
     def pale() -> Rgb:
         base = np.array(furniture.vivid(rng, 0.3, 0.7))
-        r, g, b = 0.45 * base + 0.55 * base.mean() + 0.06
+        base *= 0.5 / base.max()
+        r, g, b = 0.4 * base + 0.6 * base.mean() + 0.12
         return float(r), float(g), float(b)
 
     paint, ground = pale(), pale()
     walls = [
-        scene.material(pattern.PAINT, paint, contrast=0.3),
-        scene.material(pattern.WALLPAPER, ground, furniture.darker(pale(), 0.7), furniture.vivid(rng, 0.1, 0.4), scale=float(rng.uniform(0.16, 0.3))),
-        scene.material(pattern.PAINT, paint, contrast=0.3),
+        scene.material(pattern.PAINT, paint, contrast=0.22),
+        scene.material(
+            pattern.WALLPAPER, ground, furniture.vivid(rng, 0.15, 0.3), furniture.vivid(rng, 0.1, 0.25), scale=float(rng.uniform(0.16, 0.3))
+        ),
+        scene.material(pattern.PAINT, paint, contrast=0.22),
     ]
     if rng.random() < 0.5:
         walls.append(scene.material(pattern.BRICKS, (0.42, 0.17, 0.09), (0.26, 0.1, 0.06), (0.45, 0.42, 0.38), scale=0.075))
     else:
-        walls.append(scene.material(pattern.STRIPES, ground, furniture.darker(ground, 0.75), furniture.vivid(rng), scale=0.22, contrast=0.4))
+        walls.append(
+            scene.material(
+                pattern.STRIPES, ground, furniture.darker(ground, 0.72), furniture.vivid(rng, 0.1, 0.3), scale=0.22, contrast=0.4
+            )
+        )
     return [walls[i] for i in rng.permutation(4)]
 
 

@@ -71,7 +71,11 @@ def _shade(
     m = int(shapes[shape, 16])
     a = albedo(materials, m, chart, s, r, su, sv, 8.0 * shape + chart, width)
     e = irradiance(layout, light, shape, chart, s, r)
-    red, green, blue = a[0] * (e[0] * exposure + materials[m, 3]), a[1] * (e[1] * exposure + materials[m, 3]), a[2] * (e[2] * exposure + materials[m, 3])
+    red, green, blue = (
+        a[0] * (e[0] * exposure + materials[m, 3]),
+        a[1] * (e[1] * exposure + materials[m, 3]),
+        a[2] * (e[2] * exposure + materials[m, 3]),
+    )
     return _tone(red), _tone(green), _tone(blue), chart, nx, ny, nz
 
 

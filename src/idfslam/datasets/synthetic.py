@@ -18,7 +18,7 @@ from idfslam.geometry.camera import Camera
 FPS = 30.0
 TOUR = 600  # frames once round
 BARE_PASSAGE = (100, 130)  # frames that face the bare wall
-_APPROACH = 85  # frames of turning towards it and away
+_APPROACH, _LEAVE = 95, 200  # frames of turning towards it and away
 _FOCAL = 577.0  # [px] at a width of 640
 
 
@@ -71,13 +71,14 @@ def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool =
     """(N, 4, 4) camera-to-world poses of a walk around the middle of a room of inner size 2 `half` [m]."""
     rng = np.random.default_rng([seed, 11])
     x = 2 * np.pi * (np.arange(frames) % TOUR) / TOUR
-    start = np.pi / 2 - 2 * np.pi * sum(BARE_PASSAGE) / 2 / TOUR if bare_wall else rng.uniform(0, 2 * np.pi)
+    passage = np.pi * sum(BARE_PASSAGE) / TOUR  # where x faces the bare wall: there the path comes closest to it, and turns least
+    start, gaze = (np.pi / 2 - passage, -np.pi / 2 - 2 * passage) if bare_wall else (rng.uniform(0, 2 * np.pi), 2.2)
     phi = start + x
     radii = np.array([half[0] - 1.32, half[1] - 1.27])
     radii *= min(1.0, 6.3 / (2 * np.pi * np.sqrt((radii**2).mean())))  # a stroll: about 10 mm a frame
     position = np.stack([radii[0] * np.cos(phi), radii[1] * np.sin(phi), 1.42 + 0.1 * np.sin(2 * x + rng.uniform(0, 6))], 1)
     position += _sway(x, rng, 0.012)
-    yaw = phi + np.deg2rad(112 + 36 * np.sin(2 * x + 2.2))
+    yaw = phi + np.deg2rad(112 + 36 * np.sin(2 * x + gaze))
     pitch = np.deg2rad(-11 + 15 * np.sin(3 * x + rng.uniform(0, 6)))
     if bare_wall:
         yaw, pitch = _face_wall(yaw, pitch, frames)
@@ -88,13 +89,11 @@ def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool =
 def _face_wall(yaw: NDArray[np.float64], pitch: NDArray[np.float64], frames: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Turns to the bare wall for the passage, and back."""
     lap = np.arange(frames) % TOUR
-    outside = np.maximum(np.maximum(BARE_PASSAGE[0] - lap, lap - BARE_PASSAGE[1]), 0) / _APPROACH
+    outside = np.maximum(np.maximum((BARE_PASSAGE[0] - lap) / _APPROACH, (lap - BARE_PASSAGE[1]) / _LEAVE), 0)
     k = np.clip(1 - outside, 0, 1)
-    k = k**3 * (10 - 15 * k + 6 * k * k)
-    normal = wall_frame(BARE_WALL, (1.0, 1.0))[:2, 1]
-    target = np.arctan2(-normal[1], -normal[0])
-    turn = (yaw - target + np.pi) % (2 * np.pi) - np.pi
-    return yaw - k * turn, pitch * (1 - k)
+    k = k * k * (3 - 2 * k)
+    outward = -wall_frame(BARE_WALL, (1.0, 1.0))[:2, 1]
+    return yaw - k * (yaw - np.arctan2(outward[1], outward[0])), pitch * (1 - k)
 
 
 def _sway(x: NDArray[np.float64], rng: np.random.Generator, size: float) -> NDArray[np.float64]:
@@ -105,7 +104,9 @@ def _sway(x: NDArray[np.float64], rng: np.random.Generator, size: float) -> NDAr
     return out
 
 
-def _look(position: NDArray[np.float64], yaw: NDArray[np.float64], pitch: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:
+def _look(
+    position: NDArray[np.float64], yaw: NDArray[np.float64], pitch: NDArray[np.float64], roll: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Poses at `position` (N, 3) that look along yaw (about z, from x) and pitch (up) [rad]."""
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
     right = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros_like(yaw)], 1)
