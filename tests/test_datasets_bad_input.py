@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,6 +42,13 @@ def write_depth(path: Path, image: np.ndarray) -> None:
 # ----- one bad frame in a recording
 
 
+def absurd_size(path: Path) -> None:
+    """A PNG header of 2^31 - 1 pixels a side, its checksum in order, over the same pixels."""
+    data = path.read_bytes()
+    header = b"IHDR" + struct.pack(">2I", 2**31 - 1, 2**31 - 1) + data[24:29]
+    path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
+
+
 def cut_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
 
@@ -51,6 +59,7 @@ DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "colour cut off": ("rgb", cut_off, "cut off"),
     "depth cut off": ("depth", cut_off, "cut off"),
     "colour no image": ("rgb", lambda path: path.write_bytes(b"not an image"), "not a readable image"),
+    "colour absurd": ("rgb", absurd_size, "not a readable image"),
     "depth 8-bit": (
         "depth",
         lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 9, np.uint8)),
@@ -108,6 +117,18 @@ def test_a_listed_file_that_is_missing_is_a_frame_error(tmp_path: Path) -> None:
 
 def test_no_such_path(tmp_path: Path) -> None:
     refuses(tmp_path / "absent", "no such file or folder")
+
+
+def test_files_that_cannot_be_read_or_are_no_text(tmp_path: Path) -> None:
+    path = write_tum(tmp_path / "room")
+    (path / "groundtruth.txt").write_bytes(bytes(range(256)))
+    refuses(path, r"groundtruth\.txt: .*expected")
+    (path / "rgb.txt").write_bytes(b"\xff\xfe\x00\x01")
+    refuses(path, r"rgb\.txt: line 1")
+    scene = write_scannet(tmp_path / "scene")
+    (scene / "pose/1.txt").unlink()
+    (scene / "pose/1.txt").mkdir()
+    refuses(scene, r"pose/1\.txt: Is a directory")
 
 
 def test_unknown_layout(tmp_path: Path) -> None:

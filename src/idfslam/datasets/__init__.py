@@ -54,7 +54,10 @@ def open_recording(
         dataset = _open_synthetic(str(path), given, length=0 if frames is None else start + (frames - 1) * stride + 1)
     else:
         place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
-        dataset = _reader(place, format).open(place, given)
+        try:
+            dataset = _reader(place, format).open(place, given)
+        except OSError as error:
+            raise RecordingError(f"{error.filename or place}: {error.strerror}, expected a readable recording") from error
     return Selection(dataset, start=start, frames=frames, stride=stride)
 
 

@@ -47,7 +47,7 @@ def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path,
     if not path.is_file():
         raise RecordingError(f"{path.parent}: associations.txt is missing, expected the TUM RGB-D compatible PNGs of ICL-NUIM")
     numbers, pairs = [], []
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    for line, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         words = text.split("#")[0].split()
         if not words:
             continue

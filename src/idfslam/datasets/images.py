@@ -58,7 +58,10 @@ def decode_depth(data: bytes, source: str) -> NDArray[np.uint16]:
 def _decode(data: bytes, flags: int, source: str) -> NDArray[np.generic]:
     # OpenCV fills up the rest of a file that was cut off and reports success, so the end marks are looked for here.
     cut = (data.startswith(_PNG) and b"IEND" not in data[-64:]) or (data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:])
-    image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    try:
+        image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:  # a header that asks for an absurd size
+        image = None
     if image is None:
         what = "empty" if not data else "cut off" if cut else "not a readable image"
         raise FrameError(f"{source}: {what} ({len(data)} bytes): copy the recording again or leave the frame out")

@@ -88,10 +88,7 @@ def checked(poses: NDArray[np.float64], *, count: int, source: Callable[[int], s
 
 
 def _rows(path: Path) -> list[list[float]]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise RecordingError(f"{path}: {error.strerror}, expected a file of poses") from error
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     try:
         return [[float(number) for number in line.split()] for line in lines if line.strip() and not line.lstrip().startswith("#")]
     except ValueError as error:

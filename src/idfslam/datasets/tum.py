@@ -52,7 +52,7 @@ def open_tum(path: Path, override: Calibration) -> Recording:
 def read_list(path: Path) -> list[tuple[float, Path]]:
     """(stamp [s], image) of every line `stamp file`, sorted by stamp; # starts a comment."""
     entries = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         words = line.split("#")[0].split()
         if not words:
             continue
