@@ -58,6 +58,8 @@ class MapperConfig:
     """Further samples around the rendered surface."""
     sharpness: float = 1.0
     """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
+    squared: bool = True
+    """Squared residuals in Eqs. 1 and 2, as in the loss that the paper refers to; off: the printed norms (rendering supervision)."""
     photometric_weight: float = 2.0
     """w_p of Eq. 3."""
     free_space_weight: float = 0.2
@@ -116,6 +118,8 @@ class KeyframeConfig:
     """sigma_cull: covisibility above which a new keyframe is dropped."""
     covisible: float = 0.3
     """sigma_covis: covisibility above which two keyframes are connected."""
+    shared: float = 0.6
+    """Covisibility above which an earlier keyframe serves as a second reference for alignment."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
     replay: int = 2
@@ -192,14 +196,22 @@ class AlignmentConfig:
     """Depth points of a frame that are aligned."""
     iterations: int = 12
     """Largest number of Gauss-Newton steps."""
-    colour_weight: float = 0.05
-    """Weight of a unit colour difference against a metre of distance."""
-    robust: float = 0.02
-    """Scale of the robust weights [m]."""
-    colour_robust: float = 0.1
-    """Scale of the robust weights of colour, in [0, 1]."""
-    prior: tuple[float, ...] = (1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5)
-    """Information per unit weight that holds the pose to its guess (shift, turn): it decides only what nothing else does."""
+    colour_weight: float = 0.08
+    """A unit difference of brightness counts as so many metres of distance; 0: no images in the alignment."""
+    robust: float = 0.01
+    """Scale of the robust weights at the sensor's best [m]; it widens with the noise of depth ..."""
+    robust_widest: float = 4.0
+    """... up to so many times."""
+    colour_robust: float = 0.05
+    """Scale of the robust weights of brightness, in [0, 1]."""
+    image_height: int = 240
+    """Rows of the finer of the two images that brightness is compared in."""
+    coarse_iterations: int = 4
+    """Steps on the coarser image, before those on the finer."""
+    references: int = 2
+    """Keyframes whose images a frame is held against: the last, and the most covisible of the earlier."""
+    prior: float = 1e-5
+    """Information, per unit weight of depth, that holds the pose to its guess: it decides only what nothing else does."""
     converged: float = 1e-5
     """Steps below this [m, rad] end the iteration."""
     min_points: int = 100
@@ -249,6 +261,8 @@ PAPER = Config(
         pixels=1024,
         samples=128,
         importance_samples=16,
+        sharpness=10.0,  # 1 / tr: what the published code of [25] makes of its formula; with 1 free space outweighs the surface
+        squared=True,
         photometric_weight=0.1,
         free_space_weight=10.0,
         truncation_weight=6000.0,

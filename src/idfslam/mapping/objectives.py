@@ -29,7 +29,7 @@ class Objective(Protocol):
 
 def loss_weights(config: MapperConfig) -> LossWeights:
     """The weights of Eqs. 2 and 3 as configured."""
-    return LossWeights(config.photometric_weight, config.free_space_weight, config.truncation_weight)
+    return LossWeights(config.photometric_weight, config.free_space_weight, config.truncation_weight, squared=config.squared)
 
 
 class RenderingObjective:
