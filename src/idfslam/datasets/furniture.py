@@ -216,7 +216,7 @@ def sofa(scene: Scene, T: Array, width: float) -> None:
     for k in range(seats):
         low = -h + 0.165 + k * (width - 0.33) / seats
         scene.box(T, (low, 0.24, 0.28), (low + (width - 0.33) / seats - 0.01, 0.87, 0.43), cover)
-    for k in range(rng.integers(2, 4)):
+    for _ in range(rng.integers(2, 4)):
         x = rng.uniform(-0.65, 0.65) * h
         scene.ball(T @ place(x, 0.42, 0.6, turn=rng.uniform(-25, 25)) @ tilt(0, 22), (0, 0, 0), (0.21, 0.08, 0.2), cloth(scene))
 

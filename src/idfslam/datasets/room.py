@@ -40,7 +40,7 @@ class Room:
 
 
 def build_room(seed: int, *, bare_wall: bool = False) -> Room:
-    """The room of this seed; with `bare_wall` one wall stands empty and has a single plain colour."""
+    """The room of this seed; with `bare_wall` the middle of one wall is empty and has a single plain colour."""
     rng = np.random.default_rng([seed, 7])
     half, height = (float(rng.uniform(2.45, 3.0)), float(rng.uniform(2.1, 2.5))), float(rng.uniform(2.45, 2.8))
     scene = Scene(rng)
@@ -48,10 +48,10 @@ def build_room(seed: int, *, bare_wall: bool = False) -> Room:
     themes = [_sofa_wall if rng.random() < 0.6 else _bed_wall, _library_wall, _window_wall, _door_wall]
     order = rng.permutation(4)
     for k in range(4):
-        if not (bare_wall and k == BARE_WALL):
-            T = wall_frame(k, half)
-            themes[order[k]](scene, T, 2 * half[k % 2], height)
-            _trim(scene, T, 2 * half[k % 2], height)
+        T, length = wall_frame(k, half), 2 * half[k % 2]
+        theme = _bare_wall if bare_wall and k == BARE_WALL else themes[order[k]]
+        theme(scene, T, length, height)
+        _trim(scene, T, length, height)
     _centre(scene, height)
     shapes, materials = np.array(scene.shapes), np.array(scene.materials)
     nodes = build_hierarchy(shapes)
@@ -177,6 +177,13 @@ def _pictures(scene: Scene, T: Array, centre: float, z: float, width: float) -> 
     for k in range(count):
         x = centre + (k - (count - 1) / 2) * width / count
         furniture.picture(scene, T, x, z + rng.uniform(-0.08, 0.08), 0.62 * width / count, rng.uniform(0.36, 0.56))
+
+
+def _bare_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+    """Nothing but paint in the middle, where the tour looks at it."""
+    for side in (-1, 1):
+        furniture.bookshelf(scene, T @ place(side * (length / 2 - 0.6), 0), 0.42, 1.4)
+        furniture.picture(scene, T, side * 1.3, 1.5, 0.28, 0.5)
 
 
 def _sofa_wall(scene: Scene, T: Array, length: float, height: float) -> None:

@@ -67,7 +67,8 @@ def _shade(
     chart, s, r, nx, ny, nz = surface_at(shapes, shape, T[0, 3] + t * d[0], T[1, 3] + t * d[1], T[2, 3] + t * d[2])
     su, sv = chart_size(shapes, shape, chart)
     cosine = abs(nx * d[0] + ny * d[1] + nz * d[2]) / np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
-    width = t * pixel / max(cosine, 0.1) ** 0.7
+    cosine = max(cosine, 0.1)
+    width = t * pixel / np.sqrt(cosine * np.sqrt(cosine))  # between the pixel's short and long side on the surface
     m = int(shapes[shape, 16])
     a = albedo(materials, m, chart, s, r, su, sv, 8.0 * shape + chart, width)
     e = irradiance(layout, light, shape, chart, s, r)
@@ -82,7 +83,8 @@ def _shade(
 @compiled
 def _render(
     shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
-    pinhole: Pinhole, T: Array, colour: NDArray[np.float32], depth: NDArray[np.float32], normals: NDArray[np.float32], labels: NDArray[np.int64],
+    pinhole: Pinhole, T: Array, colour: NDArray[np.float32], depth: NDArray[np.float32],
+    normals: NDArray[np.float32], labels: NDArray[np.int64],
 ) -> None:  # fmt: skip
     shape = -1
     for v in range(depth.shape[0]):

@@ -17,7 +17,7 @@ from idfslam.geometry.camera import Camera
 
 FPS = 30.0
 TOUR = 600  # frames once round
-BARE_PASSAGE = (100, 130)  # frames that face the bare wall
+BARE_PASSAGE = (104, 128)  # frames that face the bare wall
 _APPROACH, _LEAVE = 95, 200  # frames of turning towards it and away
 _FOCAL = 577.0  # [px] at a width of 640
 
@@ -27,14 +27,17 @@ class SyntheticRoom:
 
     `seed` draws the room (size, furniture, colours, textures) and the sway; `frames` is the length of the piece of the
     tour; `noise` adds what a Kinect does to depth and colour; with `bare_wall` the tour faces an empty wall of one colour in
-    frames `BARE_PASSAGE`. Raises ConfigError for a size or length that is not positive.
+    frames `BARE_PASSAGE`. Raises ConfigError for a negative seed and for a size or length
+    that is not positive.
     """
 
     def __init__(
         self, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480, noise: bool = False, *, bare_wall: bool = False
     ) -> None:
-        if frames < 1 or width < 8 or height < 8:
-            raise ConfigError(f"synthetic room of {frames} frames, {width}x{height} px; expected at least 1 frame of 8x8 px")
+        if seed < 0 or frames < 1 or width < 8 or height < 8:
+            raise ConfigError(
+                f"synthetic room {seed} of {frames} frames, {width}x{height} px; expected a seed >= 0 and at least 1 frame of 8x8 px"
+            )
         self.name = f"synthetic-{seed}{'-noise' if noise else ''}{'-bare' if bare_wall else ''}"
         self.camera = Camera(width, height, _FOCAL * width / 640, _FOCAL * width / 640, (width - 1) / 2, (height - 1) / 2)
         self.timestamps: NDArray[np.float64] = np.arange(frames) / FPS
