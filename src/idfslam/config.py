@@ -16,7 +16,7 @@ class FieldConfig:
 
     encoding: Literal["positional", "grid"] = "grid"
     """How a position [m] becomes features: NeRF's frequencies, or a multi-resolution feature grid."""
-    truncation: float = 0.10
+    truncation: float = 0.06
     """Truncation distance tr [m] (Sec. VI-A)."""
     position_frequencies: int = 8
     """Frequencies of the positional encoding of a position."""
@@ -196,7 +196,7 @@ class AlignmentConfig:
     """Depth points of a frame that are aligned."""
     iterations: int = 12
     """Largest number of Gauss-Newton steps."""
-    colour_weight: float = 0.08
+    colour_weight: float = 0.03
     """A unit difference of brightness counts as so many metres of distance; 0: no images in the alignment."""
     robust: float = 0.01
     """Scale of the robust weights at the sensor's best [m]; it widens with the noise of depth ..."""
@@ -204,7 +204,9 @@ class AlignmentConfig:
     """... up to so many times."""
     colour_robust: float = 0.05
     """Scale of the robust weights of brightness, in [0, 1]."""
-    image_height: int = 240
+    landmarks: int = 5000
+    """Pixels of a keyframe whose brightness is compared, at most."""
+    image_height: int = 480
     """Rows of the finer of the two images that brightness is compared in."""
     coarse_iterations: int = 4
     """Steps on the coarser image, before those on the finer."""

@@ -92,14 +92,15 @@ class Slam:
 
     def _align(self, current: Keyframe) -> tuple[Tensor, Status]:
         """Align to the map from the predicted pose and, if that leaves doubt, from the tracker's; the better stands."""
+        references = self.graph.references(self.config.alignment.references)
         with self._timed("align"):
-            aligned = self.aligner.align(current, current.T_wk)
+            aligned = self.aligner.align(current, current.T_wk, references)
         if aligned.status is Status.OK and not self.aligner.doubtful(aligned):
             return aligned.T_wc, aligned.status
         T_tracked, status = self._register(current)
         if status is not Status.LOST:
             with self._timed("align"):
-                other = self.aligner.align(current, T_tracked)
+                other = self.aligner.align(current, T_tracked, references)
             if aligned.status is not Status.OK or other.score > aligned.score:
                 aligned = other
         if aligned.status is Status.LOST and status is not Status.LOST:

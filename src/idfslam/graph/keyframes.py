@@ -27,6 +27,8 @@ class Keyframe:
     described: Any = None  # the tracker's features of it
     cell_losses: Tensor | None = None  # (8, 8) for active sampling
     pixels: CellPixels | None = None  # its pixels with depth, by cell
+    appearance: Any = None  # the aligner's image pyramid of it
+    landmarks: Any = None  # the aligner's landmarks in it
     neighbours: set[int] = field(default_factory=set)
 
     @property
@@ -52,6 +54,7 @@ class KeyframeGraph:
         self.config, self._generator = config, generator
         self.keyframes: list[Keyframe] = []
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
+        self._earlier: list[int] = []  # stored keyframes that see most of what the reference sees, oldest first
         self._links: list[_Link] = []
 
     def __len__(self) -> int:
@@ -78,6 +81,7 @@ class KeyframeGraph:
         """
         self.reference = keyframe
         scores = self._covisibility(keyframe)
+        self._earlier = torch.nonzero(scores > self.config.shared).flatten().tolist()
         keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
         if self.config.culling and len(scores) and float(scores.max()) > self.config.cull:
             self._link_last(len(self.keyframes) - 1, keyframe.T_wk)
@@ -101,6 +105,11 @@ class KeyframeGraph:
         T_kn = torch.stack([se3.inverse(k.T_wk) @ keyframe.T_wk for k in self.keyframes]).to(keyframe.depth)
         others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
         return covisibility(keyframe.depth, keyframe.frame.camera, T_kn, keyframe.frame.camera, others).cpu()
+
+    def references(self, count: int) -> list[Keyframe]:
+        """The last chosen frame and, up to `count` in all, the oldest keyframes that see most of the same: they have drifted least."""
+        last = [self.reference] if self.reference is not None else []
+        return (last + [self.keyframes[i] for i in self._earlier if self.keyframes[i] is not self.reference])[:count]
 
     def replay(self, keyframe: Keyframe) -> list[Keyframe]:
         """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).

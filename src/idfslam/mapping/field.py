@@ -1,7 +1,6 @@
 """The implicit map: one network from a position to T-SDF and colour (Sec. IV, Fig. 3)."""
 
 import math
-from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -10,16 +9,6 @@ from torch import Tensor, nn
 from idfslam.config import FieldConfig
 from idfslam.mapping.encodings import PositionalEncoding
 from idfslam.mapping.grid import GridEncoding
-
-
-@dataclass(frozen=True)
-class FieldSample:
-    """The field at N points, with its slopes: what the alignment of a frame needs of the map."""
-
-    distance: Tensor  # (N,) signed distance [m]
-    distance_gradient: Tensor  # (N, 3) [1]
-    luminance: Tensor  # (N,) mean of the colour, in [0, 1]
-    luminance_gradient: Tensor  # (N, 3) [1/m]
 
 
 class Field(nn.Module):
@@ -75,13 +64,10 @@ class Field(nn.Module):
         with torch.autocast(points.device.type, torch.bfloat16, enabled=self.bf16):
             return self.sdf_head(self.trunk_features(points)).float()[:, 0]
 
-    def sample(self, points: Tensor) -> FieldSample:
-        """The field and its slopes at points (N, 3) [m], by autograd; parameters gather no gradient if they are frozen."""
+    def distance(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Signed distance (N,) [m] at points (N, 3) [m] and its gradient (N, 3), by autograd; frozen parameters gather none."""
         points = points.detach().requires_grad_(True)
         with torch.enable_grad():
-            sdf, colour = self(points)
-            luminance = colour.mean(-1)
-            (d_sdf,) = torch.autograd.grad(sdf.sum(), points, retain_graph=True)
-            (d_luminance,) = torch.autograd.grad(luminance.sum(), points)
-        truncation = self.config.truncation
-        return FieldSample(sdf.detach() * truncation, d_sdf * truncation, luminance.detach(), d_luminance)
+            distance = self.sdf(points) * self.config.truncation
+            (gradient,) = torch.autograd.grad(distance.sum(), points)
+        return distance.detach(), gradient

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from idfslam.mapping.field import Field, FieldSample
+from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import grid_encode, grid_jacobian
 
@@ -43,22 +43,20 @@ def parameters(field: Field) -> list[nn.Parameter]:
     return [p for layer in layers for p in (layer.weight, layer.bias)]
 
 
-def sampler(field: Field) -> Callable[[Tensor], FieldSample]:
-    """The fastest way to `Field.sample` of this field."""
-    return (lambda points: sample(field, points)) if fusable(field) else field.sample
+def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+    """The fastest way to `Field.distance` of this field."""
+    return (lambda points: distance(field, points)) if fusable(field) else field.distance
 
 
-def sample(field: Field, points: Tensor) -> FieldSample:
-    """`Field.sample` for a fusable field."""
+def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
+    """`Field.distance` for a fusable field."""
     from idfslam.mapping.kernels.numba_field import evaluate
 
     assert isinstance(field.encoding, GridEncoding)
     features, slopes = grid_jacobian(points, field.encoding.tables, field.encoding.cells)
-    distance, luminance = torch.empty(len(points)), torch.empty(len(points))
-    d_distance, d_luminance = torch.empty(len(points), 3), torch.empty(len(points), 3)
-    evaluate(*_arrays(features, slopes), *weights(field), *_arrays(distance, d_distance, luminance, d_luminance))
-    truncation = field.config.truncation
-    return FieldSample(distance * truncation, d_distance * truncation, luminance, d_luminance)
+    values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
+    evaluate(*_arrays(features, slopes), *weights(field)[:4], np.float32(field.config.truncation), *_arrays(values, gradient))
+    return values, gradient
 
 
 def learn(field: Field, samples: Samples, free_margin: float) -> tuple[Tensor, Tensor]:

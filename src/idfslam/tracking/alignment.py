@@ -1,10 +1,10 @@
-"""Second-order alignment of a frame to the map: every depth point wants to lie on the zero of the SDF, in its colour.
+"""Second-order alignment of a frame to the map: depth on the zero of the SDF, images on those of earlier keyframes.
 
-Gauss-Newton on SE(3) with robust weights, coarse to fine; two more unknowns, gain and offset, take up the camera's
-exposure. A weak prior holds the pose to its guess in directions that neither depth nor colour decide.
+Gauss-Newton on SE(3) with robust weights, coarse to fine. Depth holds the frame to everything mapped so far; where the map's
+shape leaves a direction open (a bare wall) the brightness of keyframes' landmarks decides, and what neither decides stays at the guess.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,10 +13,11 @@ from torch import Tensor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.mapping.field import Field, FieldSample
-from idfslam.mapping.fused import sampler
+from idfslam.graph.keyframes import Keyframe
+from idfslam.mapping.field import Field
+from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio
-from idfslam.mapping.rays import View
+from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Alignment:
     status: Status
     overlap: float  # share of the points that fall where the map knows the surface
     rmse: float  # [m] of the robustly weighted distances
-    stiffness: float  # least information of depth in any direction, per point [1]; small: degenerate
+    stiffness: float  # least information of depth in any direction, per unit weight [1]; small: degenerate
     iterations: int
 
     @property
@@ -36,119 +37,56 @@ class Alignment:
         return self.overlap / (self.rmse + 0.005)
 
 
-MapQuery = Callable[[Tensor], FieldSample]
-"""Points (N, 3) [m] in the world -> FieldSample."""
-
-
 @dataclass(frozen=True)
 class Surface:
-    """N points of a frame in the camera's frame, with what is known of them."""
+    """N points of a frame in the camera's frame."""
 
     points: Tensor  # (N, 3) [m]
-    luminance: Tensor  # (N,)
     sigma: Tensor  # (N,) noise of the depth, relative to the best of the sensor [1]
-
-
-def align(query: MapQuery, surface: Surface, T_wc: Tensor, truncation: float, config: AlignmentConfig) -> Alignment:
-    """Move the guess `T_wc` (4, 4) so that the surface lies on the map.
-
-    `query` answers for the map; `truncation` [m] bounds the distances that it knows.
-    """
-    T_guess = T = T_wc.double()
-    exposure = torch.zeros(2, dtype=torch.float64)
-    step = 0
-    for step in range(config.iterations):
-        scale = config.robust * max(1.0, 4.0 * 0.5**step)
-        system = _normal_equations(query, surface, T, exposure, truncation, scale, config)
-        H, b = system.H.clone(), system.b.clone()
-        prior = torch.diag(torch.tensor(config.prior, dtype=torch.float64)) * max(system.weight, 1e-3)
-        H[:6, :6] += prior
-        b[:6] -= prior @ _local_difference(T, T_guess)
-        delta = torch.linalg.solve(H, b)
-        T = _moved(T, delta[:6])
-        exposure = exposure + delta[6:]
-        if step >= 3 and delta[:3].norm() < config.converged and delta[3:6].norm() < config.converged:
-            break
-    status = Status.OK
-    if system.overlap < config.min_overlap:
-        status = Status.LOST
-    elif system.stiffness < config.min_stiffness:
-        status = Status.DEGENERATE
-    return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, system.stiffness, step + 1)
-
-
-def _moved(T: Tensor, delta: Tensor) -> Tensor:
-    """The pose turned about the camera's own centre by delta[3:] and shifted by delta[:3], both along world axes."""
-    out = T.clone()
-    out[:3, :3] = se3.exp(torch.cat([torch.zeros_like(delta[:3]), delta[3:]]))[:3, :3] @ T[:3, :3]
-    out[:3, 3] = T[:3, 3] + delta[:3]
-    return out
-
-
-def _local_difference(T: Tensor, T_guess: Tensor) -> Tensor:
-    """The delta that `_moved` would need to come from T_guess to T."""
-    turn = se3.identity_like(T)
-    turn[:3, :3] = T[:3, :3] @ T_guess[:3, :3].T
-    return torch.cat([T[:3, 3] - T_guess[:3, 3], se3.log(turn)[3:]])
 
 
 @dataclass(frozen=True)
 class _System:
-    H: Tensor  # (8, 8) float64
-    b: Tensor  # (8,)
+    """Normal equations H delta = b of a pose: shift, and turn about the camera's own centre, both along world axes."""
+
+    H: Tensor  # (6, 6) float64
+    b: Tensor  # (6,)
     weight: float  # sum of the robust weights
     overlap: float
     rmse: float
-    stiffness: float
+    radius: float  # mean distance of the points [m], to compare a turn with a shift
 
 
-def _normal_equations(
-    query: MapQuery, surface: Surface, T: Tensor, exposure: Tensor, truncation: float, scale: float, config: AlignmentConfig
-) -> _System:
-    """H delta = b for the pose (shift, turn about the camera) and the exposure (gain, offset)."""
-    T32 = T.float()
-    turned = surface.points @ T32[:3, :3].T
-    sample = query(turned + T32[:3, 3])
-    slope = sample.distance_gradient.norm(dim=-1)
-    known = (sample.distance.abs() < 0.9 * truncation) & (slope > 0.2)
-    normal = sample.distance_gradient / slope.clamp(min=0.2)[:, None]
-    r = sample.distance / slope.clamp(min=0.7)
-    J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
-    spread = scale * surface.sigma
-    w = known / ((1 + (r / spread) ** 2) ** 2 * surface.sigma**2)  # Geman-McClure, and the sensor's own noise
-    H = torch.zeros(8, 8, dtype=torch.float64)
-    b = torch.zeros(8, dtype=torch.float64)
-    JtW = (J * w[:, None]).T
-    H[:6, :6] = JtW @ J
-    b[:6] = -(JtW @ r)
-    radius = turned.norm(dim=-1).mean().clamp(min=0.1)
-    unit = torch.cat([torch.ones(3), torch.ones(3) / radius]).double()
-    stiffness = float(torch.linalg.eigvalsh(H[:6, :6] * unit[:, None] * unit)[0] / max(float(w.sum()), 1e-9))
-    if config.colour_weight > 0:
-        gain, offset = (float(e) for e in exposure)
-        rc = (1 + gain) * surface.luminance + offset - sample.luminance
-        Jc = torch.cat([-sample.luminance_gradient, torch.linalg.cross(turned, -sample.luminance_gradient)], -1)
-        Jc = torch.cat([Jc, surface.luminance[:, None], torch.ones_like(rc)[:, None]], -1)
-        near = known & (sample.distance.abs() < 0.5 * truncation)
-        wc = near * config.colour_weight**2 / ((1 + (rc / config.colour_robust) ** 2) ** 2 * surface.sigma**2)
-        JtWc = (Jc * wc[:, None]).T
-        H += JtWc @ Jc
-        b -= JtWc @ rc
-        H[6, 6] += 1e-2 * wc.sum()  # a gain is rare
-    H[6:, 6:] += 1e-9 * torch.eye(2)
-    count = int(known.sum())
-    rmse = float(((w * r * r).sum() / w.sum().clamp(min=1e-9)).sqrt())
-    return _System(H, b, float(w.sum()), count / max(len(r), 1), rmse, stiffness)
+MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
 class Aligner:
-    """Aligns views to a field; the field may change between calls."""
+    """Aligns views to a field and to the images of keyframes; both may change between calls."""
 
     def __init__(self, config: AlignmentConfig, field: Field, generator: torch.Generator) -> None:
-        self.config, self.field, self._generator = config, field, generator
-        self.query = sampler(field)
+        self.config, self._generator = config, generator
+        self.truncation = field.config.truncation
+        self.query: MapQuery = distance_query(field)
 
-    def surface(self, view: View) -> Surface:
+    def align(self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe]) -> Alignment:
+        """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth."""
+        surface = self.surface(view)
+        if len(surface.points) < self.config.min_points:
+            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0)
+        T = T_guess.double()
+        for step in range(self.config.iterations):
+            system = self._depth_system(surface, T, step)
+            H, b = self._with_images(system, view, references, T, step)
+            prior = self.config.prior * max(system.weight, 1e-3)
+            H = H + prior * torch.eye(6, dtype=torch.float64)
+            delta = torch.linalg.solve(H, b - prior * _difference(T, T_guess))
+            T = _moved(T, delta)
+            if step >= 4 and float(delta.abs().max()) < self.config.converged:
+                break
+        return self._judged(T, system, step + 1)
+
+    def surface(self, view: Keyframe) -> Surface:
         """Points of a view, one in each of about `config.points` equal patches, at random within it; patches without depth give none."""
         height, width = view.depth.shape
         patch = max(1, round((height * width / self.config.points) ** 0.5))
@@ -159,16 +97,103 @@ class Aligner:
         depth = view.depth[v, u]
         keep = depth > 0
         v, u, depth = v[keep], u[keep], depth[keep]
-        points = view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
-        return Surface(points, view.colour[v, u].mean(-1), noise_ratio(depth))
-
-    def align(self, view: View, T_guess: Tensor) -> Alignment:
-        """The view's pose near `T_guess` (4, 4); LOST if it has no depth."""
-        surface = self.surface(view)
-        if len(surface.points) < self.config.min_points:
-            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0)
-        return align(self.query, surface, T_guess, self.field.config.truncation, self.config)
+        return Surface(view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None], noise_ratio(depth))
 
     def doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess is worth its time: little overlap, or distances as wide as the robust kernel."""
         return alignment.overlap < self.config.doubtful_overlap or alignment.rmse > self.config.robust
+
+    def _depth_system(self, surface: Surface, T: Tensor, step: int) -> _System:
+        """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps."""
+        T32 = T.float().to(surface.points)
+        turned = surface.points @ T32[:3, :3].T
+        distance, gradient = self.query(turned + T32[:3, 3])
+        robust = self.config.robust * max(1.0, 4.0 * 0.5**step)
+        build = depth_system if turned.device.type == "cpu" else plain_depth_system
+        return build(turned, distance, gradient, surface.sigma, self.truncation, robust, self.config.robust_widest)
+
+    def _with_images(self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int) -> tuple[Tensor, Tensor]:
+        """The normal equations with the brightness of each reference's landmarks added, the coarse level of the pyramid first."""
+        H, b = system.H, system.b
+        if self.config.colour_weight <= 0:
+            return H, b
+        frame = self.appearance(view)
+        level = 1 if step < self.config.coarse_iterations else 0
+        for reference in references:
+            term = photometric_term(frame, self.landmarks(reference), reference.T_wk, T, level, robust=self.config.colour_robust)
+            H = H + self.config.colour_weight**2 * term.H
+            b = b + self.config.colour_weight**2 * term.b
+        return H, b
+
+    def appearance(self, view: Keyframe) -> Appearance:
+        """A view's image pyramid, worked out once."""
+        if view.appearance is None:
+            levels = pyramid(view.colour, view.frame.camera, height=self.config.image_height)
+            view.appearance = Appearance(levels, view.depth, view.frame.camera)
+        return view.appearance
+
+    def landmarks(self, keyframe: Keyframe) -> Landmarks:
+        """A keyframe's landmarks, worked out once; its pyramid is let go, since only landmarks are held against others."""
+        if keyframe.landmarks is None:
+            keyframe.landmarks = landmarks(self.appearance(keyframe).levels, keyframe.depth, count=self.config.landmarks)
+            keyframe.appearance = None
+        return keyframe.landmarks
+
+    def _judged(self, T: Tensor, system: _System, iterations: int) -> Alignment:
+        unit = torch.tensor([1.0] * 3 + [1 / max(system.radius, 0.1)] * 3, dtype=torch.float64)
+        stiffness = float(torch.linalg.eigvalsh(system.H * unit[:, None] * unit)[0]) / max(system.weight, 1e-9)
+        status = Status.OK
+        if system.overlap < self.config.min_overlap:
+            status = Status.LOST
+        elif stiffness < self.config.min_stiffness:
+            status = Status.DEGENERATE
+        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, iterations)
+
+
+def depth_system(
+    turned: Tensor, distance: Tensor, gradient: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
+) -> _System:
+    """`plain_depth_system` by Numba, on the CPU."""
+    from idfslam.mapping.kernels import numba_alignment
+
+    H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    arrays = [t.numpy() for t in (turned, distance, gradient, sigma)]
+    weight, squares, known = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())
+    radius = float(turned.norm(dim=-1).mean())
+    return _System(H, b, weight, known / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
+
+
+def plain_depth_system(
+    turned: Tensor, distance: Tensor, gradient: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
+) -> _System:
+    """Normal equations of the distances (N,) [m] of points to the map, along its normals; in torch, on any device.
+
+    turned (N, 3) [m]: the points from the camera's centre, world axes; gradient (N, 3) of the distance; sigma (N,) the relative noise.
+    """
+    slope = gradient.norm(dim=-1)
+    known = (distance.abs() < 0.9 * truncation) & (slope > 0.2)
+    normal = gradient / slope.clamp(min=0.2)[:, None]
+    r = distance / slope.clamp(min=0.7)
+    J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
+    scale = robust * sigma.clamp(max=widest)
+    w = known / ((1 + (r / scale) ** 2) ** 2 * sigma**2)  # Geman-McClure, and the sensor's own noise
+    JtW = (J * w[:, None]).T
+    weight = float(w.sum())
+    rmse = (float((w * r * r).sum()) / max(weight, 1e-9)) ** 0.5
+    overlap = float(known.float().mean())
+    return _System((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), weight, overlap, rmse, float(turned.norm(dim=-1).mean()))
+
+
+def _moved(T: Tensor, delta: Tensor) -> Tensor:
+    """The pose turned about the camera's own centre by delta[3:] and shifted by delta[:3], both along world axes."""
+    out = T.clone()
+    out[:3, :3] = se3.exp(torch.cat([torch.zeros_like(delta[:3]), delta[3:]]))[:3, :3] @ T[:3, :3]
+    out[:3, 3] = T[:3, 3] + delta[:3]
+    return out
+
+
+def _difference(T: Tensor, T_guess: Tensor) -> Tensor:
+    """The delta that `_moved` would need to come from T_guess to T."""
+    turn = se3.identity_like(T)
+    turn[:3, :3] = T[:3, :3] @ T_guess[:3, :3].T
+    return torch.cat([T[:3, 3] - T_guess[:3, 3], se3.log(turn)[3:]])

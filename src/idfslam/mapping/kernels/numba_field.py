@@ -98,48 +98,29 @@ def _sigmoid(x: Floats) -> None:
 
 
 @_parallel
-def evaluate(  # type: ignore[no-untyped-def]
-    features, slopes, w1, b1, ws, bs, wc1, bc1, wc2, bc2, distance, d_distance, luminance, d_luminance
-) -> None:
-    """T-SDF (N,) [tr], mean colour (N,), and their derivatives (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
-    inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
+def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> None:  # type: ignore[no-untyped-def]
+    """scale * T-SDF (N,) and its derivative (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
+    inputs, hidden = w1.shape[1], w1.shape[0]
     for block in prange((len(features) + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(len(features) - start, BLOCK)
-        x, h, g_h = np.empty((inputs, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
-        c, g_c, o = np.empty((colours, BLOCK), np.float32), np.empty((colours, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        g_s, g_l, s = np.empty((inputs, BLOCK), np.float32), np.empty((inputs, BLOCK), np.float32), np.empty((1, BLOCK), np.float32)
+        x, g_x = np.empty((inputs, BLOCK), np.float32), np.empty((inputs, BLOCK), np.float32)
+        h, s = np.empty((hidden, BLOCK), np.float32), np.empty((1, BLOCK), np.float32)
         _transpose(features, start, count, x)
         _linear(w1, b1, x, h)
         _relu(h)
         _linear(ws, bs, h, s)
         for k in range(hidden):
             for p in range(BLOCK):
-                g_h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
-        _linear_back(w1, g_h, g_s)
-        _linear(wc1, bc1, h, c)
-        _relu(c)
-        _linear(wc2, bc2, c, o)
-        _sigmoid(o)
+                h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
+        _linear_back(w1, h, g_x)
         for p in range(count):
-            distance[start + p] = s[0, p]
-            luminance[start + p] = (o[0, p] + o[1, p] + o[2, p]) / np.float32(3)
-        for k in range(3):
-            for p in range(BLOCK):
-                o[k, p] = o[k, p] * (_ONE - o[k, p]) / np.float32(3)
-        _linear_back(wc2, o, g_c)
-        _masked(g_c, c)
-        _linear_back(wc1, g_c, g_h)
-        _masked(g_h, h)
-        _linear_back(w1, g_h, g_l)
-        for p in range(count):
+            distance[start + p] = scale * s[0, p]
             for axis in range(3):
-                a, b = _ZERO, _ZERO
+                total = _ZERO
                 for k in range(inputs):
-                    a += g_s[k, p] * slopes[start + p, k, axis]
-                    b += g_l[k, p] * slopes[start + p, k, axis]
-                d_distance[start + p, axis] = a
-                d_luminance[start + p, axis] = b
+                    total += g_x[k, p] * slopes[start + p, k, axis]
+                gradient[start + p, axis] = scale * total
 
 
 @_parallel

@@ -1,0 +1,123 @@
+"""The normal equations of a pose on the CPU, compiled by Numba; `tracking/alignment.py` and `photometric.py` hold the plain forms.
+
+A frame's alignment builds them ten times from a few thousand points: in torch the calls cost more than the arithmetic.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+_FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+_compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+
+
+@_compiled
+def _add(H, b, J, w, r) -> None:  # type: ignore[no-untyped-def]
+    """H += w J J^T (upper triangle), b -= w r J."""
+    for i in range(6):
+        scaled = w * J[i]
+        b[i] -= scaled * r
+        for j in range(i, 6):
+            H[i, j] += scaled * J[j]
+
+
+@_compiled
+def _mirror(H) -> None:  # type: ignore[no-untyped-def]
+    for i in range(6):
+        for j in range(i):
+            H[i, j] = H[j, i]
+
+
+@_compiled
+def depth_system(turned, distance, gradient, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
+    """Distances of points to the map: fills H (6, 6), b (6,); returns sum of weights, of weighted squares [m^2], and the points known."""
+    J = np.empty(6)
+    total, squares, known = 0.0, 0.0, 0
+    for n in range(len(distance)):
+        gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
+        slope = np.sqrt(gx * gx + gy * gy + gz * gz)
+        if abs(distance[n]) >= 0.9 * truncation or slope <= 0.2:
+            continue
+        known += 1
+        x, y, z = turned[n, 0], turned[n, 1], turned[n, 2]
+        nx, ny, nz = gx / slope, gy / slope, gz / slope
+        r = distance[n] / max(slope, 0.7)
+        scale = robust * min(sigma[n], widest)
+        kernel = 1 + (r / scale) ** 2
+        w = 1 / (kernel * kernel * sigma[n] * sigma[n])
+        J[0], J[1], J[2] = nx, ny, nz
+        J[3], J[4], J[5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        _add(H, b, J, w, r)
+        total += w
+        squares += w * r * r
+    _mirror(H)
+    return total, squares, known
+
+
+@_compiled
+def _bilinear(image: Floats, u: float, v: float) -> float:
+    h, w = image.shape
+    u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)
+    x, y = int(u), int(v)
+    a, c = u - x, v - y
+    return (image[y, x] * (1 - a) + image[y, x + 1] * a) * (1 - c) + (image[y + 1, x] * (1 - a) + image[y + 1, x + 1] * a) * c
+
+
+@_compiled
+def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, robust, H, b):  # type: ignore[no-untyped-def]
+    """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,); returns the number in view.
+
+    d = R_kw_t p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
+    frame's, its pixels `ratio` times the image's.
+    """
+    m = len(points)
+    values, d = np.empty((m, 3)), np.empty((m, 3))
+    inside = np.zeros(m, np.bool_)
+    height, width = image.shape
+    n, sum_t, sum_v, sum_tt, sum_vv = 0, 0.0, 0.0, 0.0, 0.0
+    camera = np.empty((m, 3))
+    for i in range(m):
+        for a in range(3):
+            d[i, a] = R_kw_t[a, 0] * points[i, 0] + R_kw_t[a, 1] * points[i, 1] + R_kw_t[a, 2] * points[i, 2] + shift[a]
+        for a in range(3):
+            camera[i, a] = R_cw[a, 0] * d[i, 0] + R_cw[a, 1] * d[i, 1] + R_cw[a, 2] * d[i, 2]
+        z = camera[i, 2]
+        if z < 0.05:
+            continue
+        u, v = camera[i, 0] / z * fx + cx, camera[i, 1] / z * fy + cy
+        if u < 1 or v < 1 or u > width - 2 or v > height - 2:
+            continue
+        measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
+        if measured > 0 and abs(measured - z) >= 0.05 + 0.05 * z:
+            continue
+        inside[i] = True
+        values[i, 0] = _bilinear(image, u, v)
+        values[i, 1] = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
+        values[i, 2] = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
+        n += 1
+        sum_t += target[i]
+        sum_v += values[i, 0]
+        sum_tt += target[i] * target[i]
+        sum_vv += values[i, 0] * values[i, 0]
+    if n == 0:
+        return 0
+    mean_t, mean_v = sum_t / n, sum_v / n
+    gain = np.sqrt(max(sum_vv / n - mean_v**2, 0.0)) / max(np.sqrt(max(sum_tt / n - mean_t**2, 0.0)), 1e-3)
+    gain = min(max(gain, 0.7), 1.4)
+    J = np.empty(6)
+    for i in range(m):
+        if not inside[i]:
+            continue
+        r = values[i, 0] - mean_v - gain * (target[i] - mean_t)
+        kernel = 1 + (r / robust) ** 2
+        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
+        su, sv = values[i, 1] * fx / z, values[i, 2] * fy / z
+        sz = -(su * x + sv * y) / z
+        for a in range(3):
+            J[a] = -(R_cw[0, a] * su + R_cw[1, a] * sv + R_cw[2, a] * sz)
+        J[3], J[4], J[5] = d[i, 1] * J[2] - d[i, 2] * J[1], d[i, 2] * J[0] - d[i, 0] * J[2], d[i, 0] * J[1] - d[i, 1] * J[0]
+        _add(H, b, J, 1 / (kernel * kernel), r)
+    _mirror(H)
+    return n

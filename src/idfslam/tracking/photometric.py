@@ -1,0 +1,161 @@
+"""Direct photometric alignment: points of a keyframe that stand out keep their brightness in the frame.
+
+What the shape of the map leaves open (along a bare wall everything fits) the images of earlier keyframes decide, to a
+fraction of a pixel. Two levels of an image pyramid, the coarse one first, widen the reach.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of an image pyramid."""
+
+    luminance: Tensor  # (h, w) in [0, 1]
+    camera: Camera
+
+    def at(self, uv: Tensor) -> Tensor:
+        """Luminance and its derivatives along u and v [1/px], bilinear: (3, N) at pixels (N, 2); the nearest edge's outside."""
+        size = uv.new_tensor([self.camera.width, self.camera.height])
+        place = ((uv + 0.5) * (2 / size) - 1)[None, None]
+        channels = with_slopes(self.luminance)[None]
+        return F.grid_sample(channels, place, align_corners=False, padding_mode="border")[0, :, 0]
+
+
+def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int = 2) -> list[Level]:
+    """Luminance of an image (H, W, 3), the finest level of at least `height` rows and each next of half as many."""
+    luminance = (colour.reshape(-1, 3) @ colour.new_tensor([1 / 3, 1 / 3, 1 / 3])).view(1, 1, *colour.shape[:2])
+    shrink = max(1, camera.height // height)
+    out = []
+    for _ in range(levels):
+        image = F.avg_pool2d(luminance, shrink)[0, 0] if shrink > 1 else luminance[0, 0]
+        out.append(Level(image, camera.resized(image.shape[1], image.shape[0])))
+        shrink *= 2
+    return out
+
+
+def with_slopes(image: Tensor) -> Tensor:
+    """(h, w) -> (3, h, w): the image and its central differences along u and v; zero at the border."""
+    out = image.new_zeros(3, *image.shape)
+    out[0] = image
+    out[1, :, 1:-1] = (image[:, 2:] - image[:, :-2]) / 2
+    out[2, 1:-1] = (image[2:] - image[:-2]) / 2
+    return out
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Points of a keyframe where its image changes most, spread over it."""
+
+    points: Tensor  # (M, 3) [m] in the keyframe's frame
+    luminance: list[Tensor]  # of each level (M,)
+
+
+def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.01) -> Landmarks:
+    """The steepest pixel of each of `count` cells of the finest level, if it has depth, no edge of it near, and a slope [1/px]."""
+    fine = levels[0]
+    cell = max(2, round((fine.camera.height * fine.camera.width / count) ** 0.5))
+    h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
+    slope = with_slopes(fine.luminance)[1:].norm(dim=0)
+    rows = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
+    columns = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
+    z = depth[rows[:, None], columns[None]]
+    nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
+    slope = slope * ((nearest > 0) & (farthest - nearest < 0.02 + 0.03 * nearest))
+    cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
+    best, place = cells.max(1)
+    index = torch.nonzero(best > least).flatten()
+    v = index // (w // cell) * cell + place[index] // cell
+    u = index % (w // cell) * cell + place[index] % cell
+    uv = torch.stack([u, v], -1).to(depth.dtype)
+    points = fine.camera.rays(uv) * z[v, u][:, None]
+    return Landmarks(points, [level.at(level.camera.project(points)[0])[0] for level in levels])
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """A frame's image and depth, to hold landmarks against."""
+
+    levels: list[Level]
+    depth: Tensor  # (H, W) [m]
+    camera: Camera  # of the depth
+
+
+@dataclass(frozen=True)
+class Term:
+    """What the images add to the normal equations of a pose (shift, turn about the camera, both along world axes)."""
+
+    H: Tensor  # (6, 6) float64
+    b: Tensor  # (6,) float64
+    seen: int  # landmarks in view
+
+
+def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, robust: float) -> Term:
+    """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
+
+    Poses (4, 4) float64. On the CPU by Numba, elsewhere by `plain_photometric_term`, to the same values.
+    """
+    if marks.points.device.type != "cpu":
+        return plain_photometric_term(frame, marks, T_wk, T_wc, level, robust=robust)
+    from idfslam.mapping.kernels.numba_alignment import photometric_system
+
+    image, camera = frame.levels[level].luminance, frame.levels[level].camera
+    H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    R_cw = T_wc[:3, :3].T.contiguous().numpy()
+    shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
+    ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
+    seen = photometric_system(
+        marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift,
+        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, robust, H.numpy(), b.numpy(),
+    )  # fmt: skip
+    return Term(H, b, seen)
+
+
+def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, robust: float) -> Term:
+    """`photometric_term` in torch, on any device."""
+    T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
+    d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes
+    points_c = d @ T_wc[:3, :3]
+    image = frame.levels[level]
+    uv, z = image.camera.project(points_c)
+    value, slope_u, slope_v = image.at(uv)
+    target = marks.luminance[level]
+    size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
+    inside = (z >= 0.05) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
+    gain, offset = _exposure(target, value, inside)
+    r = value - gain * target - offset
+    w = inside / (1 + (r / robust) ** 2) ** 2
+    # dr = -slope . dpi/dp . R^T (shift + turn x d)
+    fx, fy = image.camera.fx, image.camera.fy
+    x, y, _ = points_c.unbind(-1)
+    z = z.clamp(min=0.05)
+    a = torch.stack([slope_u * fx / z, slope_v * fy / z, -(slope_u * fx * x + slope_v * fy * y) / z**2], -1)
+    n = -(a @ T_wc[:3, :3].T)
+    J = torch.cat([n, torch.linalg.cross(d, n)], -1)
+    JtW = (J * w[:, None]).T
+    return Term((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), int(inside.sum()))
+
+
+def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
+    """Whether the frame's own depth agrees with the landmark's; where it has none, yes."""
+    u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
+    v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
+    depth = frame.depth[v, u]
+    return (depth <= 0) | ((depth - z).abs() < 0.05 + 0.05 * z)
+
+
+def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """Gain and offset with value = gain * target + offset over the landmarks in view, from means and spreads."""
+    n = inside.sum().clamp(min=1)
+    mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
+    spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()
+    spread_v = (((value - mean_v) ** 2 * inside).sum() / n).sqrt()
+    gain = (spread_v / spread_t.clamp(min=1e-3)).clamp(0.7, 1.4)
+    return gain, mean_v - gain * mean_t
