@@ -157,7 +157,7 @@ def test_equation_6_weighs_its_losses() -> None:
 
 
 def finetuned(tracker: Tracker, steps: int = 1) -> list[dict[str, float] | None]:
-    poses = [pose(0.02 * i, 0, 0, 0, 0, 0) for i in range(3)]
+    poses = [pose(0.05 * i, 0.03 * i, 0.04 * i, 0.02 * i, 0.03 * i, 0.05 * i) for i in range(3)]
     keyframes = [tracker.describe(view(T)) for T in poses]
     return [tracker.finetune(keyframes, torch.stack(poses).numpy(), wall) for _ in range(steps)]
 
