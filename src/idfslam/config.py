@@ -56,7 +56,7 @@ class MapperConfig:
     """Stratified samples a ray."""
     importance_samples: int = 3
     """Further samples around the rendered surface."""
-    sharpness: float = 1.0
+    sharpness: float = 10.0
     """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
     squared: bool = True
     """Squared residuals in Eqs. 1 and 2, as in the loss that the paper refers to; off: the printed norms (rendering supervision)."""

@@ -140,7 +140,7 @@ class Slam:
         with self._timed("finetune"):
             described = [self._described(k) for k in self.graph.keyframes]
             T_wk = np.stack([k.T_wk.numpy() for k in self.graph.keyframes])
-            losses = self.tracker.finetune(described, T_wk, self.mapper.renderer())
+            losses = self.tracker.finetune(described, T_wk, self.mapper.renderer(self.graph.keyframes))
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
 
     def _described(self, keyframe: Keyframe) -> Described:

@@ -1,6 +1,6 @@
 """The mapper: the map and the keyframe poses, optimised in turns (Sec. IV)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -15,8 +15,10 @@ from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
+from idfslam.mapping.rendering import RayMarch, render, world_rays
 from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 
+_VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays there know nothing of the depth
 SUPERVISION = {"rendering": RenderingObjective, "samples": SampleObjective}
 
 
@@ -24,7 +26,7 @@ class Mapper:
     """Owns the field and its optimiser; is handed keyframes, and moves their poses."""
 
     def __init__(self, config: MapperConfig, field_config: FieldConfig, device: torch.device, generator: torch.Generator) -> None:
-        self.config, self.device, self.generator = config, device, generator
+        self.config, self.device, self.generator, self.truncation = config, device, generator, field_config.truncation
         bf16 = resolve_precision(config.precision, device) is torch.bfloat16 and field_config.width >= 128
         self.field = Field(field_config, bf16=bf16).to(device)
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
@@ -73,6 +75,22 @@ class Mapper:
         keyframe.T_wk = se3.orthonormal(keyframe.T_wk @ se3.exp(xi.detach().double().cpu()))
         return {f"pose_{k}": v for k, v in named(losses, keyframe.index).items()} if losses else {}
 
+    def renderer(self, keyframes: Sequence[Keyframe]) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """The frozen map as the keyframes' camera sees it: T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
+
+        For finetuning (Eqs. 1, 7): differentiable in the pose. Rays end behind the farthest reading of the keyframes.
+        """
+        c, camera = self.config, keyframes[0].frame.camera
+        march = RayMarch(max(c.samples, _VIEW_SAMPLES), max(c.importance_samples, _VIEW_IMPORTANCE), self.truncation, c.sharpness)
+        farthest = max(float(k.depth.max()) for k in keyframes) + 2 * self.truncation
+
+        def view(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+            origins, directions = world_rays(T_wc, camera, uv)
+            rendered = render(self.field, origins, directions, origins.new_full((len(uv),), farthest), march)
+            return rendered.colour, rendered.depth
+
+        return view
+
     def _draw(self, keyframe: Keyframe, steps: int, *, invert: bool) -> Tensor:
         """B pixels of a keyframe for each of `steps` (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
         cells = self.config.cells
@@ -98,5 +116,5 @@ def named(losses: Losses, keyframe: int) -> dict[str, float]:
     numbers = {name: float(value.detach()) for name, value in values.items()}
     for name, value in numbers.items():
         if not torch.isfinite(torch.tensor(value)):
-            raise DivergedError(f"keyframe {keyframe}: the {name} loss is {value}; lower --mapper.learning-rate or set --mapper.gradient-clip")
+            raise DivergedError(f"keyframe {keyframe}: the {name} loss is {value}; lower --mapper.learning-rate or --mapper.gradient-clip")
     return numbers
