@@ -57,7 +57,7 @@ class Field(nn.Module):
                     raise ValueError("this field's colour depends on the view direction: pass directions")
                 hidden = torch.cat([hidden, self.direction_encoding(F.normalize(directions, dim=-1))], -1)
             colour = torch.sigmoid(self.colour_head(hidden))
-        return sdf.float()[:, 0], colour.float()
+        return sdf.to(points.dtype)[:, 0], colour.to(points.dtype)
 
     def sdf(self, points: Tensor) -> Tensor:
         """Points (N, 3) [m] -> T-SDF (N,) in units of tr."""

@@ -1,5 +1,6 @@
 """The mapper: the map and the keyframe poses, optimised in turns (Sec. IV)."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -38,7 +39,7 @@ class Mapper:
 
     def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int) -> dict[str, float]:
         """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses."""
-        losses: Losses | None = None
+        numbers: dict[str, float] = {}
         with self.optimiser.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)
@@ -47,7 +48,8 @@ class Mapper:
                 for step in range(steps):
                     losses = self._step(rays.every(steps, step))
                     self._remember(keyframes, [uv[step::steps] for uv in pixels], losses)
-        return named(losses, keyframes[0].index) if losses else {}
+                numbers = named(losses, keyframes[0].index)  # before losses that are not finite decide on pixels
+        return numbers
 
     def _step(self, rays: Rays) -> Losses:
         """One step of Adam on the map."""
@@ -63,17 +65,18 @@ class Mapper:
         adam = torch.optim.Adam([xi], lr=c.pose_learning_rate)
         schedule = torch.optim.lr_scheduler.StepLR(adam, c.pose_decay_every, c.pose_decay)
         start = keyframe.T_wk.float().to(self.device)
-        losses: Losses | None = None
+        numbers: dict[str, float] = {}
         for _ in range(c.pose_iterations):
             adam.zero_grad()
             uv = self._draw(keyframe, 1, invert=True)
             losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
+            numbers = named(losses, keyframe.index)
             self._remember([keyframe], [uv], losses)
             losses.total.backward()
             adam.step()
             schedule.step()
         keyframe.T_wk = se3.orthonormal(keyframe.T_wk @ se3.exp(xi.detach().double().cpu()))
-        return {f"pose_{k}": v for k, v in named(losses, keyframe.index).items()} if losses else {}
+        return {f"pose_{name}": value for name, value in numbers.items()}
 
     def renderer(self, keyframes: Sequence[Keyframe]) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
         """The frozen map as the keyframes' camera sees it: T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
@@ -112,9 +115,9 @@ class Mapper:
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:
     """Losses as plain numbers. Raises DivergedError if one is not finite."""
-    values = {"total": losses.total, "photometric": losses.photometric, "free_space": losses.free_space, "truncation": losses.truncation}
-    numbers = {name: float(value.detach()) for name, value in values.items()}
+    parts = {"photometric": losses.photometric, "free_space": losses.free_space, "truncation": losses.truncation, "total": losses.total}
+    numbers = dict(zip(parts, torch.stack(list(parts.values())).tolist()))
     for name, value in numbers.items():
-        if not torch.isfinite(torch.tensor(value)):
+        if not math.isfinite(value):
             raise DivergedError(f"keyframe {keyframe}: the {name} loss is {value}; lower --mapper.learning-rate or --mapper.gradient-clip")
     return numbers
