@@ -207,9 +207,11 @@ class AlignmentConfig:
     landmarks: int = 5000
     """Pixels of a keyframe whose brightness is compared, at most."""
     image_height: int = 480
-    """Rows of the finer of the two images that brightness is compared in."""
-    coarse_iterations: int = 4
-    """Steps on the coarser image, before those on the finer."""
+    """Rows of the finest image that brightness is compared in."""
+    image_levels: int = 4
+    """Images that brightness is compared in, each half the size of the one before; the coarsest comes first."""
+    steps_a_level: int = 2
+    """Steps on each but the finest, which has the rest."""
     references: int = 2
     """Keyframes whose images a frame is held against: the last, and the most covisible of the earlier."""
     prior: float = 1e-5

@@ -82,7 +82,7 @@ class Aligner:
             H = H + prior * torch.eye(6, dtype=torch.float64)
             delta = torch.linalg.solve(H, b - prior * _difference(T, T_guess))
             T = _moved(T, delta)
-            if step >= 4 and float(delta.abs().max()) < self.config.converged:
+            if step >= (self.config.image_levels - 1) * self.config.steps_a_level and float(delta.abs().max()) < self.config.converged:
                 break
         return self._judged(T, system, step + 1)
 
@@ -113,12 +113,12 @@ class Aligner:
         return build(turned, distance, gradient, surface.sigma, self.truncation, robust, self.config.robust_widest)
 
     def _with_images(self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int) -> tuple[Tensor, Tensor]:
-        """The normal equations with the brightness of each reference's landmarks added, the coarse level of the pyramid first."""
+        """The normal equations with the brightness of each reference's landmarks added, from the coarsest level of the pyramid to the finest."""
         H, b = system.H, system.b
         if self.config.colour_weight <= 0:
             return H, b
         frame = self.appearance(view)
-        level = 1 if step < self.config.coarse_iterations else 0
+        level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             term = photometric_term(frame, self.landmarks(reference), reference.T_wk, T, level, robust=self.config.colour_robust)
             H = H + self.config.colour_weight**2 * term.H
@@ -128,7 +128,7 @@ class Aligner:
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, worked out once."""
         if view.appearance is None:
-            levels = pyramid(view.colour, view.frame.camera, height=self.config.image_height)
+            levels = pyramid(view.colour, view.frame.camera, height=self.config.image_height, levels=self.config.image_levels)
             view.appearance = Appearance(levels, view.depth, view.frame.camera)
         return view.appearance
 

@@ -29,7 +29,7 @@ class Level:
         return F.grid_sample(channels, place, align_corners=False, padding_mode="border")[0, :, 0]
 
 
-def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int = 2) -> list[Level]:
+def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
     """Luminance of an image (H, W, 3), the finest level of at least `height` rows and each next of half as many."""
     luminance = (colour.reshape(-1, 3) @ colour.new_tensor([1 / 3, 1 / 3, 1 / 3])).view(1, 1, *colour.shape[:2])
     shrink = max(1, camera.height // height)
