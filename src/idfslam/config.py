@@ -196,14 +196,16 @@ class AlignmentConfig:
     """Depth points of a frame that are aligned."""
     iterations: int = 12
     """Largest number of Gauss-Newton steps."""
-    colour_weight: float = 0.03
-    """A unit difference of brightness counts as so many metres of distance; 0: no images in the alignment."""
+    depth_noise: float = 0.0015
+    """Noise of a depth reading at the sensor's best [m]; the images count against depth by it."""
+    colour_noise: float = 0.01
+    """Least noise of brightness, in [0, 1]; a frame's own, when larger, is measured."""
     robust: float = 0.01
     """Scale of the robust weights at the sensor's best [m]; it widens with the noise of depth ..."""
     robust_widest: float = 4.0
     """... up to so many times."""
-    colour_robust: float = 0.05
-    """Scale of the robust weights of brightness, in [0, 1]."""
+    colour_robust: float = 3.0
+    """Scale of the robust weights of brightness, in units of its noise."""
     landmarks: int = 5000
     """Pixels of a keyframe whose brightness is compared, at most."""
     image_height: int = 480
@@ -213,7 +215,7 @@ class AlignmentConfig:
     steps_a_level: int = 2
     """Steps on each but the finest, which has the rest."""
     references: int = 2
-    """Keyframes whose images a frame is held against: the last, and the most covisible of the earlier."""
+    """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
     prior: float = 1e-5
     """Information, per unit weight of depth, that holds the pose to its guess: it decides only what nothing else does."""
     converged: float = 1e-5
@@ -224,6 +226,8 @@ class AlignmentConfig:
     """Smaller share of points that fall where the map is known: lost."""
     doubtful_overlap: float = 0.6
     """Smaller overlap: the neural tracker is asked for a second guess."""
+    doubtful_brightness: float = 1.5
+    """Colours that fit so many times worse than lately: the same."""
     min_stiffness: float = 1e-3
     """Less information of depth in some direction, per point: degenerate."""
 

@@ -19,7 +19,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import Aligner
+from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
@@ -91,21 +91,28 @@ class Slam:
         return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
 
     def _align(self, current: Keyframe) -> tuple[Tensor, Status]:
-        """Align to the map from the predicted pose and, if that leaves doubt, from the tracker's; the better stands."""
+        """Align to the map from the predicted pose; in doubt also from the tracker's and from the last pose: the best stands."""
         references = self.graph.references(self.config.alignment.references)
-        with self._timed("align"):
-            aligned = self.aligner.align(current, current.T_wk, references)
-        if aligned.status is Status.OK and not self.aligner.doubtful(aligned):
-            return aligned.T_wc, aligned.status
-        T_tracked, status = self._register(current)
-        if status is not Status.LOST:
+        best: Alignment | None = None
+        tracked: Tensor | None = None
+        for guess in ("motion", "tracker", "last"):
+            T_guess = current.T_wk if guess == "motion" else self.graph.T_wc(-1)
+            if guess == "tracker":
+                T_guess, status = self._register(current)
+                if status is Status.LOST:
+                    continue
+                tracked = T_guess
             with self._timed("align"):
-                other = self.aligner.align(current, T_tracked, references)
-            if aligned.status is not Status.OK or other.score > aligned.score:
-                aligned = other
-        if aligned.status is Status.LOST and status is not Status.LOST:
-            return T_tracked, status
-        return (aligned.T_wc, aligned.status) if aligned.status is not Status.LOST else (current.T_wk, Status.LOST)
+                aligned = self.aligner.align(current, T_guess, references)
+            if best is None or aligned.score > best.score:
+                best = aligned
+            if not self.aligner.doubtful(best):
+                break
+        assert best is not None
+        if best.status is not Status.LOST:
+            self.aligner.accept(best)
+            return best.T_wc, best.status
+        return (current.T_wk, Status.LOST) if tracked is None else (tracked, Status.OK)
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III); never one without depth."""

@@ -29,12 +29,13 @@ class Alignment:
     overlap: float  # share of the points that fall where the map knows the surface
     rmse: float  # [m] of the robustly weighted distances
     stiffness: float  # least information of depth in any direction, per unit weight [1]; small: degenerate
+    brightness: float  # typical difference of brightness to the references' landmarks in view, 0 without any
     iterations: int
 
     @property
     def score(self) -> float:
-        """To compare two alignments of one view: much of it explained, and closely."""
-        return self.overlap / (self.rmse + 0.005)
+        """To compare two alignments of one view: much of it explained, closely, and in its colours; 0 if lost."""
+        return 0.0 if self.status is Status.LOST else self.overlap / ((self.rmse + 0.003) * (self.brightness + 0.005))
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Aligner:
 
     def __init__(self, config: AlignmentConfig, field: Field, generator: torch.Generator) -> None:
         self.config, self._generator = config, generator
+        self._usual_brightness = 0.0
         self.truncation = field.config.truncation
         self.query: MapQuery = distance_query(field)
 
@@ -73,18 +75,18 @@ class Aligner:
         """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth."""
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
-            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0)
+            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0)
         T = T_guess.double()
         for step in range(self.config.iterations):
             system = self._depth_system(surface, T, step)
-            H, b = self._with_images(system, view, references, T, step)
+            H, b, brightness = self._with_images(system, view, references, T, step)
             prior = self.config.prior * max(system.weight, 1e-3)
             H = H + prior * torch.eye(6, dtype=torch.float64)
             delta = torch.linalg.solve(H, b - prior * _difference(T, T_guess))
             T = _moved(T, delta)
             if step >= (self.config.image_levels - 1) * self.config.steps_a_level and float(delta.abs().max()) < self.config.converged:
                 break
-        return self._judged(T, system, step + 1)
+        return self._judged(T, system, brightness, step + 1)
 
     def surface(self, view: Keyframe) -> Surface:
         """Points of a view, one in each of about `config.points` equal patches, at random within it; patches without depth give none."""
@@ -100,8 +102,18 @@ class Aligner:
         return Surface(view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None], noise_ratio(depth))
 
     def doubtful(self, alignment: Alignment) -> bool:
-        """Whether another guess is worth its time: little overlap, or distances as wide as the robust kernel."""
-        return alignment.overlap < self.config.doubtful_overlap or alignment.rmse > self.config.robust
+        """Whether another guess is worth its time: lost, little overlap, or colours that fit much worse than they lately did."""
+        usual = max(self._usual_brightness, self.config.colour_noise)
+        return (
+            alignment.status is Status.LOST
+            or alignment.overlap < self.config.doubtful_overlap
+            or alignment.brightness > self.config.doubtful_brightness * usual
+        )
+
+    def accept(self, alignment: Alignment) -> None:
+        """Remember how well colours fit, as a slow running mean."""
+        if alignment.brightness > 0:
+            self._usual_brightness += (alignment.brightness - self._usual_brightness) * (0.1 if self._usual_brightness else 1.0)
 
     def _depth_system(self, surface: Surface, T: Tensor, step: int) -> _System:
         """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps."""
@@ -112,18 +124,18 @@ class Aligner:
         build = depth_system if turned.device.type == "cpu" else plain_depth_system
         return build(turned, distance, gradient, surface.sigma, self.truncation, robust, self.config.robust_widest)
 
-    def _with_images(self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int) -> tuple[Tensor, Tensor]:
+    def _with_images(self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int) -> tuple[Tensor, Tensor, float]:
         """The normal equations with the brightness of each reference's landmarks added, from the coarsest level of the pyramid to the finest."""
-        H, b = system.H, system.b
-        if self.config.colour_weight <= 0:
-            return H, b
+        H, b, brightness, seen = system.H, system.b, 0.0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
-            term = photometric_term(frame, self.landmarks(reference), reference.T_wk, T, level, robust=self.config.colour_robust)
-            H = H + self.config.colour_weight**2 * term.H
-            b = b + self.config.colour_weight**2 * term.b
-        return H, b
+            marks = self.landmarks(reference)
+            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=self.config.colour_noise, widest=self.config.colour_robust)
+            H = H + self.config.depth_noise**2 * term.H
+            b = b + self.config.depth_noise**2 * term.b
+            brightness, seen = brightness + term.seen * term.noise, seen + term.seen
+        return H, b, brightness / max(seen, 1)
 
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, worked out once."""
@@ -139,7 +151,7 @@ class Aligner:
             keyframe.appearance = None
         return keyframe.landmarks
 
-    def _judged(self, T: Tensor, system: _System, iterations: int) -> Alignment:
+    def _judged(self, T: Tensor, system: _System, brightness: float, iterations: int) -> Alignment:
         unit = torch.tensor([1.0] * 3 + [1 / max(system.radius, 0.1)] * 3, dtype=torch.float64)
         stiffness = float(torch.linalg.eigvalsh(system.H * unit[:, None] * unit)[0]) / max(system.weight, 1e-9)
         status = Status.OK
@@ -147,7 +159,7 @@ class Aligner:
             status = Status.LOST
         elif stiffness < self.config.min_stiffness:
             status = Status.DEGENERATE
-        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, iterations)
+        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, iterations)
 
 
 def depth_system(

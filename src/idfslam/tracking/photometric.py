@@ -58,7 +58,7 @@ class Landmarks:
     luminance: list[Tensor]  # of each level (M,)
 
 
-def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.01) -> Landmarks:
+def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
     """The steepest pixel of each of `count` cells of the finest level, if it has depth, no edge of it near, and a slope [1/px]."""
     fine = levels[0]
     cell = max(2, round((fine.camera.height * fine.camera.width / count) ** 0.5))
@@ -95,15 +95,17 @@ class Term:
     H: Tensor  # (6, 6) float64
     b: Tensor  # (6,) float64
     seen: int  # landmarks in view
+    noise: float  # scale of the differences of brightness
 
 
-def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, robust: float) -> Term:
+def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
 
-    Poses (4, 4) float64. On the CPU by Numba, elsewhere by `plain_photometric_term`, to the same values.
+    Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
+    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by `plain_photometric_term`, to the same values.
     """
     if marks.points.device.type != "cpu":
-        return plain_photometric_term(frame, marks, T_wk, T_wc, level, robust=robust)
+        return plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
     from idfslam.mapping.kernels.numba_alignment import photometric_system
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
@@ -111,14 +113,14 @@ def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Te
     R_cw = T_wc[:3, :3].T.contiguous().numpy()
     shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
-    seen = photometric_system(
+    seen, noise = photometric_system(
         marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift,
-        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, robust, H.numpy(), b.numpy(),
+        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest, H.numpy(), b.numpy(),
     )  # fmt: skip
-    return Term(H, b, seen)
+    return Term(H, b, seen, noise)
 
 
-def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, robust: float) -> Term:
+def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
     """`photometric_term` in torch, on any device."""
     T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
     d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes
@@ -131,7 +133,8 @@ def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_
     inside = (z >= 0.05) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
     gain, offset = _exposure(target, value, inside)
     r = value - gain * target - offset
-    w = inside / (1 + (r / robust) ** 2) ** 2
+    scale = _median(r.abs()[inside]).mul(1.4826).clamp(min=floor)
+    w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
     # dr = -slope . dpi/dp . R^T (shift + turn x d)
     fx, fy = image.camera.fx, image.camera.fy
     x, y, _ = points_c.unbind(-1)
@@ -140,7 +143,12 @@ def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_
     n = -(a @ T_wc[:3, :3].T)
     J = torch.cat([n, torch.linalg.cross(d, n)], -1)
     JtW = (J * w[:, None]).T
-    return Term((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), int(inside.sum()))
+    return Term((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), int(inside.sum()), float(scale))
+
+
+def _median(values: Tensor) -> Tensor:
+    """The median with the middle two averaged, as numpy has it; 0 of nothing."""
+    return values.quantile(0.5) if len(values) else values.new_zeros(())
 
 
 def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:

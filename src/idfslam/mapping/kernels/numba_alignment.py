@@ -66,8 +66,10 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 
 @_compiled
-def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, robust, H, b):  # type: ignore[no-untyped-def]
-    """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,); returns the number in view.
+def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def]
+    """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,).
+
+    Returns the number in view and the scale of the differences. Each counts by the inverse square of the differences' own scale (their median, at least `floor`), robustly from `widest` scales on.
 
     d = R_kw_t p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
     frame's, its pixels `ratio` times the image's.
@@ -102,22 +104,29 @@ def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, c
         sum_tt += target[i] * target[i]
         sum_vv += values[i, 0] * values[i, 0]
     if n == 0:
-        return 0
+        return 0, 0.0
     mean_t, mean_v = sum_t / n, sum_v / n
     gain = np.sqrt(max(sum_vv / n - mean_v**2, 0.0)) / max(np.sqrt(max(sum_tt / n - mean_t**2, 0.0)), 1e-3)
     gain = min(max(gain, 0.7), 1.4)
+    residuals = np.empty(n)
+    k = 0
+    for i in range(m):
+        if inside[i]:
+            residuals[k] = abs(values[i, 0] - mean_v - gain * (target[i] - mean_t))
+            k += 1
+    scale = max(1.4826 * np.median(residuals), floor)
     J = np.empty(6)
     for i in range(m):
         if not inside[i]:
             continue
         r = values[i, 0] - mean_v - gain * (target[i] - mean_t)
-        kernel = 1 + (r / robust) ** 2
+        kernel = 1 + (r / (widest * scale)) ** 2
         x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
         su, sv = values[i, 1] * fx / z, values[i, 2] * fy / z
         sz = -(su * x + sv * y) / z
         for a in range(3):
             J[a] = -(R_cw[0, a] * su + R_cw[1, a] * sv + R_cw[2, a] * sz)
         J[3], J[4], J[5] = d[i, 1] * J[2] - d[i, 2] * J[1], d[i, 2] * J[0] - d[i, 0] * J[2], d[i, 0] * J[1] - d[i, 1] * J[0]
-        _add(H, b, J, 1 / (kernel * kernel), r)
+        _add(H, b, J, 1 / (kernel * kernel * scale * scale), r)
     _mirror(H)
-    return n
+    return n, scale
