@@ -92,6 +92,10 @@ class MapperConfig:
     """Adam's rate for the feature grid."""
     free_margin: float = 0.6
     """In free space the T-SDF, in units of tr, should be no less (samples supervision)."""
+    final_updates: int = 20
+    """Map updates over all keyframes after the last frame."""
+    final_keyframes: int = 8
+    """Keyframes of each of them."""
     certainty: float = 0.0
     """Power of a reading's relative certainty by which it counts (samples supervision); 0: all alike."""
     every: int = 4
@@ -275,6 +279,7 @@ PAPER = Config(
         free_space_weight=10.0,
         truncation_weight=6000.0,
         every=0,
+        final_updates=0,
         redraw=1,
         pose_optimisation=True,
         learning_rate=0.005,

@@ -19,6 +19,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
+from idfslam.mapping.saved_map import mesh_of, save_map
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.tracker import Described, Tracker
 
@@ -41,6 +42,7 @@ class Slam:
         self.aligner = Aligner(config.alignment, self.mapper.field, host)
         self.graph = KeyframeGraph(config.keyframes, host)
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
+        self._finished = False
         self._motion = torch.eye(4, dtype=torch.float64)  # of the last frame, T_c(i-1)_c(i)
 
     def process(self, frame: Frame) -> FrameResult:
@@ -56,6 +58,23 @@ class Slam:
         else:
             losses = self._finetune()
         return FrameResult(frame.index, frame.timestamp, self.graph.T_wc(-1).numpy(), status, chosen, losses)
+
+    def finish(self) -> None:
+        """The end of a run: a last polish of the map over all keyframes."""
+        if self._finished or not self.graph.keyframes:
+            return
+        self._finished = True
+        with self._timed("finish"):
+            for _ in range(self.config.mapper.final_updates):
+                self.mapper.optimise_map(self.graph.sample(self.config.mapper.final_keyframes), self.config.mapper.iterations)
+
+    def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
+        """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
+        return mesh_of(self.mapper.field, self.graph.views(), resolution or self.config.mesh.resolution)
+
+    def save_map(self, path: Path) -> None:
+        """The map as one file, to be read by `idfslam.mapping.saved_map.load_map`."""
+        save_map(path, self.mapper.field, self.graph.views())
 
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) camera-to-world poses of all frames processed; frames follow their keyframes."""
@@ -127,6 +146,7 @@ class Slam:
                 losses |= self.mapper.optimise_pose(keyframe)
         if self.graph.promote(keyframe):
             self.mapper.optimiser.grow()
+        self.graph.cover(keyframe)
         self._described(keyframe)
         with self._timed("map"):
             if first:
@@ -137,6 +157,7 @@ class Slam:
         """A map update on a frame that is not kept."""
         assert self.graph.reference is not None
         current.neighbours = self.graph.reference.neighbours
+        self.graph.cover(current)
         with self._timed("map"):
             return self.mapper.optimise_map([current, *self.graph.replay(current)], self.config.mapper.iterations)
 

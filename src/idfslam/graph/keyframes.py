@@ -13,7 +13,11 @@ from idfslam.config import KeyframeConfig
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.graph.covisibility import covisibility
+from idfslam.mapping.meshing import View, reduced_view
 from idfslam.mapping.sampling import CellPixels
+
+_COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt from
+_COVERAGE_MOST = 1000
 
 
 @dataclass(eq=False)
@@ -56,6 +60,7 @@ class KeyframeGraph:
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
         self._earlier: list[int] = []  # stored keyframes that see most of what the reference sees, oldest first
         self._links: list[_Link] = []
+        self._coverage: list[tuple[int, View]] = []  # keyframe, and a view at its pose T_kc
 
     def __len__(self) -> int:
         return len(self._links)
@@ -105,6 +110,23 @@ class KeyframeGraph:
         T_kn = torch.stack([se3.inverse(k.T_wk) @ keyframe.T_wk for k in self.keyframes]).to(keyframe.depth)
         others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
         return covisibility(keyframe.depth, keyframe.frame.camera, T_kn, keyframe.frame.camera, others).cpu()
+
+    def cover(self, view: Keyframe) -> None:
+        """Remember what a view that the map learnt from has seen: its depth, reduced, relative to the newest stored keyframe."""
+        k = len(self.keyframes) - 1
+        T_kc = se3.inverse(self.keyframes[k].T_wk) @ view.T_wk
+        small = reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
+        self._coverage.append((k, small))
+        if len(self._coverage) > _COVERAGE_MOST:
+            del self._coverage[1::2]  # every other: what is left still spreads over the whole run
+
+    def views(self) -> list[View]:
+        """All that was seen, at the poses that the keyframes have now."""
+        return [View(self.keyframes[k].T_wk.numpy() @ view.T_wc, view.depth, view.camera) for k, view in self._coverage]
+
+    def sample(self, count: int) -> list[Keyframe]:
+        """`count` stored keyframes at random, or all if they are fewer."""
+        return self._draw(self.keyframes, count)
 
     def references(self, count: int) -> list[Keyframe]:
         """The last chosen frame and, up to `count` in all, the oldest keyframes that see most of the same: they have drifted least."""

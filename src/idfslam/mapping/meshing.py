@@ -31,6 +31,15 @@ class View:
     camera: Camera
 
 
+def reduced_view(T_wc: NDArray[np.float64], depth: NDArray[np.float32], camera: Camera, height: int) -> View:
+    """A view with every so many-th pixel of its depth, at least `height` rows of them."""
+    step = max(1, camera.height // height)
+    first = step // 2
+    small = np.ascontiguousarray(depth[first::step, first::step])
+    fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - first) / step, (camera.cy - first) / step
+    return View(T_wc, small, Camera(small.shape[1], small.shape[0], fx, fy, cx, cy))
+
+
 def extract_mesh(
     sdf: Callable[[Tensor], Tensor],
     colour: Callable[[Tensor], Tensor] | None,

@@ -98,6 +98,22 @@ def _sigmoid(x: Floats) -> None:
 
 
 @_parallel
+def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def]
+    """T-SDF (N,) [tr] from features (N, K)."""
+    for block in prange((len(features) + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        count = min(len(features) - start, BLOCK)
+        x, h = np.empty((w1.shape[1], BLOCK), np.float32), np.empty((w1.shape[0], BLOCK), np.float32)
+        s = np.empty((1, BLOCK), np.float32)
+        _transpose(features, start, count, x)
+        _linear(w1, b1, x, h)
+        _relu(h)
+        _linear(ws, bs, h, s)
+        for p in range(count):
+            sdf[start + p] = s[0, p]
+
+
+@_parallel
 def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> None:  # type: ignore[no-untyped-def]
     """scale * T-SDF (N,) and its derivative (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
     inputs, hidden = w1.shape[1], w1.shape[0]
