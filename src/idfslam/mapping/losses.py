@@ -4,8 +4,9 @@ Units. The field's T-SDF is in units of the truncation distance tr. Free-space r
 residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the paper leaves unnamed and which are the defaults here.
 
 The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them.
-`LossWeights.squared` chooses; the printed form is the default. `LossWeights.balance` multiplies the free-space and the truncation loss each
-by the other class's share of the samples, as the published code of [25] does; it is in neither paper's equations.
+`LossWeights.squared` chooses; the printed form is its default, squared that of a run (`mapper.squared`). `LossWeights.balance` multiplies
+the free-space and the truncation loss each by the other class's share of the samples, as the published code of [25] does; it is in neither
+paper's equations.
 
 Measured (400 steps of an MLP of 3 x 128 on a room with a ball in it, 48 samples a ray, sharpness 10, one seed), error of the first zero
 crossing, median and mean: printed norms with balance 119, 124 cm, since balance leaves free space too little weight against 6000 and false
