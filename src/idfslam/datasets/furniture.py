@@ -132,7 +132,7 @@ def cloth(scene: Scene, colour: Rgb | None = None) -> int:
 def vase(scene: Scene, T: Array, x: float, y: float, z: float, size: float) -> None:
     """A glazed body with neck, `size` high; sometimes a plain ball."""
     rng = scene.rng
-    glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), vivid(rng, 0.4, 0.7), contrast=rng.integers(4))
+    glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), vivid(rng, 0.4, 0.7), contrast=float(rng.integers(4)))
     r = 0.3 * size
     if rng.random() < 0.3:
         scene.ball(T, (x, y, z + 0.36 * size), (0.36 * size,) * 3, glaze)

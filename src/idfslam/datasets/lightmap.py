@@ -63,16 +63,16 @@ def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -
             continue
         weight = seen[part].reshape(rows, columns).astype(np.float64)
         image = cv2.blur(light[part].reshape(rows, columns, 3) * weight[..., None], (3, 3), borderType=cv2.BORDER_CONSTANT)
-        weight = cv2.blur(weight, (3, 3), borderType=cv2.BORDER_CONSTANT)
-        empty = weight < 1e-6
-        image = image / np.maximum(weight, 1e-6)[..., None]
+        share = cv2.blur(weight, (3, 3), borderType=cv2.BORDER_CONSTANT)
+        empty = share < 1e-6
+        image = image / np.maximum(share, 1e-6)[..., None]
         image[empty] = light[part][seen[part]].mean(0)
         out[part] = image.reshape(-1, 3)
     return out
 
 
 @compiled
-def irradiance(layout: NDArray[np.int64], light: Array, shape: int, chart: int, s: float, t: float) -> Colour:
+def irradiance(layout: NDArray[np.int64], light: NDArray[np.float32], shape: int, chart: int, s: float, t: float) -> Colour:
     """Bilinear look-up."""
     offset, columns, rows = layout[shape, chart]
     x, y = min(max(s * columns - 0.5, 0.0), columns - 1.0), min(max(t * rows - 0.5, 0.0), rows - 1.0)

@@ -138,7 +138,8 @@ class KeyframeGraph:
 
         Beyond the paper, `replay_connected` random ones that are: they keep the shared view an average of many.
         """
-        apart, connected = [], []
+        apart: list[Keyframe] = []
+        connected: list[Keyframe] = []
         for i, other in enumerate(self.keyframes):
             if other is not keyframe:
                 (connected if i in keyframe.neighbours else apart).append(other)

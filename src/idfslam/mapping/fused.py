@@ -1,7 +1,7 @@
 """The fast path of a small field on the CPU: whole network and losses in one Numba kernel; else plain torch, to the same values."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,16 +12,8 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import grid_encode, grid_jacobian
 
-
-class Samples(Protocol):
-    """Points with what the field should say there; see `objectives.Samples`."""
-
-    points: Tensor
-    near: int
-    target: Tensor
-    weight: Tensor
-    colour: Tensor
-    colour_weight: Tensor
+if TYPE_CHECKING:
+    from idfslam.mapping.objectives import Samples
 
 
 def fusable(field: Field) -> bool:
@@ -40,7 +32,7 @@ def weights(field: Field) -> list[NDArray[np.float32]]:
 def parameters(field: Field) -> list[nn.Parameter]:
     """The same as torch parameters, in the same order."""
     layers = [field.trunk[0], field.sdf_head, field.colour_head[0], field.colour_head[2]]
-    return [p for layer in layers for p in (layer.weight, layer.bias)]
+    return [p for layer in layers for p in layer.parameters()]
 
 
 def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
@@ -55,7 +47,8 @@ def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
     assert isinstance(field.encoding, GridEncoding)
     features, slopes = grid_jacobian(points, field.encoding.tables, field.encoding.cells)
     values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
-    evaluate(*_arrays(features, slopes), *weights(field)[:4], np.float32(field.config.truncation), *_arrays(values, gradient))
+    inputs, outputs = _arrays(features, slopes), _arrays(values, gradient)
+    evaluate(*inputs, *weights(field)[:4], np.float32(field.config.truncation), *outputs)  # type: ignore[call-arg]
     return values, gradient
 
 
@@ -71,7 +64,7 @@ def sdf(field: Field, points: Tensor) -> Tensor:
     assert isinstance(field.encoding, GridEncoding)
     features = grid_encode(points.contiguous(), field.encoding.tables.detach(), field.encoding.cells)
     values = torch.empty(len(points))
-    infer(features.numpy(), *weights(field)[:4], values.numpy())
+    infer(features.numpy(), *weights(field)[:4], values.numpy())  # type: ignore[call-arg]
     return values
 
 
@@ -85,7 +78,7 @@ def colour_function(field: Field) -> Callable[[Tensor], Tensor]:
     return colour
 
 
-def learn(field: Field, samples: Samples, free_margin: float) -> tuple[Tensor, Tensor]:
+def learn(field: Field, samples: "Samples", free_margin: float) -> tuple[Tensor, Tensor]:
     """Squared terms (N,) and colour terms (near,) of the samples; the gradients of their weighted sum are added to the field's."""
     from idfslam.mapping.kernels import numba_field
 
@@ -95,7 +88,7 @@ def learn(field: Field, samples: Samples, free_margin: float) -> tuple[Tensor, T
     network = weights(field)
     g_network = [np.zeros((numba_field.PARTS, *w.shape), np.float32) for w in network]
     inputs = _arrays(samples.target, samples.weight), _arrays(samples.colour, samples.colour_weight)
-    numba_field.learn(
+    numba_field.learn(  # type: ignore[call-arg]
         features.numpy(), samples.near, *inputs[0], np.float32(free_margin), *inputs[1], *network,
         g_features.numpy(), *g_network, *_arrays(terms, colour_terms),
     )  # fmt: skip

@@ -14,6 +14,9 @@ class GridEncoding(nn.Module):
     written twice (`grow`), which leaves the function exactly as it was, since the hash is taken modulo a power of two.
     """
 
+    cells: Tensor  # (levels,) edges [m]
+    gradient: Tensor  # of the tables
+
     def __init__(self, config: FieldConfig) -> None:
         super().__init__()
         ratio = (config.finest / config.coarsest) ** (1 / max(config.levels - 1, 1))

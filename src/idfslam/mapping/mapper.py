@@ -20,7 +20,7 @@ from idfslam.mapping.rendering import RayMarch, render, world_rays
 from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 
 _VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays there know nothing of the depth
-SUPERVISION = {"rendering": RenderingObjective, "samples": SampleObjective}
+SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
 
 
 class Mapper:

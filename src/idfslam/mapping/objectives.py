@@ -113,15 +113,21 @@ class SampleObjective:
         free_weight = torch.full((free.numel(),), c.free_space_weight / max(free.numel(), 1), device=points.device)
         colour = rays.colour[:, None].expand(count, c.samples, 3).reshape(-1, 3)
         colour_weight = torch.full((near.numel(),), c.photometric_weight / near.numel(), device=points.device)
-        return Samples(points, near.numel(), torch.cat([target, torch.ones_like(free_weight)]), torch.cat([weight, free_weight]), colour, colour_weight)
+        targets, weights = torch.cat([target, torch.ones_like(free_weight)]), torch.cat([weight, free_weight])
+        return Samples(points, near.numel(), targets, weights, colour, colour_weight)
 
     def _losses(self, samples: Samples, rays: int, terms: Tensor, colour_terms: Tensor) -> Losses:
         near, free = terms[: samples.near], terms[samples.near :]
         photometric = samples.colour_weight * colour_terms
         per_ray = (near + photometric).view(rays, -1).sum(1) + free.view(rays, -1).sum(1)
         c = self.config
-        share = [photometric.sum() / c.photometric_weight, free.sum() / c.free_space_weight, near.sum() / c.truncation_weight]
-        return Losses(per_ray.sum(), *share, per_ray.detach() * rays)
+        return Losses(
+            total=per_ray.sum(),
+            photometric=photometric.sum() / c.photometric_weight,
+            free_space=free.sum() / c.free_space_weight,
+            truncation=near.sum() / c.truncation_weight,
+            per_ray=per_ray.detach() * rays,
+        )
 
 
 def _points(rays: Rays, depths: Tensor) -> Tensor:

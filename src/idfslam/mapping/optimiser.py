@@ -37,7 +37,8 @@ class MapOptimiser:
             torch.nn.utils.clip_grad_norm_(self.networks, self.config.gradient_clip)
         self.adam.step()
         if self.grid is not None:
-            sparse_adam(self.grid.tables.detach(), self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=self.config.table_rate)
+            tables, table_rate = self.grid.tables.detach(), self.config.table_rate
+            sparse_adam(tables, self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=table_rate)
 
     def grow(self) -> bool:
         """Double the tables when they fill up; the map stays the same function."""

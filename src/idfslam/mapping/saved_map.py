@@ -23,7 +23,7 @@ from idfslam.mapping.rendering import RayMarch, render_image
 
 FORMAT = 1
 _MOST_VIEWS = 150  # kept in the file, so that it stays below 10 MB
-_MARCH = {"samples": 128, "importance_samples": 16, "sharpness": 20.0}
+_SAMPLES, _IMPORTANCE_SAMPLES, _SHARPNESS = 128, 16, 20.0  # of rendered images
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SavedMap:
     def render(self, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Colour (H, W, 3) and depth (H, W) [m] that the map shows a camera at `T_wc` (4, 4)."""
         farthest = max(float(view.depth.max()) for view in self.views) + 2 * self.field.config.truncation
-        march = RayMarch(truncation=self.field.config.truncation, **_MARCH)
+        march = RayMarch(_SAMPLES, _IMPORTANCE_SAMPLES, self.field.config.truncation, _SHARPNESS)
         device = next(self.field.parameters()).device
         image = render_image(self.field, torch.from_numpy(T_wc).float().to(device), camera, farthest, march)
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
@@ -88,4 +88,3 @@ def load_map(path: Path) -> SavedMap:
         raise ResultError(f"{path}: cannot be read as a map ({type(error).__name__}: {error}); expected a run's map.safetensors") from error
     field.requires_grad_(False)
     return SavedMap(field, [View(pose, depth, camera) for pose, depth in zip(poses, depths)])
-

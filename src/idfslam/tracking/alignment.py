@@ -76,15 +76,16 @@ class Aligner:
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0)
-        T = T_guess.double()
+        T, moved = T_guess.double(), torch.zeros(6, dtype=torch.float64)
+        coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
+        coarse = Surface(surface.points[::3].contiguous(), surface.sigma[::3].contiguous())
         for step in range(self.config.iterations):
-            system = self._depth_system(surface, T, step)
+            system = self._depth_system(coarse if step < coarse_steps else surface, T, step)
             H, b, brightness = self._with_images(system, view, references, T, step)
             prior = self.config.prior * max(system.weight, 1e-3)
-            H = H + prior * torch.eye(6, dtype=torch.float64)
-            delta = torch.linalg.solve(H, b - prior * _difference(T, T_guess))
-            T = _moved(T, delta)
-            if step >= (self.config.image_levels - 1) * self.config.steps_a_level and float(delta.abs().max()) < self.config.converged:
+            delta = torch.linalg.solve(H + prior * torch.eye(6, dtype=torch.float64), b - prior * moved)
+            T, moved = _moved(T, delta), moved + delta
+            if step >= coarse_steps and float(delta.abs().max()) < self.config.converged:
                 break
         return self._judged(T, system, brightness, step + 1)
 
@@ -124,14 +125,17 @@ class Aligner:
         build = depth_system if turned.device.type == "cpu" else plain_depth_system
         return build(turned, distance, gradient, surface.sigma, self.truncation, robust, self.config.robust_widest)
 
-    def _with_images(self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int) -> tuple[Tensor, Tensor, float]:
-        """The normal equations with the brightness of each reference's landmarks added, from the coarsest level of the pyramid to the finest."""
+    def _with_images(
+        self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
+    ) -> tuple[Tensor, Tensor, float]:
+        """The normal equations with the brightness of each reference's landmarks added, on the pyramid's level for this step."""
         H, b, brightness, seen = system.H, system.b, 0.0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
-            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=self.config.colour_noise, widest=self.config.colour_robust)
+            noise, widest = self.config.colour_noise, self.config.colour_robust
+            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest)
             H = H + self.config.depth_noise**2 * term.H
             b = b + self.config.depth_noise**2 * term.b
             brightness, seen = brightness + term.seen * term.noise, seen + term.seen
@@ -170,7 +174,7 @@ def depth_system(
 
     H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
     arrays = [t.numpy() for t in (turned, distance, gradient, sigma)]
-    weight, squares, known = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())
+    weight, squares, known = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
     radius = float(turned.norm(dim=-1).mean())
     return _System(H, b, weight, known / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
 
@@ -202,10 +206,3 @@ def _moved(T: Tensor, delta: Tensor) -> Tensor:
     out[:3, :3] = se3.exp(torch.cat([torch.zeros_like(delta[:3]), delta[3:]]))[:3, :3] @ T[:3, :3]
     out[:3, 3] = T[:3, 3] + delta[:3]
     return out
-
-
-def _difference(T: Tensor, T_guess: Tensor) -> Tensor:
-    """The delta that `_moved` would need to come from T_guess to T."""
-    turn = se3.identity_like(T)
-    turn[:3, :3] = T[:3, :3] @ T_guess[:3, :3].T
-    return torch.cat([T[:3, 3] - T_guess[:3, 3], se3.log(turn)[3:]])

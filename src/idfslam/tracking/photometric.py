@@ -102,7 +102,8 @@ def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Te
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
 
     Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
-    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by `plain_photometric_term`, to the same values.
+    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by
+    `plain_photometric_term`, to the same values.
     """
     if marks.points.device.type != "cpu":
         return plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
@@ -120,7 +121,9 @@ def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Te
     return Term(H, b, seen, noise)
 
 
-def plain_photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
+def plain_photometric_term(
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+) -> Term:
     """`photometric_term` in torch, on any device."""
     T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
     d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes

@@ -66,10 +66,11 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 
 @_compiled
-def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def]
+def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
     """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,).
 
-    Returns the number in view and the scale of the differences. Each counts by the inverse square of the differences' own scale (their median, at least `floor`), robustly from `widest` scales on.
+    Returns the number in view and the scale of the differences. Each counts by the inverse square of the differences' own scale (their
+    median, at least `floor`), robustly from `widest` scales on.
 
     d = R_kw_t p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
     frame's, its pixels `ratio` times the image's.

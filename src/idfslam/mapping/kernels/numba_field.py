@@ -2,7 +2,7 @@
 
 Between a grid's features and a loss the network's own arithmetic is small; what costs is writing every layer's output to memory and
 waking threads for every layer. Here points go through the whole network, and back, in blocks that stay in the first-level
-cache, transposed so that each loop runs over points and vectorises. `tests/test_numba_field.py` holds it against torch's autograd.
+cache, transposed so that each loop runs over points and vectorises. `tests/test_fused.py` holds it against torch's autograd.
 
 Sums over points are gathered in a fixed number of parts, whatever the number of threads, so that results repeat exactly.
 """
@@ -140,7 +140,7 @@ def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> Non
 
 
 @_parallel
-def learn(  # type: ignore[no-untyped-def]
+def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and back through two heads, block by block)
     features, coloured, target, weight, margin, target_colour, colour_weight,
     w1, b1, ws, bs, wc1, bc1, wc2, bc2,
     g_features, g_w1, g_b1, g_ws, g_bs, g_wc1, g_bc1, g_wc2, g_bc2, loss, colour_loss,
