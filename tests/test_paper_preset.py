@@ -50,7 +50,7 @@ def reduced() -> Config:
     return replace(
         PAPER,
         field=field,
-        mapper=replace(PAPER.mapper, **sizes),
+        mapper=replace(PAPER.mapper, pose_learning_rate=0.001, **sizes),  # so small a map is too coarse for steps of 5 mm
         keyframes=replace(PAPER.keyframes, translation=0.03, rotation=3.0, culling=False),
         tracker=replace(PAPER.tracker, query_stride=4, target_stride=2),
         finetune=replace(PAPER.finetune, keyframes=2, pixels=64),
