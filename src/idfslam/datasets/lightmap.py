@@ -72,7 +72,7 @@ def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -
 
 
 @compiled
-def irradiance(layout: NDArray[np.int64], light: NDArray[np.float32], shape: int, chart: int, s: float, t: float) -> Colour:
+def irradiance(layout: NDArray[np.int64], light: NDArray[np.floating], shape: int, chart: int, s: float, t: float) -> Colour:
     """Bilinear look-up."""
     offset, columns, rows = layout[shape, chart]
     x, y = min(max(s * columns - 0.5, 0.0), columns - 1.0), min(max(t * rows - 0.5, 0.0), rows - 1.0)
