@@ -176,6 +176,8 @@ class FinetuneConfig:
 
     enabled: bool = True
     """Finetune on frames that are not keyframes."""
+    every: int = 10
+    """One step on every so many of these frames (the paper: on each)."""
     keyframes: int = 10
     """N_kf: keyframes that must be stored before it starts."""
     learning_rate: float = 1e-4
@@ -222,7 +224,7 @@ class AlignmentConfig:
     """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
     prior: float = 1e-5
     """Information, per unit weight of depth, that holds the pose to its guess: it decides only what nothing else does."""
-    converged: float = 1e-5
+    converged: float = 5e-5
     """Steps below this [m, rad] end the iteration."""
     min_points: int = 100
     """Fewer points with depth: lost."""
@@ -291,7 +293,7 @@ PAPER = Config(
     ),
     keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10, replay_connected=0),
     tracker=TrackerConfig(matches=200, grid=4, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0),
-    finetune=FinetuneConfig(keyframes=10, learning_rate=1e-4),
+    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),
 )
 

@@ -163,7 +163,8 @@ class Slam:
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""
-        if len(self.graph.keyframes) < self.config.finetune.keyframes or not self.config.finetune.enabled:
+        config = self.config.finetune
+        if not config.enabled or len(self.graph.keyframes) < config.keyframes or len(self.graph) % config.every:
             return {}
         with self._timed("finetune"):
             described = [self._described(k) for k in self.graph.keyframes]

@@ -77,11 +77,6 @@ def inverse(T: Tensor) -> Tensor:
     return torch.cat([top, T[..., 3:, :]], -2)
 
 
-def identity_like(T: Tensor) -> Tensor:
-    """The identity, shaped and typed as T (..., 4, 4)."""
-    return torch.eye(4, dtype=T.dtype, device=T.device).expand_as(T).clone()
-
-
 def transform(T_ab: Tensor, points_b: Tensor) -> Tensor:
     """Points (..., N, 3) of frame b into frame a."""
     return points_b @ T_ab[..., :3, :3].mT + T_ab[..., None, :3, 3]
