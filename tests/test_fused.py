@@ -1,0 +1,127 @@
+"""The small network's kernels against torch's autograd: learning, distance with gradient, and the T-SDF alone."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from idfslam.config import FieldConfig, MapperConfig
+from idfslam.mapping import fused
+from idfslam.mapping.field import Field
+from idfslam.mapping.kernels.numba_field import BLOCK
+from idfslam.mapping.losses import Losses
+from idfslam.mapping.objectives import SampleObjective
+from idfslam.mapping.rays import Rays
+
+SMALL = FieldConfig(encoding="grid", levels=4, table_log2=10, width=16, colour_width=12, truncation=0.1)
+MAPPER = MapperConfig(supervision="samples", samples=5, importance_samples=3, free_margin=0.6)
+
+
+def field(config: FieldConfig = SMALL, seed: int = 0) -> Field:
+    """A field with features large enough that T-SDF and colour vary and both sides of every relu are met."""
+    torch.manual_seed(seed)
+    out = Field(config)
+    with torch.no_grad():
+        out.encoding.tables.uniform_(-0.7, 0.7)
+        for p in out.parameters():
+            if p.ndim == 1:
+                p.uniform_(-0.3, 0.3)
+    return out
+
+
+def points(n: int) -> Tensor:
+    return 3 * torch.rand(n, 3, generator=torch.Generator().manual_seed(n)) - 1.5
+
+
+def rays(n: int) -> Rays:
+    generator = torch.Generator().manual_seed(n)
+    directions = torch.cat([torch.rand(n, 2, generator=generator) - 0.5, torch.ones(n, 1)], 1)
+    depth, colour = 0.5 + 2 * torch.rand(n, generator=generator), torch.rand(n, 3, generator=generator)
+    return Rays(torch.zeros(n, 3), directions, depth, colour, 0.3 + 0.7 * torch.rand(n, generator=generator))
+
+
+def gradients(taught: Field) -> dict[str, Tensor]:
+    """The tables' from the buffer that the optimiser reads, the others' from torch's parameters."""
+    network = {name: p.grad.clone() for name, p in taught.named_parameters() if not name.endswith("tables") and p.grad is not None}
+    return {"tables": taught.encoding.gradient.clone(), **network}
+
+
+def learnt_fused(n: int) -> tuple[Losses, dict[str, Tensor]]:
+    taught = field()
+    losses = SampleObjective(MAPPER, SMALL.truncation).learn(taught, rays(n), torch.Generator().manual_seed(1))
+    return losses, gradients(taught)
+
+
+def learnt_plain(n: int) -> tuple[Losses, dict[str, Tensor]]:
+    taught = field()
+    losses = SampleObjective(MAPPER, SMALL.truncation)(taught, rays(n), torch.Generator().manual_seed(1))
+    losses.total.backward()
+    return losses, gradients(taught)
+
+
+# 5 samples near and 3 free a ray: 13 rays leave one block of 65 + 39 odd; 3 rays less than a block of each; 64 fill whole blocks alone
+@pytest.mark.parametrize("n", [1, 3, 13, 64, 150])
+def test_learning_is_that_of_autograd(n: int) -> None:
+    (losses, found), (plain_losses, expected) = learnt_fused(n), learnt_plain(n)
+    for name in ("total", "photometric", "free_space", "truncation", "per_ray"):
+        torch.testing.assert_close(getattr(losses, name), getattr(plain_losses, name).detach(), rtol=1e-4, atol=1e-5)
+    assert set(found) == set(expected)
+    assert len(found) == 1 + len(fused.parameters(field()))
+    for name, gradient in expected.items():
+        largest = float(gradient.abs().max())
+        assert largest > 0, name
+        torch.testing.assert_close(found[name], gradient, rtol=1e-3, atol=1e-4 * largest, msg=lambda m, name=name: f"{name}: {m}")
+
+
+def test_learning_adds_to_earlier_gradients() -> None:
+    taught, objective = field(), SampleObjective(MAPPER, SMALL.truncation)
+    for _ in range(2):
+        objective.learn(taught, rays(20), torch.Generator().manual_seed(1))
+    for name, once in learnt_fused(20)[1].items():
+        torch.testing.assert_close(gradients(taught)[name], 2 * once, rtol=1e-5, atol=1e-6)
+
+
+def test_learning_repeats_exactly() -> None:
+    (losses, once), (losses_again, again) = learnt_fused(150), learnt_fused(150)
+    assert torch.equal(losses.total, losses_again.total)
+    assert all(torch.equal(once[name], again[name]) for name in once)
+
+
+@pytest.mark.parametrize("n", [1, BLOCK - 1, BLOCK, 3 * BLOCK, 3 * BLOCK + 5])
+def test_distance_and_sdf_are_those_of_the_field(n: int) -> None:
+    asked, where = field(), points(n)
+    value, gradient = fused.distance_query(asked)(where)
+    expected, expected_gradient = asked.distance(where)
+    torch.testing.assert_close(value, expected, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(gradient, expected_gradient, rtol=1e-3, atol=1e-3)
+    with torch.no_grad():
+        torch.testing.assert_close(fused.sdf_function(asked)(where), asked.sdf(where), rtol=1e-4, atol=1e-5)
+    assert all(p.grad is None for p in asked.parameters())
+
+
+def test_queries_follow_the_weights() -> None:
+    asked, where = field(), points(10)
+    query = fused.distance_query(asked)
+    before = query(where)[0]
+    with torch.no_grad():
+        asked.sdf_head.bias += 1
+    torch.testing.assert_close(query(where)[0], before + SMALL.truncation)  # T-SDF in units of the truncation
+
+
+def test_queries_follow_tables_that_grew() -> None:
+    asked, where = field(), points(100)
+    query = fused.distance_query(asked)
+    before = query(where)[0]
+    asked.encoding.grow()
+    torch.testing.assert_close(query(where)[0], before)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"layers": 2}, {"encoding": "positional"}, {"direction_frequencies": 2}, {"width": 18}, {"colour_width": 6}, {"levels": 3}]
+)
+def test_other_networks_take_the_plain_path(changes: dict[str, int | str]) -> None:
+    other = Field(replace(SMALL, **changes))
+    assert not fused.fusable(other)
+    where = points(7)
+    assert torch.equal(fused.distance_query(other)(where)[0], other.distance(where)[0])
