@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
@@ -18,7 +19,7 @@ from tyro.conf import DisallowNone, Positional, arg, subcommand
 
 from idfslam import __version__
 from idfslam.config import FAST, PRESETS, Config, check, load
-from idfslam.errors import IdfSlamError
+from idfslam.errors import ConfigError, IdfSlamError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -167,6 +168,72 @@ class Render:
         print(*write_views(self.folder, self.out, frames=self.frames), sep="\n")
 
 
+@dataclass(frozen=True)
+class Bench:
+    """SLAM on a list of recordings with several seeds each: mean and spread of errors, speed, memory and stage times."""
+
+    recordings: Positional[tuple[str, ...]]
+    """Recordings of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES. gt_mesh.ply in one is its true surface."""
+    values: Values = FAST
+    seeds: int = 3
+    """How many seeds, from --seed on."""
+    frames: int | None = None
+    """How many frames of each; none given: all of a recording, one tour of a synthetic room."""
+    against: Literal["open3d"] | None = None
+    """A baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
+    out: Path = Path("results/bench")
+    """Where results, bench.json and bench.md go."""
+    mesh: bool = True
+    """Whether the surface is evaluated where the true one is known."""
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        from idfslam.bench import REPORT, TABLE, bench, check_finished
+        from idfslam.tables import print_files
+
+        options: dict[str, Any] = {"seeds": self.seeds, "frames": self.frames, "mesh": self.mesh, "against": self.against}
+        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        found = bench(self.recordings, values, self.out, **options, report=report)
+        print((self.out / TABLE).read_text(encoding="utf-8"))
+        print_files(self.out, (REPORT, TABLE), output())
+        check_finished(found, self.out)
+
+
+@dataclass(frozen=True)
+class Pretrain:
+    """Self-supervised training of the tracker's features on recordings, no poses needed."""
+
+    recordings: Positional[tuple[Path, ...]]
+    """Recordings of any layout, or synthetic[:SEED][:kinect]."""
+    out: Path
+    """The weights (safetensors), for `run --tracker.weights`."""
+    steps: int = 2400
+    """Training steps, a pair of frames each."""
+    seed: int = 0
+    """Seed of every random choice."""
+
+    def __call__(self, console: "Console") -> None:
+        if self.steps < 1:
+            raise ConfigError(f"--steps {self.steps}, expected at least 1")
+        from rich.progress import Progress
+
+        from idfslam.datasets import open_recording
+        from idfslam.tracking.training import pretrain
+
+        recordings = [open_recording(path) for path in self.recordings]
+        with Progress(console=console) as progress:
+            task = progress.add_task("pretraining", total=self.steps)
+
+            def report(step: int, losses: dict[str, float]) -> None:
+                text = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
+                progress.update(task, completed=step + 1, description=f"pretraining: {text}")
+
+            pretrain(recordings, out=self.out, steps=self.steps, seed=self.seed, report=report)
+        print(self.out)
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command with its flags. Raises ConfigError for a config file that cannot be used; exits with 2 on wrong usage."""
     values = _starting_values(arguments)
@@ -176,6 +243,8 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Eval, subcommand("eval")]
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Render, subcommand("render")]
+        | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
+        | Annotated[Pretrain, subcommand("pretrain")]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
     command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))

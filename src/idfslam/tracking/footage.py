@@ -19,8 +19,11 @@ from idfslam.tracking.description import reduced
 class Recording(Protocol):
     """What pretraining needs of a data set: frames. It asks for no pose."""
 
-    name: str
-    camera: Camera
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def camera(self) -> Camera: ...
 
     def __len__(self) -> int: ...
 
