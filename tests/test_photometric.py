@@ -1,0 +1,177 @@
+"""Brightness of landmarks: pyramid, choice of landmarks, and the normal equations, compiled and plain, against finite differences."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, plain_photometric_term, pyramid
+
+CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
+EYE = torch.eye(4, dtype=torch.float64)
+
+
+def pose(*increment: float) -> Tensor:
+    return se3.exp(torch.tensor(increment, dtype=torch.float64))
+
+
+def view(T_wc: Tensor, *, noise: float = 0.0) -> tuple[Tensor, Tensor]:
+    """Colour (H, W, 3) and depth (H, W) of a wall 2 m ahead that leans a quarter, smoothly painted: z = 2 + x / 4."""
+    rays = CAMERA.rays(CAMERA.pixels()).double() @ T_wc[:3, :3].T
+    origin = T_wc[:3, 3]
+    depth = (2 + origin[0] / 4 - origin[2]) / (rays[..., 2] - rays[..., 0] / 4)
+    p = origin + rays * depth[..., None]
+    paint = 0.5 + 0.2 * torch.sin(5 * p[..., 0] + 2) + 0.15 * torch.sin(7 * p[..., 1]) * torch.cos(3 * p[..., 0])
+    paint = paint + noise * torch.randn(paint.shape, generator=torch.Generator().manual_seed(0))
+    return paint[..., None].expand(*paint.shape, 3).float().contiguous(), depth.float()
+
+
+def appearance(T_wc: Tensor, *, gain: float = 1.0, offset: float = 0.0, noise: float = 0.0) -> Appearance:
+    colour, depth = view(T_wc, noise=noise)
+    return Appearance(pyramid(gain * colour + offset, CAMERA, height=72, levels=3), depth, CAMERA)
+
+
+def marks_at(T_wk: Tensor) -> Landmarks:
+    frame = appearance(T_wk)
+    return landmarks(frame.levels, frame.depth, count=400, least=0.005)
+
+
+def test_pyramid_cameras_and_means() -> None:
+    # A camera of 96 x 72 with at least 36 rows: 2 x 2 pixels become one. The centre of pixel (0, 0) is at -0.5 + 0.5 * 2 = 0.5 of the
+    # old ones, so that cx' = (cx + 0.5) / 2 - 0.5.
+    colour = torch.rand(72, 96, 3, generator=torch.Generator().manual_seed(0))
+    levels = pyramid(colour, CAMERA, height=36, levels=2)
+    assert [tuple(level.luminance.shape) for level in levels] == [(36, 48), (18, 24)]
+    fine = levels[0].camera
+    assert (fine.width, fine.height, fine.fx, fine.fy) == (48, 36, 40.0, 40.0)
+    assert (fine.cx, fine.cy) == pytest.approx((23.5, 17.5))
+    torch.testing.assert_close(levels[0].luminance[3, 5], colour[6:8, 10:12].mean())
+    torch.testing.assert_close(levels[1].luminance[2, 4], colour[8:12, 16:20].mean())
+
+
+def test_a_small_image_is_not_enlarged() -> None:
+    assert pyramid(torch.zeros(72, 96, 3), CAMERA, height=480, levels=1)[0].luminance.shape == (72, 96)
+
+
+def test_slopes_on_a_ramp() -> None:
+    # Luminance 0.01 u + 0.02 v: the same slopes everywhere but at the border.
+    v, u = torch.meshgrid(torch.arange(72.0), torch.arange(96.0), indexing="ij")
+    ramp = (0.01 * u + 0.02 * v)[..., None].expand(72, 96, 3) / 4
+    level = pyramid(ramp, CAMERA, height=72, levels=1)[0]
+    value, slope_u, slope_v = level.at(torch.tensor([[10.25, 20.5], [60.0, 30.0]]))
+    torch.testing.assert_close(value, torch.tensor([0.1025 + 0.41, 0.6 + 0.6]) / 4)
+    torch.testing.assert_close(torch.stack([slope_u, slope_v]), torch.tensor([[0.01, 0.01], [0.02, 0.02]]) / 4)
+
+
+def test_landmarks_avoid_edges_of_depth_and_holes() -> None:
+    colour = torch.rand(72, 96, 3, generator=torch.Generator().manual_seed(0))
+    depth = torch.full((72, 96), 1.0)
+    depth[:, 48:] = 2.0  # an edge between columns 47 and 48
+    depth[20:40, 10:30] = 0.0
+    marks = landmarks(pyramid(colour, CAMERA, height=72, levels=2), depth, count=1500)
+    uv, z = CAMERA.project(marks.points)
+    u, v = uv.round().long().unbind(-1)
+    assert len(u) > 800
+    torch.testing.assert_close(z, depth[v, u])
+    assert not ((u == 47) | (u == 48)).any()
+    assert not ((u >= 9) & (u <= 30) & (v >= 19) & (v <= 40)).any()  # neither in the hole nor at its rim
+    assert [len(level) for level in marks.luminance] == [len(u)] * 2
+    torch.testing.assert_close(marks.luminance[0], colour.mean(-1)[v, u], atol=1e-4, rtol=0)
+
+
+def test_a_plain_image_has_no_landmarks() -> None:
+    assert len(landmarks(pyramid(torch.full((72, 96, 3), 0.5), CAMERA, height=72, levels=1), torch.ones(72, 96), count=100).points) == 0
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_the_compiled_term_is_the_plain_one(level: int, noise: float) -> None:
+    T_wk, T_wc = pose(0.1, 0.02, 0, 0.01, 0.05, 0), pose(0.13, 0, 0.04, 0.0, 0.03, 0.02)
+    marks = marks_at(T_wk)
+    frame = appearance(pose(0.14, 0, 0.04, 0.0, 0.035, 0.02), gain=0.9, offset=0.05, noise=noise)
+    depth = frame.depth.clone()
+    depth[:20] = 0  # holes in the frame's depth hide nothing,
+    depth[:, 70:] = 1.0  # an obstacle does
+    frame = replace(frame, depth=depth)
+    found = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0)
+    plain = plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0)
+    assert found.seen == plain.seen
+    assert 50 < found.seen < len(marks.points) - 20
+    assert found.noise == pytest.approx(plain.noise, rel=2e-3)
+    torch.testing.assert_close(found.H, plain.H, rtol=0, atol=5e-3 * float(plain.H.abs().max()))
+    torch.testing.assert_close(found.b, plain.b, rtol=0, atol=5e-3 * float(plain.b.abs().max()))
+    torch.testing.assert_close(found.H, found.H.T)
+
+
+def moved(T: Tensor, delta: Tensor) -> Tensor:
+    """Shifted by delta[:3] and turned by delta[3:] about the camera's centre, both along world axes."""
+    turn = se3.exp(torch.cat([torch.zeros(3, dtype=torch.float64), delta[3:]]))
+    out = T.clone()
+    out[:3, :3], out[:3, 3] = turn[:3, :3] @ T[:3, :3], T[:3, 3] + delta[:3]
+    return out
+
+
+def test_jacobian_against_finite_differences() -> None:
+    # One landmark at a time. Alone, exposure explains it whole (r = 0); so H = w J J^T is read from it, with w = 1 / floor^2 = 1.
+    T_wk, T_wc = pose(0.1, 0.02, 0, 0.01, 0.05, 0), pose(0.13, 0, 0.04, 0.0, 0.03, 0.02)
+    frame, marks = appearance(T_wc), marks_at(T_wk)
+    step = 0.0125  # about a pixel: the image is piecewise bilinear, its slopes central differences over two pixels
+    checked = 0
+    for i in range(0, len(marks.points), 7):
+        one = Landmarks(marks.points[i : i + 1], [x[i : i + 1] for x in marks.luminance])
+        term = photometric_term(frame, one, T_wk, T_wc, 0, floor=1.0, widest=3.0)
+        if term.seen == 0:
+            continue
+
+        def brightness(T: Tensor, one: Landmarks = one) -> float:
+            points_c = se3.transform(se3.inverse(T) @ T_wk, one.points.double())
+            return float(frame.levels[0].at(CAMERA.project(points_c)[0].float())[0])
+
+        deltas = step * torch.eye(6, dtype=torch.float64)
+        J = torch.tensor([(brightness(moved(T_wc, d)) - brightness(moved(T_wc, -d))) / (2 * step) for d in deltas], dtype=torch.float64)
+        torch.testing.assert_close(term.H, torch.outer(J, J), rtol=0, atol=0.15 * float(J @ J) + 2e-3)
+        checked += 1
+    assert checked > 20
+
+
+def test_the_step_goes_back_to_the_true_pose() -> None:
+    # Gauss-Newton on brightness alone, 1.4 cm and half a degree away, on the finest level: a few steps find the truth.
+    T_wk, truth = pose(0.1, 0.02, 0, 0.01, 0.05, 0), pose(0.13, 0, 0.04, 0.0, 0.03, 0.02)
+    frame, marks = appearance(truth), marks_at(T_wk)
+    T = moved(truth, torch.tensor([0.01, -0.01, 0.0, 0.004, 0.006, -0.005], dtype=torch.float64))
+    for _ in range(8):
+        term = photometric_term(frame, marks, T_wk, T, 0, floor=0.002, widest=3.0)
+        T = moved(T, torch.linalg.solve(term.H, term.b))
+    error = se3.inverse(truth) @ T
+    assert float(error[:3, 3].norm()) < 0.003
+    assert float(se3.angle(error)) < 0.0015
+
+
+def test_exposure_is_taken_out() -> None:
+    T_wk, T_wc = EYE, pose(0.03, 0, 0.02, 0, 0.01, 0)
+    marks = marks_at(T_wk)
+    same = photometric_term(appearance(T_wc), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)
+    other = photometric_term(appearance(T_wc, gain=1.2, offset=-0.1), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)
+    assert other.seen == same.seen
+    assert other.noise == pytest.approx(1.2 * same.noise, rel=0.05)
+    far = photometric_term(appearance(T_wc, gain=3.0), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)  # no exposure goes that far
+    assert far.noise > 10 * same.noise
+
+
+def test_noise_is_that_of_the_images() -> None:
+    # Noise of 0.03 a pixel, weighted by bilinear interpolation: its standard deviation lies between 0.03 / 2 and 0.03.
+    marks, T_wc = marks_at(EYE), pose(0.031, 0, 0.02, 0, 0.01, 0)
+    noisy = photometric_term(appearance(T_wc, noise=0.03), marks, EYE, T_wc, 0, floor=0.001, widest=3.0)
+    assert 0.015 < noisy.noise < 0.03
+    assert photometric_term(appearance(T_wc), marks, EYE, T_wc, 0, floor=0.01, widest=3.0).noise == 0.01  # the floor
+
+
+@pytest.mark.parametrize("build", [photometric_term, plain_photometric_term])
+def test_a_camera_turned_away_sees_nothing(build) -> None:  # type: ignore[no-untyped-def]
+    term = build(appearance(EYE), marks_at(EYE), EYE, pose(0, 0, 0, 0, 3.1, 0), 0, floor=0.01, widest=3.0)
+    assert term.seen == 0
+    assert not term.H.any()
+    assert not term.b.any()
