@@ -48,7 +48,7 @@ class Slam:
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
         current = self._view(frame)
-        status = self._track(current) if self.graph.keyframes else Status.OK
+        status = self._track(current)
         self.graph.append(frame.timestamp, current.T_wk, status)
         chosen = self._chosen(current, status)
         if chosen:
@@ -90,7 +90,12 @@ class Slam:
         return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
 
     def _track(self, current: Keyframe) -> Status:
-        """Sec. V, or the map's alignment where that is on, sets the pose; lost, it stays as predicted."""
+        """Sec. V, or the map's alignment where that is on, sets the pose; lost, it stays as predicted.
+
+        The first frame with depth is the world; those before it are lost.
+        """
+        if not self.graph.keyframes:
+            return Status.OK if bool((current.depth > 0).any()) else Status.LOST
         last = self.graph.T_wc(-1)
         if self.config.alignment.enabled:
             current.T_wk, status = self._align(current)

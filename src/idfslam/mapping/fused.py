@@ -68,16 +68,6 @@ def sdf(field: Field, points: Tensor) -> Tensor:
     return values
 
 
-def colour_function(field: Field) -> Callable[[Tensor], Tensor]:
-    """Points (N, 3) -> colour (N, 3); where colour depends on the view, seen from along the z axis."""
-
-    def colour(points: Tensor) -> Tensor:
-        directions = points.new_tensor([0.0, 0.0, 1.0]).expand_as(points) if field.direction_encoding is not None else None
-        return field(points, directions)[1]
-
-    return colour
-
-
 def learn(field: Field, samples: "Samples", free_margin: float) -> tuple[Tensor, Tensor]:
     """Squared terms (N,) and colour terms (near,) of the samples; the gradients of their weighted sum are added to the field's."""
     from idfslam.mapping.kernels import numba_field

@@ -34,11 +34,6 @@ class GridEncoding(nn.Module):
         """Add to the tables' gradient what (N, levels * features) means for them, without autograd."""
         grid_scatter(points, self.cells, g_features, self.gradient)
 
-    def resize(self, entries: int) -> None:
-        """Tables of so many entries, their values to be loaded."""
-        self.tables = nn.Parameter(self.tables.detach().new_zeros(self.tables.shape[0], entries, self.tables.shape[2]))
-        self.gradient = torch.zeros_like(self.tables.detach())
-
     def grow(self) -> None:
         """Twice the entries, the same function."""
         self.tables = nn.Parameter(torch.cat([self.tables.detach(), self.tables.detach()], 1), requires_grad=self.tables.requires_grad)

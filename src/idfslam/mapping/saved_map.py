@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +10,21 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
+from torch import Tensor
 
-from idfslam.config import FieldConfig
-from idfslam.errors import ResultError
+from idfslam.config import FieldConfig, update
+from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field
-from idfslam.mapping.fused import colour_function, sdf_function
+from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import View, extract_mesh, reduced_view
-from idfslam.mapping.rendering import RayMarch, render_image
+from idfslam.mapping.sphere_tracing import trace_image
 
 FORMAT = 1
-_MOST_VIEWS = 150  # kept in the file, so that it stays below 10 MB
-_SAMPLES, _IMPORTANCE_SAMPLES, _SHARPNESS = 128, 16, 20.0  # of rendered images
+_VIEW_ROWS = 60  # of the depth images in the file
+_VIEW_BYTES = 1_200_000  # of all of them: with a feature grid at its largest the file stays below 10 MB
 
 
 @dataclass(frozen=True)
@@ -40,33 +41,48 @@ class SavedMap:
     def render(self, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Colour (H, W, 3) and depth (H, W) [m] that the map shows a camera at `T_wc` (4, 4)."""
         farthest = max(float(view.depth.max()) for view in self.views) + 2 * self.field.config.truncation
-        march = RayMarch(_SAMPLES, _IMPORTANCE_SAMPLES, self.field.config.truncation, _SHARPNESS)
-        device = next(self.field.parameters()).device
-        image = render_image(self.field, torch.from_numpy(T_wc).float().to(device), camera, farthest, march)
+        image = trace_image(
+            sdf_function(self.field),
+            lambda points, directions: self.field(points, directions)[1],
+            torch.from_numpy(T_wc).float().to(next(self.field.parameters()).device),
+            camera,
+            far=farthest,
+            truncation=self.field.config.truncation,
+        )
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
 
 
 def mesh_of(field: Field, views: Sequence[View], resolution: float) -> trimesh.Trimesh:
-    """The zero level of a field where the views observed it."""
+    """The zero level of a field where the views observed it; where colour depends on the view, as seen head-on."""
     device = next(field.parameters()).device
+
+    def colour(points: Tensor) -> Tensor:
+        towards = -field.distance(points)[1] if field.direction_encoding is not None else None
+        return field(points, towards)[1]
+
     with torch.no_grad():
-        return extract_mesh(
-            sdf_function(field), colour_function(field), views, resolution=resolution, truncation=field.config.truncation, device=device
-        )
+        return extract_mesh(sdf_function(field), colour, views, resolution=resolution, truncation=field.config.truncation, device=device)
 
 
 def save_map(path: Path, field: Field, views: Sequence[View]) -> None:
-    """One safetensors file; the tables of a feature grid, and depths in millimetres, take 16 bits."""
+    """One safetensors file; the tables of a feature grid, and depths in millimetres, take 16 bits.
+
+    Of the views as many as fit, evenly spread. Metadata: `format`, `field` and `camera` (JSON), `precision` (how numbers are rounded).
+    """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
+    config = field.config
     if isinstance(field.encoding, GridEncoding):
+        config = replace(config, table_log2=field.encoding.tables.shape[1].bit_length() - 1)
         tensors["field.encoding.tables"] = tensors["field.encoding.tables"].half()
-    kept = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, min(len(views), _MOST_VIEWS)).round().astype(int))]
-    small = [reduced_view(view.T_wc, view.depth, view.camera, 60) for view in kept]
-    depths = np.stack([np.clip(view.depth * 1000 + 0.5, 0, 65535) for view in small]).astype(np.uint16)
+    small = [reduced_view(view.T_wc, view.depth, view.camera, _VIEW_ROWS) for view in views]
+    count = min(len(small), max(1, _VIEW_BYTES // (2 * small[0].depth.size)))
+    kept = [small[i] for i in np.linspace(0, len(small) - 1, count).round().astype(int)]
+    depths = np.stack([np.clip(view.depth * 1000 + 0.5, 0, 65535) for view in kept]).astype(np.uint16)
     tensors["views.depth"] = torch.from_numpy(depths)
-    tensors["views.T_wc"] = torch.from_numpy(np.stack([view.T_wc for view in small]))
-    metadata = {"format": str(FORMAT), "field": json.dumps(asdict(field.config)), "camera": json.dumps(asdict(small[0].camera))}
-    save_file(tensors, path, metadata)
+    tensors["views.T_wc"] = torch.from_numpy(np.stack([view.T_wc for view in kept]))
+    precision = "field.encoding.tables: float16; views.depth: uint16 [mm]"
+    metadata = {"field": json.dumps(asdict(config)), "camera": json.dumps(asdict(kept[0].camera)), "precision": precision}
+    path.write_bytes(save(tensors, {"format": str(FORMAT), **metadata}))
 
 
 def load_map(path: Path) -> SavedMap:
@@ -78,13 +94,32 @@ def load_map(path: Path) -> SavedMap:
                 found = metadata.get("format", "none")
                 raise ResultError(f"{path}: map format {found}, expected {FORMAT}; use the version of idf-slam that wrote it")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
-        config, camera = FieldConfig(**json.loads(metadata["field"])), Camera(**json.loads(metadata["camera"]))
-        field = Field(config)
-        if isinstance(field.encoding, GridEncoding):
-            field.encoding.resize(tensors["field.encoding.tables"].shape[1])
-        field.load_state_dict({name.removeprefix("field."): t.float() for name, t in tensors.items() if name.startswith("field.")})
-        poses, depths = tensors["views.T_wc"].numpy(), tensors["views.depth"].numpy().astype(np.float32) / 1000
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        camera = Camera(**json.loads(metadata["camera"]))
+        field = _field(update(FieldConfig(), json.loads(metadata["field"]), "its metadata"), tensors)
+        return SavedMap(field, _views(camera, tensors))
+    except (OSError, SafetensorError, ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultError(f"{path}: cannot be read as a map ({type(error).__name__}: {error}); expected a run's map.safetensors") from error
-    field.requires_grad_(False)
-    return SavedMap(field, [View(pose, depth, camera) for pose, depth in zip(poses, depths)])
+
+
+def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
+    """The field with its weights. Raises ValueError where these are not what the config asks for."""
+    weights = {name.removeprefix("field."): value.float() for name, value in tensors.items() if name.startswith("field.")}
+    with torch.device("meta"):  # shapes alone: a damaged config must not ask for the memory
+        expected = {name: value.shape for name, value in Field(config).state_dict().items()}
+    for name in {*expected, *weights}:
+        found = tuple(weights[name].shape) if name in weights else "missing"
+        if found != tuple(expected.get(name, ())):
+            raise ValueError(f"field.{name} is {found}, expected {tuple(expected[name]) if name in expected else 'none'}")
+        if not bool(weights[name].isfinite().all()):
+            raise ValueError(f"field.{name} holds numbers that are not finite")
+    field = Field(config)
+    field.load_state_dict(weights)
+    return field.requires_grad_(False)
+
+
+def _views(camera: Camera, tensors: dict[str, Tensor]) -> list[View]:
+    """What was seen. Raises ValueError where poses, depths and camera do not fit together."""
+    poses, depths = tensors["views.T_wc"].numpy(), tensors["views.depth"].numpy().astype(np.float32) / 1000
+    if len(depths) == 0 or poses.shape != (len(depths), 4, 4) or depths.shape[1:] != (camera.height, camera.width):
+        raise ValueError(f"views have poses {poses.shape} and depths {depths.shape} of a {camera.width} x {camera.height} camera")
+    return [View(pose, depth, camera) for pose, depth in zip(poses, depths)]
