@@ -1,0 +1,178 @@
+"""Alignment of frames to a map: the compiled normal equations, the way back to the truth, and what it says where it cannot know."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
+from idfslam.frame import Frame, Status
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.keyframes import Keyframe
+from idfslam.mapping.mapper import Mapper
+from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system
+
+CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
+CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]
+WALL = torch.tensor([9.0, 9.0, 1.5], dtype=torch.float64)  # two of the walls out of sight
+CONFIG = AlignmentConfig(points=3000, image_height=120, image_levels=3, landmarks=1500)
+EYE = torch.eye(4, dtype=torch.float64)
+
+
+def pose(*increment: float) -> Tensor:
+    return se3.exp(torch.tensor(increment, dtype=torch.float64))
+
+
+def view(walls: Tensor, T_wc: Tensor, *, index: int = 0, paint: float = 0.2) -> Keyframe:
+    """Three walls seen from T_wc: a ray ends at the first that it meets."""
+    directions = CAMERA.rays(CAMERA.pixels()).double() @ T_wc[:3, :3].T
+    reach = torch.where(directions > 1e-6, (walls - T_wc[:3, 3]) / directions.clamp(min=1e-6), torch.inf)
+    depth = reach.amin(-1)
+    points = T_wc[:3, 3] + directions * depth[..., None]
+    colour = 0.5 + paint * torch.sin(9 * points) + paint * torch.sin(21 * points[..., [1, 2, 0]])
+    frame = Frame(index, 0.0, colour.float().numpy(), depth.float().numpy(), CAMERA)
+    return Keyframe(frame, T_wc, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
+
+
+def without_depth(keyframe: Keyframe) -> Keyframe:
+    return replace(keyframe, depth=torch.zeros_like(keyframe.depth))
+
+
+def taught(walls: Tensor) -> Mapper:
+    """A map that has learnt the walls from three views."""
+    torch.manual_seed(0)
+    learner = Mapper(MapperConfig(), FieldConfig(table_log2=14), torch.device("cpu"), torch.Generator().manual_seed(0))
+    views = [view(walls, EYE), view(walls, pose(0.1, 0, 0, 0, 0.05, 0)), view(walls, pose(-0.1, 0.05, 0.1, 0.03, -0.05, 0))]
+    learner.optimise_map(views, 150)
+    return learner
+
+
+@pytest.fixture(scope="module")
+def corner() -> Mapper:
+    return taught(CORNER)
+
+
+@pytest.fixture(scope="module")
+def wall() -> Mapper:
+    return taught(WALL)
+
+
+def aligner(learner: Mapper, config: AlignmentConfig = CONFIG) -> Aligner:
+    return Aligner(config, learner.field, torch.Generator().manual_seed(0))
+
+
+def error(T: Tensor, truth: Tensor) -> tuple[float, float]:
+    """[m], [degrees]"""
+    difference = se3.inverse(truth) @ T
+    return float(difference[:3, 3].norm()), float(torch.rad2deg(se3.angle(difference)))
+
+
+def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
+    generator = torch.Generator().manual_seed(0)
+    turned, gradient = 3 * torch.randn(500, 3, generator=generator), 0.8 * torch.randn(500, 3, generator=generator)
+    distance, sigma = 0.05 * torch.randn(500, generator=generator), 1 + 5 * torch.rand(500, generator=generator)
+    found = depth_system(turned, distance, gradient, sigma, 0.06, 0.01, 4.0)
+    plain = plain_depth_system(turned, distance, gradient, sigma, 0.06, 0.01, 4.0)
+    assert 0.3 < plain.overlap < 0.9
+    for name in ("weight", "overlap", "rmse", "radius"):
+        assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-4)
+    torch.testing.assert_close(found.H, plain.H, rtol=0, atol=1e-4 * float(plain.H.abs().max()))
+    torch.testing.assert_close(found.b, plain.b, rtol=0, atol=1e-4 * float(plain.b.abs().max()))
+
+
+def test_normal_equations_of_one_point_by_hand() -> None:
+    # At (1, 2, 3), 1 cm before a surface with normal (0, 0, 1): J = (0, 0, 1, 2, -1, 0), as (1, 2, 3) x (0, 0, 1) = (2, -1, 0).
+    # Robust scale 0.01 * 2 = 0.02, so that the kernel is 1 + 1/4, and w = 1 / (1.25^2 * 2^2) = 0.16.
+    one = torch.tensor
+    system = depth_system(one([[1.0, 2.0, 3.0]]), one([0.01]), one([[0.0, 0.0, 1.0]]), one([2.0]), 0.06, 0.01, 4.0)
+    J = torch.tensor([0, 0, 1, 2, -1, 0], dtype=torch.float64)
+    torch.testing.assert_close(system.H, 0.16 * torch.outer(J, J), rtol=1e-5, atol=1e-7)
+    torch.testing.assert_close(system.b, -0.16 * 0.01 * J, rtol=1e-5, atol=1e-7)
+    assert (system.weight, system.overlap, system.rmse) == pytest.approx((0.16, 1.0, 0.01))
+
+
+def test_unknown_space_counts_for_nothing() -> None:
+    # Too far from the surface, and where the map has no slope.
+    system = depth_system(
+        torch.ones(2, 3), torch.tensor([0.055, 0.0]), torch.tensor([[0, 0, 1.0], [0, 0, 0.1]]), torch.ones(2), 0.06, 0.01, 4.0
+    )
+    assert (system.weight, system.overlap) == (0.0, 0.0)
+    assert not system.H.any()
+
+
+@pytest.mark.parametrize("offset", [(0.03, -0.02, 0.02, 0.01, -0.02, 0.015), (-0.02, 0.01, -0.02, -0.01, 0.01, -0.01)])
+def test_a_displaced_pose_comes_back(corner: Mapper, offset: tuple[float, ...]) -> None:
+    truth = pose(0.03, 0.02, 0.02, 0.01, 0.02, 0.0)
+    found = aligner(corner).align(view(CORNER, truth), truth @ pose(*offset), [view(CORNER, EYE)])
+    assert found.status is Status.OK
+    metres, degrees = error(found.T_wc, truth)
+    assert metres < 0.002
+    assert degrees < 0.1
+    assert found.overlap > 0.9
+    assert found.score > 0
+    torch.testing.assert_close(found.T_wc[:3, :3] @ found.T_wc[:3, :3].T, torch.eye(3, dtype=torch.float64))
+
+
+def test_depth_alone_decides_in_a_corner(corner: Mapper) -> None:
+    truth = pose(0.03, 0.02, 0.02, 0.01, 0.02, 0.0)
+    found = aligner(corner).align(view(CORNER, truth), truth @ pose(0.01, -0.01, 0.01, 0.005, 0, 0.005), [])
+    assert found.status is Status.OK
+    assert error(found.T_wc, truth)[0] < 0.006
+    assert found.brightness == 0.0
+
+
+def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
+    truth = pose(0.03, 0.02, 0.01, 0, 0, 0)
+    guess = truth @ pose(0.015, -0.01, 0.01, 0, 0, 0)
+    config = replace(CONFIG, min_stiffness=3e-3)  # so few steps leave the map's wall a little wavy: the corner has 17e-3
+    blind = aligner(wall, config).align(view(WALL, truth), guess, [])
+    assert blind.status is Status.DEGENERATE
+    assert float(blind.T_wc[2, 3] - truth[2, 3]) == pytest.approx(0, abs=0.003)  # across the wall
+    assert error(blind.T_wc, truth)[0] > 0.01  # along it the guess stands
+    seen = aligner(wall, config).align(view(WALL, truth), guess, [view(WALL, EYE)])
+    assert seen.status is Status.DEGENERATE
+    assert error(seen.T_wc, truth)[0] < 0.003
+
+
+def test_without_depth_it_is_lost(corner: Mapper) -> None:
+    guess = pose(0.1, 0, 0, 0, 0, 0)
+    found = aligner(corner).align(without_depth(view(CORNER, EYE)), guess, [view(CORNER, EYE)])
+    assert found.status is Status.LOST
+    assert found.score == 0
+    assert torch.equal(found.T_wc, guess)
+
+
+def test_where_the_map_knows_no_surface_it_is_lost(corner: Mapper) -> None:
+    nowhere = aligner(corner)
+    nowhere.query = lambda points: (torch.full((len(points),), 0.06), torch.zeros(len(points), 3))
+    found = nowhere.align(view(CORNER, EYE), EYE, [])
+    assert (found.status, found.overlap, found.score) == (Status.LOST, 0.0, 0.0)
+
+
+def test_two_alignments_are_the_same(corner: Mapper) -> None:
+    once, again = (aligner(corner).align(view(CORNER, EYE), pose(0.01, 0, 0, 0, 0, 0), [view(CORNER, EYE)]) for _ in range(2))
+    assert torch.equal(once.T_wc, again.T_wc)
+
+
+def test_doubt(corner: Mapper) -> None:
+    judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6, doubtful_brightness=1.5, colour_noise=0.01))
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 5)
+    assert judge.doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
+    judge.accept(good)
+    assert not judge.doubtful(good)
+    assert not judge.doubtful(replace(good, brightness=0.029))  # 1.5 * 0.02 = 0.03
+    assert judge.doubtful(replace(good, brightness=0.031))
+    assert judge.doubtful(replace(good, overlap=0.5))
+    assert judge.doubtful(replace(good, status=Status.LOST))
+    judge.accept(replace(good, brightness=0.04))  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
+    assert not judge.doubtful(replace(good, brightness=0.032))
+    judge.accept(replace(good, brightness=0.0))  # no landmark in view says nothing
+    assert judge.doubtful(replace(good, brightness=0.034))
+
+
+def test_score_prefers_overlap_closeness_and_colour() -> None:
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 5)
+    for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"brightness": 0.03}, {"status": Status.LOST}):
+        assert replace(good, **worse).score < good.score
