@@ -126,6 +126,8 @@ def bench(
 
 def listed(recordings: Sequence[str], frames: int | None = None) -> list[Entry]:
     """The recordings by name; `@FRAMES` wins over `frames`. Raises RecordingError for one that is missing, ConfigError for one repeated."""
+    if not recordings:
+        raise ConfigError("no recordings, expected at least one: paths or synthetic[:SEED][:kinect], with @FRAMES if wanted")
     entries = [_entry(text, frames) for text in recordings]
     counts = Counter(entry.name for entry in entries)
     unique = [replace(e, name=f"{Path(e.path).parent.name}-{e.name}") if counts[e.name] > 1 else e for e in entries]

@@ -1,0 +1,150 @@
+"""The benchmark: its list, its arithmetic and tables by hand, and a small recording through it."""
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from idfslam import bench, cli
+from idfslam.against_open3d import measure, require_open3d
+from idfslam.bench import Entry, Spread, figures, listed, markdown, speed_kept, summary
+from idfslam.config import FAST
+from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.errors import ConfigError, RecordingError
+
+
+def run_of(seed: int, **changes: Any) -> dict[str, Any]:
+    """A finished run as bench.json holds it."""
+    run = {"seed": seed, "frames": 300, "frames_per_second": 10.0, "ate_m": 0.01, "lost_frames": 0.0, "ms_per_frame": {"map": 40.0}}
+    return run | changes
+
+
+def report_of(*runs: dict[str, Any], open3d: dict[str, Any] | None = None) -> dict[str, Any]:
+    machine = {"idf-slam": "1.0", "processor": "A processor", "cores": 2, "gpu": None}
+    recording = {"name": "room", "path": "/room", "frames": None, "runs": list(runs), **summary(runs), "open3d": open3d}
+    return {"machine": machine, "preset": "fast", "seeds": len(runs), "recordings": [recording]}
+
+
+def test_spread_by_hand() -> None:
+    spread = Spread.of([1.0, 2.0, 6.0])  # mean 3, squared deviations 4 + 1 + 9 = 14, over 2: 7
+    assert (spread.mean, spread.deviation, spread.count) == (3.0, pytest.approx(7**0.5), 3)
+    assert spread.text(100, 1) == "300.0 ± 264.6"
+    assert Spread.of([0.0123]).text(100) == "1.23"
+
+
+def test_speed_kept_is_the_last_whole_hundred_over_the_second() -> None:
+    assert speed_kept([5.0, 10.0, 9.0, 8.0, 1.0], 430) == pytest.approx(0.8)  # the last 30 frames are no whole hundred
+    assert speed_kept([5.0, 10.0, 9.0], 300) == pytest.approx(0.9)
+    assert speed_kept([5.0, 10.0, 9.0], 299) is None
+
+
+def test_figures_of_a_run() -> None:
+    metrics = {"frames": 14, "frames_per_second": 7.0, "frames_per_second_by_100": [7.0], "lost_frames": 1, "peak_memory_mb": None}
+    assert figures(metrics, None) == {"frames_per_second": 7.0, "lost_frames": 1.0}
+    mesh = {"accuracy": 0.01, "completion": 0.02, "completion_ratio": 0.97, "protocol": "seen"}
+    found = figures(metrics | {"ate_m": {"rmse": 0.005}}, mesh)
+    assert (found["ate_m"], found["accuracy_m"], found["completion_m"], found["completion_ratio"]) == (0.005, 0.01, 0.02, 0.97)
+
+
+def test_table_by_hand() -> None:
+    second = run_of(1, frames_per_second=14.0, ate_m=0.03, ms_per_frame={"map": 44.0})
+    lines = markdown(report_of(run_of(0), second)).splitlines()
+    assert lines[0].startswith("idf-slam 1.0, preset fast, A processor, 2 cores. Mean ± standard deviation")
+    assert lines[2] == "| recording | frames | runs | ATE RMSE [cm] | frames/s | lost frames |"
+    # means 2 cm and 12 frames/s; deviations sqrt(1 + 1) cm and sqrt(4 + 4) frames/s
+    assert lines[4] == "| room | 300 | 2 of 2 | 2.00 ± 1.41 | 12.00 ± 2.83 | 0.0 ± 0.0 |"
+    assert lines[8] == "| room | 42.0 ± 2.8 |"
+
+
+def test_ratios_against_open3d_by_hand() -> None:
+    baseline = {"frames": 300, "frames_per_second": 4.0, "ate_m": 0.04, "lost_frames": 2}
+    assert "| room | 4.00 | 10.00 | 2.50 | 4.00 | 1.00 | 0.25 | 2 |" in markdown(report_of(run_of(0), open3d=baseline))
+    without_truth = {key: value for key, value in baseline.items() if key != "ate_m"}
+    assert "| room | 4.00 | 10.00 | 2.50 | - | 1.00 | - | 2 |" in markdown(report_of(run_of(0), open3d=without_truth))
+
+
+def test_a_failed_run_is_told_and_not_averaged() -> None:
+    text = markdown(report_of(run_of(0), {"seed": 1, "failed": "loss 'sdf' is not finite"}, open3d={"failed": "not installed"}))
+    assert "| room | 300 | 1 of 2 | 1.00 | 10.00 | 0.0 |" in text
+    assert "Failed: room, seed 1: loss 'sdf' is not finite\n" in text
+    assert "Failed: room, Open3D: not installed\n" in text
+    nothing = markdown(report_of({"seed": 0, "failed": "no depth"}))
+    assert "| room | - | 0 of 1 |" in nothing
+
+
+def test_list_of_recordings(tmp_path: Path) -> None:
+    for name in ("a/room", "b/room", "at@5"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "a/room/gt_mesh.ply").touch()
+    first, second, third, fourth = listed(
+        [f"{tmp_path}/a/room@40", f"{tmp_path}/b/room", "synthetic:3:kinect@600", f"{tmp_path}/at@5"], frames=9
+    )
+    assert (first.name, first.frames, first.gt_mesh) == ("a-room", 40, tmp_path / "a/room/gt_mesh.ply")
+    assert (second.name, second.frames, second.gt_mesh) == ("b-room", 9, None)
+    assert third == Entry("synthetic-3-kinect", "synthetic:3:kinect", 600)
+    assert (fourth.name, fourth.frames) == ("at@5", 9)  # a folder of that name
+
+
+@pytest.mark.parametrize(
+    ("recordings", "error"), [([], "no recordings"), (["synthetic:1", "synthetic:1"], "twice"), (["synthetic@0"], "1 frame")]
+)
+def test_lists_that_cannot_be_run(recordings: list[str], error: str) -> None:
+    with pytest.raises(ConfigError, match=error):
+        listed(recordings)
+
+
+def test_missing_recording_ends_before_the_first_run(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="nowhere"):
+        bench.bench(["synthetic", "nowhere"], FAST, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_flags() -> None:
+    flags = "--seeds 2 --frames 9 --preset paper --against open3d --out there --no-mesh --mapper.pixels 64"
+    command = cli.parse(["bench", "a", "b@5", *flags.split()])
+    assert isinstance(command, cli.Bench)
+    assert (command.recordings, command.seeds, command.frames, command.against) == (("a", "b@5"), 2, 9, "open3d")
+    assert (command.out, command.mesh, command.values.preset, command.values.mapper.pixels) == (Path("there"), False, "paper", 64)
+    assert cli.parse(["pretrain", "a", "b", "--out", "w", "--steps", "5"]) == cli.Pretrain((Path("a"), Path("b")), Path("w"), 5)
+
+
+def test_bench_of_a_small_recording(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["--seeds", "2", "--seed", "4", "--device", "cpu", "--mesh.resolution", "0.05", "--out", str(tmp_path)]
+    cli.main(["bench", f"{box_recording}@8", *flags])
+    report = json.loads((tmp_path / "bench.json").read_text())
+    (recording,) = report["recordings"]
+    assert [(run["seed"], run["frames"]) for run in recording["runs"]] == [(4, 8), (5, 8)]
+    ate = [json.loads((tmp_path / f"box-{seed}" / "evaluation.json").read_text())["ate_m"]["rmse"] for seed in (4, 5)]
+    assert recording["summary"]["ate_m"]["mean"] == pytest.approx(sum(ate) / 2)
+    assert recording["summary"]["lost_frames"]["mean"] == 0
+    assert recording["summary"]["peak_memory_mb"]["mean"] > recording["summary"]["peak_memory_above_imports_mb"]["mean"]
+    assert "| box | 8 | 2 of 2 |" in capsys.readouterr().out
+    assert (tmp_path / "bench.md").read_text() == markdown(report)
+
+
+def test_a_run_that_fails_ends_with_1_and_the_report(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["bench", f"{box_recording}@99", "--seeds", "1", "--out", str(tmp_path)])
+    assert caught.value.code == 1
+    assert "box, seed 0: frames 99" in capsys.readouterr().err
+    assert "Failed: box, seed 0: frames 99" in (tmp_path / "bench.md").read_text()
+
+
+def test_without_open3d_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("idfslam.against_open3d.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[bench\]'"):
+        require_open3d()
+
+
+@pytest.mark.skipif(find_spec("open3d") is None, reason="Open3D is not installed: pip install 'idf-slam[bench]'")
+def test_open3d_follows_a_furnished_room() -> None:
+    room = SyntheticRoom(0, frames=6, width=320, height=240)  # aligned by shape alone, Open3D slides along bare walls
+    try:
+        found = measure(room)
+    except ConfigError as error:
+        pytest.skip(str(error))
+    assert (found["frames"], found["lost_frames"]) == (6, 0)
+    assert found["ate_m"] < 0.005  # the camera moves 1 cm a frame
+    assert found["frames_per_second"] > 0
