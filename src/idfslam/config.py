@@ -230,6 +230,8 @@ class AlignmentConfig:
     """Fewer points with depth: lost."""
     min_overlap: float = 0.3
     """Smaller share of points that fall where the map is known: lost."""
+    max_rmse: float = 0.02
+    """Wider distances to the map [m]: lost; unmapped space can seem mapped where entries of a table are shared."""
     doubtful_overlap: float = 0.6
     """Smaller overlap: the neural tracker is asked for a second guess."""
     doubtful_brightness: float = 1.5

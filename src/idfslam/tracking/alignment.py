@@ -159,7 +159,7 @@ class Aligner:
         unit = torch.tensor([1.0] * 3 + [1 / max(system.radius, 0.1)] * 3, dtype=torch.float64)
         stiffness = float(torch.linalg.eigvalsh(system.H * unit[:, None] * unit)[0]) / max(system.weight, 1e-9)
         status = Status.OK
-        if system.overlap < self.config.min_overlap:
+        if system.overlap < self.config.min_overlap or system.rmse > self.config.max_rmse:
             status = Status.LOST
         elif stiffness < self.config.min_stiffness:
             status = Status.DEGENERATE
