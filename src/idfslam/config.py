@@ -52,6 +52,8 @@ class MapperConfig:
     """Volume rendering (Eqs. 1-3), or T-SDF and colour of the samples themselves."""
     pixels: int = 512
     """B: pixels an image and step (Sec. VI-A: 1024)."""
+    step_pixels: int = 1536
+    """Pixels of a step over all its keyframes, so that steps cost the same however many they are; 0: B of each, as in the paper."""
     samples: int = 6
     """Stratified samples a ray."""
     importance_samples: int = 3
@@ -275,6 +277,7 @@ PAPER = Config(
     mapper=MapperConfig(
         supervision="rendering",
         pixels=1024,
+        step_pixels=0,
         samples=128,
         importance_samples=16,
         sharpness=10.0,  # 1 / tr: what the published code of [25] makes of its formula; with 1 free space outweighs the surface

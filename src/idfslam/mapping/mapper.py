@@ -43,7 +43,8 @@ class Mapper:
         with self.optimiser.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)
-                pixels = [self._draw(k, steps, invert=False) for k in keyframes]
+                each = self.config.step_pixels // len(keyframes) if self.config.step_pixels else self.config.pixels
+                pixels = [self._draw(k, each * steps, invert=False) for k in keyframes]
                 rays = join([cast(k, uv) for k, uv in zip(keyframes, pixels)])
                 for step in range(steps):
                     losses = self._step(rays.every(steps, step))
@@ -68,7 +69,7 @@ class Mapper:
         numbers: dict[str, float] = {}
         for _ in range(c.pose_iterations):
             adam.zero_grad()
-            uv = self._draw(keyframe, 1, invert=True)
+            uv = self._draw(keyframe, c.pixels, invert=True)
             losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
             numbers = named(losses, keyframe.index)
             self._remember([keyframe], [uv], losses)
@@ -94,15 +95,15 @@ class Mapper:
 
         return view
 
-    def _draw(self, keyframe: Keyframe, steps: int, *, invert: bool) -> Tensor:
-        """B pixels of a keyframe for each of `steps` (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
+    def _draw(self, keyframe: Keyframe, count: int, *, invert: bool) -> Tensor:
+        """`count` pixels of a keyframe in random order (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
         cells = self.config.cells
         if keyframe.pixels is None or keyframe.cell_losses is None:
             keyframe.pixels = group_pixels(keyframe.depth > 0, cells)
             keyframe.cell_losses = initial_cell_losses(cells, self.device)
         losses = keyframe.cell_losses if self.config.active_sampling else torch.ones_like(keyframe.cell_losses)
-        drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), self.config.pixels * steps, self.generator)
-        return drawn[torch.randperm(len(drawn), generator=self.generator, device=self.device)] if steps > 1 else drawn
+        drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), count, self.generator)
+        return drawn[torch.randperm(len(drawn), generator=self.generator, device=self.device)]
 
     def _remember(self, keyframes: Sequence[Keyframe], pixels: Sequence[Tensor], losses: Losses) -> None:
         """How the loss is spread over each image, for active sampling."""
