@@ -125,7 +125,7 @@ def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert mean["ate_m"] == pytest.approx(evaluation["ate_m"]["rmse"], abs=1e-6)  # the file rounds poses
     assert mean["accuracy_m"] == evaluation["mesh"]["accuracy"] < 0.05
     assert mean["lost_frames"] == 0
-    assert mean["peak_memory_mb"] > mean["peak_memory_above_imports_mb"] > 0
+    assert mean["peak_memory_mb"] > mean["peak_memory_above_imports_mb"] >= 0  # eight small frames may stay below the imports' own peak
     assert "| box | 8 | 1 of 1 |" in capsys.readouterr().out
     assert (out / "bench.md").read_text() == markdown(report)
 
