@@ -11,7 +11,6 @@ from idfslam.mapping.losses import (
     geometric_residuals,
     photometric_residuals,
     rendering_losses,
-    sample_losses,
 )
 from idfslam.mapping.rendering import Rendered
 
@@ -80,18 +79,6 @@ def test_perfect_prediction_costs_nothing() -> None:
 def test_no_depth_anywhere_leaves_colour() -> None:
     losses = rendering_losses(rendered(), TARGET_COLOUR, torch.zeros(2), TR)
     assert float(losses.total) == pytest.approx(0.0375)
-
-
-def test_sample_losses() -> None:
-    # The samples of the first ray above without the last; in the truncation region their colours differ from the target by 0.5.
-    colour = torch.tensor([[0.0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5], [0.5, 0.5, 0.5]])[None]
-    target = torch.tensor([[1.0, 1, 0.5, -0.5]])
-    near = torch.tensor([[False, False, True, True]])
-    losses = sample_losses(SDF[:1, :4], colour, target, TARGET_COLOUR[:1], near, TR, LossWeights(balance=False))
-    assert float(losses.free_space) == pytest.approx(0.3)
-    assert float(losses.truncation) == pytest.approx(0.02)
-    assert float(losses.photometric) == pytest.approx(0.5)
-    assert float(losses.total) == pytest.approx(3 + 120 + 0.05, rel=1e-5)
 
 
 def test_depth_loss_eq_7() -> None:

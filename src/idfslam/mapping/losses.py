@@ -88,36 +88,6 @@ def rendering_losses(
     return _weighted(photometric, free_space, near, free_share, weights)
 
 
-def sample_losses(
-    sdf: Tensor,
-    colour: Tensor,
-    target_sdf: Tensor,
-    target_colour: Tensor,
-    in_truncation: Tensor,
-    truncation: float,
-    weights: LossWeights | None = None,
-) -> Losses:
-    """The same losses without rendering: the samples themselves are held against their targets. All means are over their own class.
-
-    sdf, target_sdf (B, S) [tr], colour (B, S, 3), target_colour (B, 3), in_truncation (B, S) bool: samples near the measured surface, whose
-    colour counts too. The rest is free space, where the target is usually 1.
-    """
-    weights = weights or LossWeights()
-    power = torch.square if weights.squared else torch.abs
-    near = in_truncation.to(sdf.dtype)
-    free = 1 - near
-    near_count, free_count = near.sum(1).clamp(min=1), free.sum(1).clamp(min=1)
-    residual = sdf - target_sdf
-    photometric = photometric_residuals(colour, target_colour[:, None], squared=weights.squared)
-    return _weighted(
-        (photometric * near).sum(1) / near_count,
-        (power(residual) * free).sum(1) / free_count,
-        (power(residual * truncation) * near).sum(1) / near_count,
-        free.mean(),
-        weights,
-    )
-
-
 def depth_loss(depth: Tensor, target_depth: Tensor) -> Tensor:
     """Eq. 7: mean |D - D^| [m] over the rays (B,) that have a reading (target > 0); 0 if none has."""
     measured = target_depth > 0
