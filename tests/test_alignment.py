@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
@@ -12,7 +13,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframes import Keyframe
 from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system
+from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system, plain_smoothed, smoothed_normals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]
@@ -71,10 +72,11 @@ def error(T: Tensor, truth: Tensor) -> tuple[float, float]:
 
 def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
     generator = torch.Generator().manual_seed(0)
-    turned, gradient = 3 * torch.randn(500, 3, generator=generator), 0.8 * torch.randn(500, 3, generator=generator)
+    turned = 3 * torch.randn(500, 3, generator=generator)
+    normal, slope = F.normalize(torch.randn(500, 3, generator=generator), dim=-1), 1.5 * torch.rand(500, generator=generator)
     distance, sigma = 0.05 * torch.randn(500, generator=generator), 1 + 5 * torch.rand(500, generator=generator)
-    found = depth_system(turned, distance, gradient, sigma, 0.06, 0.01, 4.0)
-    plain = plain_depth_system(turned, distance, gradient, sigma, 0.06, 0.01, 4.0)
+    found = depth_system(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
+    plain = plain_depth_system(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
     assert 0.3 < plain.overlap < 0.9
     for name in ("weight", "overlap", "rmse", "radius"):
         assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-4)
@@ -82,11 +84,63 @@ def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
     torch.testing.assert_close(found.b, plain.b, rtol=0, atol=1e-4 * float(plain.b.abs().max()))
 
 
+def rough_wall(angle: float, *, corner: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+    """Points of a wall in 12 x 16 patches (some empty), its gradient off by `angle` [rad] to random sides; a second wall in the right half."""
+    generator = torch.Generator().manual_seed(0)
+    v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
+    points = torch.stack([0.02 * u, 0.02 * v, torch.ones_like(u)], -1)
+    normal = torch.tensor([0.0, 0.0, -1.0]).expand(12, 16, 3).clone()
+    if corner:
+        points[:, 8:, 0], points[:, 8:, 2] = 0.15, 1 - 0.02 * (u[:, 8:] - 7)
+        normal[:, 8:] = torch.tensor([-1.0, 0.0, 0.0])
+    normal = F.normalize(normal + angle * torch.randn(12, 16, 3, generator=generator), dim=-1)
+    known = torch.rand(12, 16, generator=generator) > 0.1
+    patches = torch.where(known, known.flatten().cumsum(0).view(12, 16) - 1, -1).int()
+    return points[known], 0.8 * normal[known], patches
+
+
+@pytest.mark.parametrize("corner", [False, True])
+def test_the_compiled_smoothing_is_the_plain_one(corner: bool) -> None:
+    points, gradient, patches = rough_wall(0.1, corner=corner)
+    normal, slope = smoothed_normals(points, gradient, patches)
+    torch.testing.assert_close(slope, torch.full((len(points),), 0.8), rtol=1e-5, atol=0)
+    torch.testing.assert_close(normal, plain_smoothed(points, gradient / 0.8, patches), rtol=0, atol=1e-5)
+
+
+def test_smoothing_evens_a_wall_and_keeps_an_edge() -> None:
+    # The mean of about 22 normals, each off by 0.1 rad to either side, is off by a fifth of that
+    points, gradient, patches = rough_wall(0.1)
+    before, after = (n[:, :2].square().mean() ** 0.5 for n in (gradient / 0.8, smoothed_normals(points, gradient, patches)[0]))
+    assert float(before) == pytest.approx(0.1, rel=0.1)
+    assert float(after) < 0.04
+    points, gradient, patches = rough_wall(0.02, corner=True)
+    normal = smoothed_normals(points, gradient, patches)[0]
+    assert float((normal * gradient / 0.8).sum(-1).min()) > 0.99  # at right angles nothing mixes
+
+
+def test_fewer_points_keep_their_patches(corner: Mapper) -> None:
+    surface = aligner(corner).surface(view(CORNER, EYE))
+    third = surface.every(3)
+    torch.testing.assert_close(third.points, surface.points[::3])
+    known = third.patches >= 0
+    torch.testing.assert_close(third.points[third.patches[known].long()], surface.points[surface.patches[known].long()])
+    assert int(known.sum()) == len(third.points)
+
+
+def test_little_depth_is_looked_at_closely(corner: Mapper) -> None:
+    whole = view(CORNER, EYE)
+    small = replace(whole, depth=torch.zeros_like(whole.depth))
+    small.depth[40:60, 40:80] = whole.depth[40:60, 40:80]
+    judge = aligner(corner, replace(CONFIG, points=800))
+    assert len(judge.surface(small).points) == 800  # every pixel of 20 x 40
+    assert 600 < len(judge.surface(whole).points) < 1000
+
+
 def test_normal_equations_of_one_point_by_hand() -> None:
     # At (1, 2, 3), 1 cm before a surface with normal (0, 0, 1): J = (0, 0, 1, 2, -1, 0), as (1, 2, 3) x (0, 0, 1) = (2, -1, 0).
     # Robust scale 0.01 * 2 = 0.02, so that the kernel is 1 + 1/4, and w = 1 / (1.25^2 * 2^2) = 0.16.
     one = torch.tensor
-    system = depth_system(one([[1.0, 2.0, 3.0]]), one([0.01]), one([[0.0, 0.0, 1.0]]), one([2.0]), 0.06, 0.01, 4.0)
+    system = depth_system(one([[1.0, 2.0, 3.0]]), one([0.01]), one([[0.0, 0.0, 1.0]]), one([1.0]), one([2.0]), 0.06, 0.01, 4.0)
     J = torch.tensor([0, 0, 1, 2, -1, 0], dtype=torch.float64)
     torch.testing.assert_close(system.H, 0.16 * torch.outer(J, J), rtol=1e-5, atol=1e-7)
     torch.testing.assert_close(system.b, -0.16 * 0.01 * J, rtol=1e-5, atol=1e-7)
@@ -96,7 +150,14 @@ def test_normal_equations_of_one_point_by_hand() -> None:
 def test_unknown_space_counts_for_nothing() -> None:
     # Too far from the surface, and where the map has no slope.
     system = depth_system(
-        torch.ones(2, 3), torch.tensor([0.055, 0.0]), torch.tensor([[0, 0, 1.0], [0, 0, 0.1]]), torch.ones(2), 0.06, 0.01, 4.0
+        torch.ones(2, 3),
+        torch.tensor([0.055, 0.0]),
+        torch.tensor([[0, 0, 1.0], [0, 0, 1.0]]),
+        torch.tensor([1.0, 0.1]),
+        torch.ones(2),
+        0.06,
+        0.01,
+        4.0,
     )
     assert (system.weight, system.overlap) == (0.0, 0.0)
     assert not system.H.any()
@@ -158,7 +219,7 @@ def test_two_alignments_are_the_same(corner: Mapper) -> None:
 
 def test_doubt(corner: Mapper) -> None:
     judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6, doubtful_brightness=1.5, colour_noise=0.01))
-    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 5)
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
     assert judge.doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
     judge.accept(good)
     assert not judge.doubtful(good)
@@ -173,6 +234,6 @@ def test_doubt(corner: Mapper) -> None:
 
 
 def test_score_prefers_overlap_closeness_and_colour() -> None:
-    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 5)
-    for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"brightness": 0.03}, {"status": Status.LOST}):
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
+    for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"brightness": 0.03}, {"in_view": 0.5}, {"status": Status.LOST}):
         assert replace(good, **worse).score < good.score

@@ -216,6 +216,8 @@ class AlignmentConfig:
     """Scale of the robust weights of brightness, in units of its noise."""
     landmarks: int = 5000
     """Pixels of a keyframe whose brightness is compared, at most."""
+    min_landmarks: int = 100
+    """With fewer of a keyframe's landmarks in view its image says nothing: a handful on one edge fits in many wrong places."""
     image_height: int = 480
     """Rows of the finest image that brightness is compared in."""
     image_levels: int = 4
@@ -224,10 +226,14 @@ class AlignmentConfig:
     """Steps on each but the finest, which has the rest."""
     references: int = 2
     """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
-    prior: float = 1e-5
-    """Information, per unit weight of depth, that holds the pose to its guess: it decides only what nothing else does."""
+    hold: float = 8e-3
+    """Information, per unit weight of depth, below which a direction is held to the guess (a bare wall leaves three open)."""
     converged: float = 5e-5
     """Steps below this [m, rad] end the iteration."""
+    refined: int = 1
+    """Replayed keyframes whose pose is aligned anew at each map update, in turns with the map: bundle adjustment."""
+    refine_reach: float = 0.02
+    """A keyframe that would move farther than this [m] at once stays where it is: that is no refinement."""
     min_points: int = 100
     """Fewer points with depth: lost."""
     min_overlap: float = 0.3

@@ -2,7 +2,7 @@
 
 import logging
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -21,9 +21,12 @@ from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import mesh_of, save_map
 from idfslam.tracking.alignment import Aligner, Alignment
+from idfslam.tracking.motion import Information, MotionModel
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
+
+_BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
 
 
 class Slam:
@@ -43,7 +46,7 @@ class Slam:
         self.graph = KeyframeGraph(config.keyframes, host)
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
-        self._motion = torch.eye(4, dtype=torch.float64)  # of the last frame, T_c(i-1)_c(i)
+        self.motion = MotionModel()
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
@@ -60,13 +63,15 @@ class Slam:
         return FrameResult(frame.index, frame.timestamp, self.graph.T_wc(-1).numpy(), status, chosen, losses)
 
     def finish(self) -> None:
-        """The end of a run: a last polish of the map over all keyframes."""
+        """The end of a run: a last polish of the keyframes' poses and the map over all of them."""
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
         with self._timed("finish"):
             for _ in range(self.config.mapper.final_updates):
-                self.mapper.optimise_map(self.graph.sample(self.config.mapper.final_keyframes), self.config.mapper.iterations)
+                keyframes = self.graph.sample(self.config.mapper.final_keyframes)
+                self._refine(keyframes)
+                self.mapper.optimise_map(keyframes, self.config.mapper.iterations)
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
@@ -86,7 +91,7 @@ class Slam:
 
     def _view(self, frame: Frame) -> Keyframe:
         """The frame on the map's device, at the pose that the last motion predicts."""
-        T_wc = self.graph.T_wc(-1) @ self._motion if len(self.graph) else torch.eye(4, dtype=torch.float64)
+        T_wc = self.motion.predict(self.graph.T_wc(-1)) if len(self.graph) else torch.eye(4, dtype=torch.float64)
         return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
 
     def _track(self, current: Keyframe) -> Status:
@@ -96,12 +101,15 @@ class Slam:
         """
         if not self.graph.keyframes:
             return Status.OK if bool((current.depth > 0).any()) else Status.LOST
-        last = self.graph.T_wc(-1)
+        last, information = self.graph.T_wc(-1), None
         if self.config.alignment.enabled:
-            current.T_wk, status = self._align(current)
+            current.T_wk, status, information = self._align(current)
         else:
             current.T_wk, status = self._register(current)
-        self._motion = se3.inverse(last) @ current.T_wk if status is not Status.LOST else torch.eye(4, dtype=torch.float64)
+        if status is Status.LOST:
+            self.motion.stop()
+        else:
+            self.motion.update(last, current.T_wk, information, self.config.alignment.hold)
         return status
 
     def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
@@ -114,8 +122,8 @@ class Slam:
             return current.T_wk, Status.LOST
         return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
 
-    def _align(self, current: Keyframe) -> tuple[Tensor, Status]:
-        """Align to the map from the predicted pose; in doubt also from the tracker's and from the last pose: the best stands."""
+    def _align(self, current: Keyframe) -> tuple[Tensor, Status, Information | None]:
+        """Align to the map from the predicted pose; in doubt also from the tracker's and from the last pose: one that is better stands."""
         references = self.graph.references(self.config.alignment.references)
         best: Alignment | None = None
         tracked: Tensor | None = None
@@ -128,15 +136,15 @@ class Slam:
                 tracked = T_guess
             with self._timed("align"):
                 aligned = self.aligner.align(current, T_guess, references)
-            if best is None or aligned.score > best.score:
+            if best is None or aligned.score > _BETTER * best.score:
                 best = aligned
             if not self.aligner.doubtful(best):
                 break
         assert best is not None
         if best.status is not Status.LOST:
             self.aligner.accept(best)
-            return best.T_wc, best.status
-        return (current.T_wk, Status.LOST) if tracked is None else (tracked, Status.OK)
+            return best.T_wc, best.status, best.information
+        return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III); never one without depth."""
@@ -153,18 +161,36 @@ class Slam:
             self.mapper.optimiser.grow()
         self.graph.cover(keyframe)
         self._described(keyframe)
-        with self._timed("map"):
-            if first:
+        if first:
+            with self._timed("map"):
                 return self.mapper.initialise(keyframe)
-            return losses | self.mapper.optimise_map([keyframe, *self.graph.replay(keyframe)], self.config.mapper.iterations)
+        return losses | self._optimise(keyframe)
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""
         assert self.graph.reference is not None
         current.neighbours = self.graph.reference.neighbours
         self.graph.cover(current)
+        return self._optimise(current)
+
+    def _optimise(self, current: Keyframe) -> dict[str, float]:
+        """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all."""
+        replayed = self.graph.replay(current)
+        with self._timed("refine"):
+            self._refine(replayed[: self.config.alignment.refined])
         with self._timed("map"):
-            return self.mapper.optimise_map([current, *self.graph.replay(current)], self.config.mapper.iterations)
+            return self.mapper.optimise_map([current, *replayed], self.config.mapper.iterations)
+
+    def _refine(self, keyframes: Sequence[Keyframe]) -> None:
+        """Keyframes' poses against the map as it has become since, and against their neighbours' images. The first is the world and stays."""
+        for keyframe in keyframes if self.config.alignment.enabled else []:
+            if keyframe is self.graph.keyframes[0]:
+                continue
+            aligned = self.aligner.align(keyframe, keyframe.T_wk, self.graph.earlier(keyframe, self.config.alignment.references), near=True)
+            near = float((aligned.T_wc - keyframe.T_wk)[:3, 3].norm()) < self.config.alignment.refine_reach
+            if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
+                keyframe.T_wk = aligned.T_wc
+            keyframe.appearance = None
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""

@@ -33,7 +33,8 @@ class Keyframe:
     pixels: CellPixels | None = None  # its pixels with depth, by cell
     appearance: Any = None  # the aligner's image pyramid of it
     landmarks: Any = None  # the aligner's landmarks in it
-    neighbours: set[int] = field(default_factory=set)
+    neighbours: set[int] = field(default_factory=set)  # stored keyframes it is connected with
+    earlier: list[int] = field(default_factory=list)  # stored keyframes that see most of what it sees, oldest first
 
     @property
     def index(self) -> int:
@@ -58,7 +59,6 @@ class KeyframeGraph:
         self.config, self._generator = config, generator
         self.keyframes: list[Keyframe] = []
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
-        self._earlier: list[int] = []  # stored keyframes that see most of what the reference sees, oldest first
         self._links: list[_Link] = []
         self._coverage: list[tuple[int, View]] = []  # keyframe, and a view at its pose T_kc
 
@@ -86,7 +86,7 @@ class KeyframeGraph:
         """
         self.reference = keyframe
         scores = self._covisibility(keyframe)
-        self._earlier = torch.nonzero(scores > self.config.shared).flatten().tolist()
+        keyframe.earlier = torch.nonzero(scores > self.config.shared).flatten().tolist()
         keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
         if self.config.culling and len(scores) and float(scores.max()) > self.config.cull:
             self._link_last(len(self.keyframes) - 1, keyframe.T_wk)
@@ -129,9 +129,12 @@ class KeyframeGraph:
         return self._draw(self.keyframes, count)
 
     def references(self, count: int) -> list[Keyframe]:
-        """The last chosen frame and, up to `count` in all, the oldest keyframes that see most of the same: they have drifted least."""
-        last = [self.reference] if self.reference is not None else []
-        return (last + [self.keyframes[i] for i in self._earlier if self.keyframes[i] is not self.reference])[:count]
+        """The last chosen frame and, up to `count` in all, those of `earlier`."""
+        return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
+
+    def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
+        """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
+        return [self.keyframes[i] for i in keyframe.earlier[:count]]
 
     def replay(self, keyframe: Keyframe) -> list[Keyframe]:
         """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).

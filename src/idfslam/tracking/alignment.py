@@ -7,7 +7,9 @@ shape leaves a direction open (a bare wall) the brightness of keyframes' landmar
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from idfslam.config import AlignmentConfig
@@ -17,7 +19,11 @@ from idfslam.graph.keyframes import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio
+from idfslam.tracking.motion import Information, moved
 from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
+
+_WRONG_BRIGHTNESS = 0.1  # difference of brightness at which a landmark is another place
+_ALIKE, _COPLANAR, _REACH = 0.906, 0.03, 2  # cosine, [m] and patches to each side, for the smoothing of normals
 
 
 @dataclass(frozen=True)
@@ -30,12 +36,18 @@ class Alignment:
     rmse: float  # [m] of the robustly weighted distances
     stiffness: float  # least information of depth in any direction, per unit weight [1]; small: degenerate
     brightness: float  # typical difference of brightness to the references' landmarks in view, 0 without any
+    in_view: float  # share of the references' landmarks that are in view
+    information: Information | None  # of depth and images together; None without depth
     iterations: int
 
     @property
     def score(self) -> float:
-        """To compare two alignments of one view: much of it explained, closely, and in its colours; 0 if lost."""
-        return 0.0 if self.status is Status.LOST else self.overlap / ((self.rmse + 0.003) * (self.brightness + 0.005))
+        """To compare two alignments of one view: much of it explained, closely, and in its colours; 0 if lost.
+
+        A landmark out of view counts as one that is wrong, or the pose that looks away from all of them would be best.
+        """
+        agreement = self.in_view / (self.brightness + 0.005) + (1 - self.in_view) / (_WRONG_BRIGHTNESS + 0.005)
+        return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + 0.003)
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,13 @@ class Surface:
 
     points: Tensor  # (N, 3) [m]
     sigma: Tensor  # (N,) noise of the depth, relative to the best of the sensor [1]
+    patches: Tensor  # (rows, columns) int32: which of the points lies in each patch of the image, -1 where there is none
+
+    def every(self, step: int) -> "Surface":
+        """Each `step`-th point."""
+        kept = (self.patches >= 0) & (self.patches % step == 0)
+        patches = torch.where(kept, self.patches // step, -1)
+        return Surface(self.points[::step].contiguous(), self.sigma[::step].contiguous(), patches)
 
 
 @dataclass(frozen=True)
@@ -71,45 +90,58 @@ class Aligner:
         self.truncation = field.config.truncation
         self.query: MapQuery = distance_query(field)
 
-    def align(self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe]) -> Alignment:
-        """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth."""
+    def align(self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, near: bool = False) -> Alignment:
+        """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth.
+
+        near: the guess is as good as the answer, and only the finest images are looked at.
+        """
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
-            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0)
-        T, moved = T_guess.double(), torch.zeros(6, dtype=torch.float64)
+            return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
+        T, change = T_guess.double(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
-        coarse = Surface(surface.points[::3].contiguous(), surface.sigma[::3].contiguous())
-        for step in range(self.config.iterations):
+        coarse = surface.every(3)
+        for step in range(coarse_steps if near else 0, self.config.iterations):
             system = self._depth_system(coarse if step < coarse_steps else surface, T, step)
-            H, b, brightness = self._with_images(system, view, references, T, step)
-            prior = self.config.prior * max(system.weight, 1e-3)
-            delta = torch.linalg.solve(H + prior * torch.eye(6, dtype=torch.float64), b - prior * moved)
-            T, moved = _moved(T, delta), moved + delta
+            H, b, brightness, in_view = self._with_images(system, view, references, T, step)
+            information = Information.of(H, system.weight, system.radius)
+            P = information.prior(self.config.hold)
+            delta = torch.linalg.solve(H + P, b - P @ change)
+            T, change = moved(T, delta), change + delta
             if step >= coarse_steps and float(delta.abs().max()) < self.config.converged:
                 break
-        return self._judged(T, system, brightness, step + 1)
+        return self._judged(T, system, information, brightness, in_view, step + 1)
 
     def surface(self, view: Keyframe) -> Surface:
-        """Points of a view, one in each of about `config.points` equal patches, at random within it; patches without depth give none."""
+        """About `config.points` points of a view, one in each of equal patches, at random within it; patches without depth give none.
+
+        Where little has depth the patches are smaller: a table at the end of the sensor's range is all there is to hold on to.
+        """
         height, width = view.depth.shape
-        patch = max(1, round((height * width / self.config.points) ** 0.5))
+        patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
         v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(view.depth.device)
         u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(view.depth.device)
         depth = view.depth[v, u]
         keep = depth > 0
+        patches = torch.where(keep, keep.cumsum(0) - 1, -1).int().view(rows, columns)
         v, u, depth = v[keep], u[keep], depth[keep]
-        return Surface(view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None], noise_ratio(depth))
+        points = view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
+        return Surface(points, noise_ratio(depth), patches)
 
     def doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess is worth its time: lost, little overlap, or colours that fit much worse than they lately did."""
-        usual = max(self._usual_brightness, self.config.colour_noise)
         return (
             alignment.status is Status.LOST
             or alignment.overlap < self.config.doubtful_overlap
-            or alignment.brightness > self.config.doubtful_brightness * usual
+            or alignment.brightness > self._doubtful_brightness
         )
+
+    @property
+    def _doubtful_brightness(self) -> float:
+        """Colours that differ more than this are not noise: the images do not lie on each other."""
+        return self.config.doubtful_brightness * max(self._usual_brightness, self.config.colour_noise)
 
     def accept(self, alignment: Alignment) -> None:
         """Remember how well colours fit, as a slow running mean."""
@@ -122,24 +154,31 @@ class Aligner:
         turned = surface.points @ T32[:3, :3].T
         distance, gradient = self.query(turned + T32[:3, 3])
         robust = self.config.robust * max(1.0, 4.0 * 0.5**step)
+        normal, slope = smoothed_normals(turned, gradient, surface.patches)
         build = depth_system if turned.device.type == "cpu" else plain_depth_system
-        return build(turned, distance, gradient, surface.sigma, self.truncation, robust, self.config.robust_widest)
+        return build(turned, distance, normal, slope, surface.sigma, self.truncation, robust, self.config.robust_widest)
 
     def _with_images(
         self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
-    ) -> tuple[Tensor, Tensor, float]:
-        """The normal equations with the brightness of each reference's landmarks added, on the pyramid's level for this step."""
-        H, b, brightness, seen = system.H, system.b, 0.0, 0
+    ) -> tuple[Tensor, Tensor, float, float]:
+        """The normal equations with the brightness of each reference's landmarks added, on the pyramid's level for this step.
+
+        Also the typical difference of brightness, and the share of the landmarks in view.
+        """
+        H, b, brightness, seen, count = system.H, system.b, 0.0, 0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
             noise, widest = self.config.colour_noise, self.config.colour_robust
             term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest)
+            count += len(marks.points)
+            if term.seen < self.config.min_landmarks:
+                continue
             H = H + self.config.depth_noise**2 * term.H
             b = b + self.config.depth_noise**2 * term.b
             brightness, seen = brightness + term.seen * term.noise, seen + term.seen
-        return H, b, brightness / max(seen, 1)
+        return H, b, brightness / max(seen, 1), seen / max(count, 1)
 
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, worked out once."""
@@ -155,40 +194,75 @@ class Aligner:
             keyframe.appearance = None
         return keyframe.landmarks
 
-    def _judged(self, T: Tensor, system: _System, brightness: float, iterations: int) -> Alignment:
-        unit = torch.tensor([1.0] * 3 + [1 / max(system.radius, 0.1)] * 3, dtype=torch.float64)
-        stiffness = float(torch.linalg.eigvalsh(system.H * unit[:, None] * unit)[0]) / max(system.weight, 1e-9)
+    def _judged(
+        self, T: Tensor, system: _System, information: Information, brightness: float, in_view: float, iterations: int
+    ) -> Alignment:
+        of_depth = Information.of(system.H, system.weight, system.radius)
+        stiffness = float(of_depth.values[0])
         status = Status.OK
         if system.overlap < self.config.min_overlap or system.rmse > self.config.max_rmse:
             status = Status.LOST
         elif stiffness < self.config.min_stiffness:
             status = Status.DEGENERATE
-        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, iterations)
+        believed = of_depth if brightness > self._doubtful_brightness else information  # images that do not fit know nothing of the motion
+        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, in_view, believed, iterations)
+
+
+def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and its length (N,).
+
+    A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals of
+    a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
+    """
+    slope = gradient.norm(dim=-1)
+    unit = gradient / slope.clamp(min=1e-9)[:, None]
+    if points.device.type != "cpu":
+        return plain_smoothed(points, unit, patches), slope
+    from idfslam.mapping.kernels import numba_alignment
+
+    normal = torch.empty_like(unit)
+    arrays = [t.numpy() for t in (points, unit, patches)]
+    numba_alignment.smoothed_normals(*arrays, np.float32(_ALIKE), np.float32(_COPLANAR), normal.numpy())  # type: ignore[call-arg]
+    return normal, slope
+
+
+def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
+    """The normals of `smoothed_normals` in torch, on any device."""
+    rows, columns = patches.shape
+    padded = F.pad(patches.long(), (_REACH,) * 4, value=-1)
+    here, known = patches.clamp(min=0).long(), patches >= 0
+    total = torch.zeros(rows, columns, 3, dtype=unit.dtype, device=unit.device)
+    for i in range(2 * _REACH + 1):
+        for j in range(2 * _REACH + 1):
+            there = padded[i : i + rows, j : j + columns]
+            n, other = unit[here], unit[there.clamp(min=0)]
+            off = (n * (points[there.clamp(min=0)] - points[here])).sum(-1)
+            alike = (there >= 0) & ((n * other).sum(-1) >= _ALIKE) & (off.abs() < _COPLANAR)
+            total += other * alike[..., None]
+    return F.normalize(total[known], dim=-1)[patches[known].long().argsort()]
 
 
 def depth_system(
-    turned: Tensor, distance: Tensor, gradient: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
+    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
     """`plain_depth_system` by Numba, on the CPU."""
     from idfslam.mapping.kernels import numba_alignment
 
     H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
-    arrays = [t.numpy() for t in (turned, distance, gradient, sigma)]
+    arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma)]
     weight, squares, known = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
     radius = float(turned.norm(dim=-1).mean())
     return _System(H, b, weight, known / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
 
 
 def plain_depth_system(
-    turned: Tensor, distance: Tensor, gradient: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
+    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
-    """Normal equations of the distances (N,) [m] of points to the map, along its normals; in torch, on any device.
+    """Normal equations of the distances (N,) [m] of points to the map, along its normals (N, 3); in torch, on any device.
 
-    turned (N, 3) [m]: the points from the camera's centre, world axes; gradient (N, 3) of the distance; sigma (N,) the relative noise.
+    turned (N, 3) [m]: the points from the camera's centre, world axes; slope (N,) of the distance; sigma (N,) the relative noise.
     """
-    slope = gradient.norm(dim=-1)
     known = (distance.abs() < 0.9 * truncation) & (slope > 0.2)
-    normal = gradient / slope.clamp(min=0.2)[:, None]
     r = distance / slope.clamp(min=0.7)
     J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
     scale = robust * sigma.clamp(max=widest)
@@ -198,11 +272,3 @@ def plain_depth_system(
     rmse = (float((w * r * r).sum()) / max(weight, 1e-9)) ** 0.5
     overlap = float(known.float().mean())
     return _System((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), weight, overlap, rmse, float(turned.norm(dim=-1).mean()))
-
-
-def _moved(T: Tensor, delta: Tensor) -> Tensor:
-    """The pose turned about the camera's own centre by delta[3:] and shifted by delta[:3], both along world axes."""
-    out = T.clone()
-    out[:3, :3] = se3.exp(torch.cat([torch.zeros_like(delta[:3]), delta[3:]]))[:3, :3] @ T[:3, :3]
-    out[:3, 3] = T[:3, 3] + delta[:3]
-    return out

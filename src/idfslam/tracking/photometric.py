@@ -59,9 +59,13 @@ class Landmarks:
 
 
 def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
-    """The steepest pixel of each of `count` cells of the finest level, if it has depth, no edge of it near, and a slope [1/px]."""
+    """The steepest pixel of each of the cells of the finest level that it takes for `count` where there is depth.
+
+    If it has depth, no edge of it near, and a slope [1/px].
+    """
     fine = levels[0]
-    cell = max(2, round((fine.camera.height * fine.camera.width / count) ** 0.5))
+    measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
+    cell = max(2, round((measured / count) ** 0.5))
     h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
     slope = with_slopes(fine.luminance)[1:].norm(dim=0)
     rows = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()

@@ -31,19 +31,40 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def depth_system(turned, distance, gradient, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
+def smoothed_normals(points, unit, patches, alike, coplanar, normal) -> None:  # type: ignore[no-untyped-def]
+    """Fills normal (N, 3) with the means of the unit normals (N, 3) of points (N, 3) in neighbouring patches (rows, columns), of those alike."""
+    rows, columns = patches.shape
+    for row in range(rows):
+        for column in range(columns):
+            n = patches[row, column]
+            if n < 0:
+                continue
+            a, b, c = unit[n, 0], unit[n, 1], unit[n, 2]
+            x, y, z = np.float32(0), np.float32(0), np.float32(0)
+            for i in range(max(row - 2, 0), min(row + 3, rows)):
+                for j in range(max(column - 2, 0), min(column + 3, columns)):
+                    m = patches[i, j]
+                    if m < 0 or a * unit[m, 0] + b * unit[m, 1] + c * unit[m, 2] < alike:
+                        continue
+                    off = a * (points[m, 0] - points[n, 0]) + b * (points[m, 1] - points[n, 1]) + c * (points[m, 2] - points[n, 2])
+                    if abs(off) < coplanar:
+                        x, y, z = x + unit[m, 0], y + unit[m, 1], z + unit[m, 2]
+            length = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-9))
+            normal[n, 0], normal[n, 1], normal[n, 2] = x / length, y / length, z / length
+
+
+@_compiled
+def depth_system(turned, distance, normal, slope, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
     """Distances of points to the map: fills H (6, 6), b (6,); returns sum of weights, of weighted squares [m^2], and the points known."""
     J = np.empty(6)
     total, squares, known = 0.0, 0.0, 0
     for n in range(len(distance)):
-        gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
-        slope = np.sqrt(gx * gx + gy * gy + gz * gz)
-        if abs(distance[n]) >= 0.9 * truncation or slope <= 0.2:
+        if abs(distance[n]) >= 0.9 * truncation or slope[n] <= 0.2:
             continue
         known += 1
         x, y, z = turned[n, 0], turned[n, 1], turned[n, 2]
-        nx, ny, nz = gx / slope, gy / slope, gz / slope
-        r = distance[n] / max(slope, 0.7)
+        nx, ny, nz = normal[n, 0], normal[n, 1], normal[n, 2]
+        r = distance[n] / max(slope[n], 0.7)
         scale = robust * min(sigma[n], widest)
         kernel = 1 + (r / scale) ** 2
         w = 1 / (kernel * kernel * sigma[n] * sigma[n])
