@@ -5,12 +5,13 @@ unoccluded if besides z < rendered depth + margin. A face is kept if any of its 
 point falls that no earlier view has seen: the same answer as rendering every view, at a fraction of the rays.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.raycasting import RayCaster, pixel_rays
 from idfslam.geometry.camera import Camera
 
@@ -24,6 +25,10 @@ class Visibility:
     near: float
     far: float
     margin: float
+
+    def within(self, readings: DepthRange) -> "Visibility":
+        """The same rule for no more than the depths that a sensor reads."""
+        return replace(self, near=max(self.near, readings.near), far=min(self.far, readings.far))
 
 
 def in_any_view(
