@@ -18,6 +18,7 @@ from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, 
 from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
 from idfslam.evaluation.pictures import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
+from idfslam.evaluation.point_triangle import nearest_distance
 from idfslam.evaluation.raycasting import RayCaster, render_depth
 from idfslam.evaluation.report import table
 from idfslam.evaluation.result import evaluate, load_mesh
@@ -314,6 +315,16 @@ def test_incomplete_result_folders(tmp_path: Path) -> None:
     (tmp_path / "mesh.ply").unlink()
     with pytest.raises(ResultError, match=r"mesh\.ply: no such file"):
         evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)
+
+
+def test_distance_to_a_triangle_by_hand() -> None:
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    needle = np.array([[0.0, 0, 0], [1e-17, 0, 0], [0, 0, 1]])  # no area: a line along z
+    points = np.array([[0.2, 0.2, -0.5], [0.5, -0.3, 0.4], [-3, -4, 0], [1, 1, 0], [0.3, 0.4, 0.5]])
+    expected = [0.5, 0.5, 5.0, 0.5**0.5, 0.5]  # above the face, an edge, a corner, the long edge; the line, 0.3 and 0.4 aside
+    candidates = np.array([[0], [0], [0], [0], [1]])
+    assert nearest_distance(points, np.stack([flat, needle]), candidates) == pytest.approx(expected)
+    assert nearest_distance(points[4:], np.stack([flat, needle]), np.array([[0, 1]])) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("content", [b"", b"ply\nnonsense", b"\x00\x01\x02"])

@@ -31,6 +31,7 @@ from idfslam.errors import ConfigError, ResultError
 from idfslam.evaluation.culling import Visibility, faces_kept, in_any_view, subdivided, submesh, virtual_views
 from idfslam.evaluation.depth_error import depth_error
 from idfslam.evaluation.depth_range import DepthRange
+from idfslam.evaluation.point_triangle import nearest_distance
 from idfslam.evaluation.raycasting import RayCaster
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import align
@@ -209,10 +210,7 @@ def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Fl
     every = np.asarray(mesh.triangles)
     triangles = np.concatenate([target.triangles, every])
     tree = cKDTree(np.concatenate([target.points, every.mean(1)]))
-    result = np.full(len(points), np.inf)
-    for column in tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1].T:
-        result = np.minimum(result, np.linalg.norm(trimesh.triangles.closest_point(triangles[column], points) - points, axis=-1))
-    return result
+    return nearest_distance(points, triangles, tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1])
 
 
 def icp(source: Floats, target: Floats, *, threshold: float, iterations: int = 30) -> Floats:
