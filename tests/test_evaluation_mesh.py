@@ -254,7 +254,7 @@ def test_overview_looks_through_the_near_walls() -> None:
     mesh, poses, camera = room(), turning(), Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
     assert np.abs(up_direction(mesh, poses) @ DOWN) > 0.999
     T_wc = overview_pose(mesh, poses, camera)
-    _, depth = Picture(mesh, inside=poses[:, :3, 3]).draw(T_wc, camera)
+    depth = Picture(mesh, inside=poses[:, :3, 3]).depth(T_wc, camera)
     _, outside = render_mesh(mesh, T_wc, camera)
     assert depth[30, 40] > outside[30, 40] + 1
     assert outside[0].max() == outside[-1].max() == outside[:, 0].max() == outside[:, -1].max() == 0  # all of it fits
