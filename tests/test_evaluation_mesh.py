@@ -1,6 +1,8 @@
 """Mesh errors on boxes whose numbers can be worked by hand; what each protocol counts; pictures; whole result folders."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +10,19 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, IdfSlamError, ResultError
+from idfslam import results
+from idfslam.config import FAST
+from idfslam.errors import ConfigError, FrameError, IdfSlamError, ResultError
+from idfslam.evaluate import evaluate_folder
 from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
+from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
 from idfslam.evaluation.pictures import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
+from idfslam.evaluation.point_triangle import nearest_distance
 from idfslam.evaluation.raycasting import RayCaster, render_depth
 from idfslam.evaluation.report import table
 from idfslam.evaluation.result import evaluate, load_mesh
+from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, save_tum
 
@@ -116,6 +124,80 @@ def test_only_what_was_seen_counts_as_truth() -> None:
     assert seen.completion_ratio == 1 and seen.accuracy < 1e-4 and seen.depth_missing == 0
 
 
+def squares(*, far: float = 3.0) -> trimesh.Trimesh:
+    """Two of 0.5 m x 0.5 m that a camera in the origin sees side by side, 1 m and `far` [m] ahead."""
+    square = np.array([[0.0, -0.25, 0.0], [0.5, -0.25, 0.0], [0.5, 0.25, 0.0], [0.0, 0.25, 0.0]])
+    vertices = np.concatenate([square + np.array([-0.6, 0, 1]), square + np.array([0.3, 0, far])])
+    return trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], process=False)
+
+
+def test_what_the_sensor_does_not_reach_is_not_seen() -> None:
+    def of(reconstruction: trimesh.Trimesh, protocol: str = "seen", readings: DepthRange | None = None) -> MeshError:
+        options = {**FEW, "protocol": protocol, "readings": readings}
+        return mesh_error(reconstruction, squares(), poses=np.eye(4)[None], camera=CAMERA, **options)  # type: ignore[arg-type]
+
+    near = trimesh.Trimesh(squares().vertices, squares().faces[:2], process=False)
+    reach = DepthRange(0.5, 2.0)
+    # Half of the true surface in view is missing (a little less: at its rim are pixels whose middle shows nothing), but a sensor that
+    # reads 0.5 to 2 m does not read that half
+    assert of(near).completion_ratio == pytest.approx(0.5, abs=0.03)
+    narrowed = of(near, readings=reach)
+    assert narrowed.completion_ratio == 1 and (narrowed.near, narrowed.far, narrowed.range_from) == (0.5, 2.0, "recording")
+    # The same rule for the reconstruction: half of it 0.2 m too far, but beyond the reach
+    assert of(squares(far=3.2)).accuracy == pytest.approx(0.1, abs=0.005)
+    assert of(squares(far=3.2), readings=reach).accuracy < 1e-4
+    # Wider readings widen nothing, and the published protocols keep their range
+    wide = of(near, readings=DepthRange(0.02, 30.0))
+    assert (wide.near, wide.far) == (0.1, 10) and wide.completion_ratio == of(near).completion_ratio
+    published = of(near, "neural-rgbd", reach)
+    assert (published.near, published.far, published.range_from) == (0.01, 10, "protocol")
+
+
+@dataclass
+class DepthImages:
+    """A recording of `turning` in `room` with depth images of our own; an error stands for a frame that cannot be read."""
+
+    depths: Sequence[NDArray[np.float32] | FrameError]
+    name: str = "depths"
+    camera: Camera = CAMERA
+
+    @property
+    def timestamps(self) -> NDArray[np.float64]:
+        return np.arange(len(self)) / 10
+
+    @property
+    def ground_truth(self) -> NDArray[np.float64]:
+        return turning()[: len(self)]
+
+    def __len__(self) -> int:
+        return len(self.depths)
+
+    def __getitem__(self, i: int) -> Frame:
+        depth = self.depths[i]
+        if isinstance(depth, FrameError):
+            raise depth
+        return Frame(i, i / 10, np.zeros((*depth.shape, 3), np.float32), depth, self.camera)
+
+    def surface(self) -> trimesh.Trimesh:
+        return room()
+
+
+def test_depth_range_by_hand() -> None:
+    # 10 000 readings: 0.4 to 4.4 m, but for 9 of 9 m and 9 of 0.1 m, fewer than a thousandth; pixels without reading do not count
+    image = np.zeros((100, 200), np.float32)
+    image[:50] = np.linspace(0.4, 4.4, 10_000, dtype=np.float32).reshape(50, 200)
+    image[0, :9], image[1, :9] = 9.0, 0.1
+    found = depth_range(DepthImages([image]))
+    assert found is not None
+    assert found.near == pytest.approx(0.4, abs=0.01) and found.far == pytest.approx(4.4, abs=0.01)
+    image[0, :11] = 9.0  # more than a thousandth
+    more = depth_range(DepthImages([image]))
+    assert more is not None and more.far == 9.0
+    nothing, damaged = np.zeros((4, 4), np.float32), FrameError("damaged")
+    assert depth_range(DepthImages([damaged, nothing, np.full((4, 4), 2.0, np.float32)])) == DepthRange(2.0, 2.0)
+    assert depth_range(DepthImages([nothing, damaged])) is None
+
+
 def test_frustum_and_occlusion_by_hand() -> None:
     # A plate 1 m ahead hides the middle of a wall 2 m ahead; its shadow is twice its size
     wall, plate = trimesh.creation.box((4, 4, 0.01)).apply_translation([0, 0, 2.005]), trimesh.creation.box((0.5, 0.5, 0.01))
@@ -172,7 +254,7 @@ def test_overview_looks_through_the_near_walls() -> None:
     mesh, poses, camera = room(), turning(), Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
     assert np.abs(up_direction(mesh, poses) @ DOWN) > 0.999
     T_wc = overview_pose(mesh, poses, camera)
-    _, depth = Picture(mesh, inside=poses[:, :3, 3]).draw(T_wc, camera)
+    depth = Picture(mesh, inside=poses[:, :3, 3]).depth(T_wc, camera)
     _, outside = render_mesh(mesh, T_wc, camera)
     assert depth[30, 40] > outside[30, 40] + 1
     assert outside[0].max() == outside[-1].max() == outside[:, 0].max() == outside[:, -1].max() == 0  # all of it fits
@@ -200,7 +282,25 @@ def test_a_whole_result_folder(tmp_path: Path) -> None:
     assert written["frames"] == written["frames_with_truth"] == 50 and written["mesh"]["protocol"] == "seen"
     assert "rpe_1" in written and "rpe_30" in written
     assert (tmp_path / "trajectory.png").stat().st_size > 5000 and (tmp_path / "error.png").stat().st_size > 5000
-    assert table(evaluation).row_count == 10
+    assert (written["mesh"]["near"], written["mesh"]["far"], written["mesh"]["range_from"]) == (0.1, 10, "protocol")
+    assert table(evaluation).row_count == 11
+
+
+def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    result_folder(tmp_path, np.eye(4))
+    results.write_keyframes(tmp_path, results.KeyframeRecord(CAMERA, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 4, 4))))
+    image = np.linspace(0.8, 2.2, 64 * 48, dtype=np.float32).reshape(48, 64)
+    found = evaluate_folder(tmp_path, recording=DepthImages([image] * 50), **FEW).mesh
+    assert found is not None and found.range_from == "recording" and found.samples == 20_000 and found.views <= 20
+    assert (found.near, found.far) == (pytest.approx(0.8, abs=0.01), pytest.approx(2.2, abs=0.01))
+    assert json.loads((tmp_path / "evaluation.json").read_text())["mesh"]["far"] == found.far
+    # Truth in files and a recording that is gone
+    save_tum(tmp_path / "truth.txt", Trajectory(np.arange(50) / 10, turning()))
+    room().export(tmp_path / "truth.ply")
+    results.write_config(tmp_path, FAST, results.Source(str(tmp_path / "gone")))
+    alone = evaluate_folder(tmp_path, gt=tmp_path / "truth.txt", gt_mesh=tmp_path / "truth.ply", **FEW).mesh
+    assert alone is not None and (alone.near, alone.far, alone.range_from) == (0.1, 10, "protocol")
+    assert "no depth image of its recording is at hand" in caplog.text and "gone: no such file" in caplog.text
 
 
 def test_incomplete_result_folders(tmp_path: Path) -> None:
@@ -215,6 +315,16 @@ def test_incomplete_result_folders(tmp_path: Path) -> None:
     (tmp_path / "mesh.ply").unlink()
     with pytest.raises(ResultError, match=r"mesh\.ply: no such file"):
         evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)
+
+
+def test_distance_to_a_triangle_by_hand() -> None:
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    needle = np.array([[0.0, 0, 0], [1e-17, 0, 0], [0, 0, 1]])  # no area: a line along z
+    points = np.array([[0.2, 0.2, -0.5], [0.5, -0.3, 0.4], [-3, -4, 0], [1, 1, 0], [0.3, 0.4, 0.5]])
+    expected = [0.5, 0.5, 5.0, 0.5**0.5, 0.5]  # above the face, an edge, a corner, the long edge; the line, 0.3 and 0.4 aside
+    candidates = np.array([[0], [0], [0], [0], [1]])
+    assert nearest_distance(points, np.stack([flat, needle]), candidates) == pytest.approx(expected)
+    assert nearest_distance(points[4:], np.stack([flat, needle]), np.array([[0, 1]])) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("content", [b"", b"ply\nnonsense", b"\x00\x01\x02"])

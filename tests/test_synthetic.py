@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets import ray_casting
 from idfslam.datasets.furniture import Scene, place, tilt
-from idfslam.datasets.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, surface_at
+from idfslam.datasets.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, prune, surface_at
 from idfslam.datasets.room import BARE_WALL, wall_frame
 from idfslam.datasets.sensor_noise import axial_sigma, noisy_colour, noisy_depth, quantise
 from idfslam.datasets.synthetic import BARE_PASSAGE, TOUR, SyntheticRoom, tour
@@ -76,6 +76,34 @@ def test_hierarchy_finds_what_a_search_of_all_shapes_finds(room: SyntheticRoom) 
             t, found = cast(shapes, nodes, *origin, *direction, 1e3, hint)
             assert t == min(every)
             assert every[found] == t
+
+
+def test_pruning_keeps_what_rays_of_a_tile_meet(room: SyntheticRoom) -> None:
+    """Rays between four corners find in the pruned hierarchy what they find in the whole one."""
+    shapes, nodes = room.room.shapes, room.room.nodes
+    rng = np.random.default_rng(0)
+    sizes = []
+    for T in room.ground_truth[::20]:
+        (x, y), size = rng.uniform(-0.5, 0.4, 2), 0.05
+        corners = np.array([[x, y, 1], [x + size, y, 1], [x + size, y + size, 1], [x, y + size, 1]]) @ T[:3, :3].T
+        leaves = np.empty_like(nodes)
+        count = prune(nodes, T, corners, leaves)
+        sizes.append(count)
+        for weights in rng.dirichlet(np.ones(4), 50):
+            ray = weights @ corners
+            assert cast(shapes, leaves[:count], *T[:3, 3], *ray, 1e3, -1) == cast(shapes, nodes, *T[:3, 3], *ray, 1e3, -1)
+    assert np.mean(sizes) < 0.1 * len(shapes)
+
+
+def test_pruning_by_hand() -> None:
+    # The camera in the origin looks along z through a tile of 0.2 x 0.2 at depth 1: at depth 5 it spans -0.5 to 0.5
+    places = [(0, 0, 5), (0.9, 0, 5), (1.1, 0, 5), (0, 0, -6)]  # ahead, its edge at 0.4 inside, its edge at 0.6 outside, behind
+    nodes = build_hierarchy(np.concatenate([shape(ELLIPSOID, (0.5, 0.5, 0.01), place(*p)) for p in places]))
+    corners = np.array([[-0.1, -0.1, 1], [0.1, -0.1, 1], [0.1, 0.1, 1], [-0.1, 0.1, 1]])
+    leaves = np.empty_like(nodes)
+    count = prune(nodes, np.eye(4), corners, leaves)
+    assert sorted(leaves[:count, 7]) == [0, 1]
+    assert leaves[:count, 6].tolist() == [1, 2]  # flat: after each comes the next
 
 
 @pytest.mark.parametrize("kind", [BOX, FRUSTUM, ELLIPSOID])

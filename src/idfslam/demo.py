@@ -37,9 +37,10 @@ def demo(config: Config, folder: Path, *, room: int, frames: int, console: Conso
 
 
 def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:
-    """Frames spread over the run, and what the saved map shows from their estimated poses."""
+    """Frames spread over the run, and what the saved map shows from their estimated poses, at half the size: the picture has less."""
     saved = load_map(folder / results.MAP)
+    camera = recording.camera.resized(recording.camera.width // 2, recording.camera.height // 2)
     for i in np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist():
         frame = recording[i]
-        colour, depth = saved.render(poses[i], recording.camera)
+        colour, depth = saved.render(poses[i], camera)
         yield View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))

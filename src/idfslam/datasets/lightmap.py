@@ -38,7 +38,7 @@ def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightm
     seen = np.zeros(len(direct), np.bool_)
     _bake_direct(shapes, nodes, layout, lights, direct, seen)
     direct = _blurred(layout, direct, seen)
-    _gather(shapes, materials, nodes, layout, direct, bounced)
+    _gather(shapes, materials, nodes, layout, direct.astype(np.float32), bounced)
     return Lightmap(layout, (direct + _blurred(layout, _blurred(layout, bounced, seen), seen)).astype(np.float32))
 
 
@@ -72,7 +72,7 @@ def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -
 
 
 @compiled
-def irradiance(layout: NDArray[np.int64], light: NDArray[np.floating], shape: int, chart: int, s: float, t: float) -> Colour:
+def irradiance(layout: NDArray[np.int64], light: NDArray[np.float32], shape: int, chart: int, s: float, t: float) -> Colour:
     """Bilinear look-up."""
     offset, columns, rows = layout[shape, chart]
     x, y = min(max(s * columns - 0.5, 0.0), columns - 1.0), min(max(t * rows - 0.5, 0.0), rows - 1.0)
@@ -145,7 +145,7 @@ def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights:
 
 
 @compiled
-def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: Array, light: Array) -> None:
+def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: NDArray[np.float32], light: Array) -> None:
     """One bounce: cosine-weighted rays bring back what the surfaces that they hit reflect."""
     p, n, x, y = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
@@ -163,7 +163,7 @@ def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.in
 
 @compiled
 def _bounce(
-    shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: Array,
+    shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: NDArray[np.float32],
     p: Array, n: Array, x: Array, y: Array, seed: int, out: Array,
 ) -> None:  # fmt: skip
     """The mean over a stratified hemisphere of rays from p."""

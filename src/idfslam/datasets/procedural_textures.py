@@ -6,9 +6,10 @@ its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from idfslam.datasets.ray_casting import compiled
+from idfslam.datasets.ray_casting import OPTIONS, compiled
 
 Colour = tuple[float, float, float]
 
@@ -33,6 +34,9 @@ Colour = tuple[float, float, float]
 
 _A, _B, _C = 374761393, 668265263, 1274126177
 
+_of_numbers = njit("float64(float64, float64, float64)", **OPTIONS)
+"""Compiled once, for floats: without a signature every mix of integers and floats among the arguments would be a version of its own."""
+
 
 @compiled
 def _mixed(h: int) -> float:
@@ -42,13 +46,13 @@ def _mixed(h: int) -> float:
     return ((h ^ (h >> 16)) & 0xFFFFFF) * (1 / 16777216.0)
 
 
-@compiled
+@_of_numbers
 def random(i: float, j: float, seed: float) -> float:
     """A number in [0, 1) from a lattice point: an integer hash (Wang's mixing steps)."""
     return _mixed(int(i) * _A + int(j) * _B + int(seed) * _C)
 
 
-@compiled
+@_of_numbers
 def noise(x: float, y: float, seed: float) -> float:
     """Value noise in [0, 1] with unit lattice."""
     i, j = np.floor(x), np.floor(y)
@@ -231,7 +235,10 @@ def poster(a: Colour, b: Colour, u: float, v: float, su: float, sv: float, seed:
     size = min(su, sv)
     for k in range(9):
         x, y = u - su * random(k, 1, seed), v - sv * random(k, 2, seed)
-        r, turn = size * (0.05 + 0.2 * random(k, 3, seed)), 3.1416 * random(k, 4, seed)
+        r = size * (0.05 + 0.2 * random(k, 3, seed))
+        if x * x + y * y > (2.6 * r + soft) ** 2:  # farther out than the longest shape
+            continue
+        turn = 3.1416 * random(k, 4, seed)
         p, q = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
         kind = random(k, 5, seed)
         if kind < 0.35:
@@ -242,7 +249,7 @@ def poster(a: Colour, b: Colour, u: float, v: float, su: float, sv: float, seed:
             d = min(r - abs(p), 0.5 * r - abs(q))
         else:
             d = min(2.5 * r - abs(p), 0.12 * r - abs(q))
-        base = mix(base, palette(k, seed + 5), edge(d, soft))
+        base = mix(base, palette(float(k), seed + 5), edge(d, soft))
     base = scaled(base, 1 + 0.15 * grain(u, v, 0.008, seed + 6, w) + 0.1 * grain(u, v, 0.03, seed + 7, w))
     inside = min(min(u, su - u), min(v, sv - v))
     return mix((0.75, 0.73, 0.68), base, edge(inside - 0.09 * size, soft))
@@ -270,15 +277,17 @@ def wallpaper(a: Colour, b: Colour, c: Colour, scale: float, u: float, v: float,
     j = np.floor(v / scale + 0.5 * (i % 2))
     x, y = u - (i + 0.5) * scale, v - (j + 0.5 - 0.5 * (i % 2)) * scale
     soft = max(w, 0.003)
-    rho, theta = np.sqrt(x * x + y * y), np.arctan2(y, x) + 6.28 * random(i, j, seed)
-    petals = 0.27 * scale * (0.72 + 0.28 * np.cos((4 + np.floor(3 * random(i, j, seed + 1))) * theta))
+    rho = np.sqrt(x * x + y * y)
     p, q = abs(x) - 0.5 * scale, abs(y)
     leaf = 0.11 * scale - np.sqrt(p * p * 3 + q * q * 0.6)
     f = fade(0.8 * scale, w)
-    tone = 0.75 + 0.5 * random(i, j, seed + 2)
     base = scaled(a, 1 + 0.07 * grain(u, v, 0.025, seed + 3, w) + 0.06 * grain(u, v, 0.3, seed + 4, w))
     base = mix(base, c, f * edge(leaf, soft) * 0.8)
-    base = mix(base, scaled(b, tone), f * edge(petals - rho, soft))
+    if rho > 0.27 * scale + soft:  # farther out than the longest petal
+        return base
+    theta = np.arctan2(y, x) + 6.28 * random(i, j, seed)
+    petals = 0.27 * scale * (0.72 + 0.28 * np.cos((4 + np.floor(3 * random(i, j, seed + 1))) * theta))
+    base = mix(base, scaled(b, 0.75 + 0.5 * random(i, j, seed + 2)), f * edge(petals - rho, soft))
     return mix(base, c, f * edge(0.07 * scale - rho, soft))
 
 

@@ -6,12 +6,15 @@ ellipsoid - three radii. The surface of a shape is unrolled into charts with coo
 faces of a box (-x, +x, -y, +y, -z, +z), side, bottom and top of a frustum, the whole of an ellipsoid.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
 """Without Python's check of every division, sums in any order; infinities stay legal."""
+compiled = njit(**OPTIONS)
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -160,7 +163,7 @@ def hit_shape(shapes: Array, i: int, ox: float, oy: float, oz: float, dx: float,
     return _hit_ellipsoid(shapes[i, 1], shapes[i, 2], shapes[i, 3], px, py, pz, qx, qy, qz)
 
 
-@compiled
+@njit("Tuple((float64, int64))(float64[:, ::1], float64[:, ::1], " + "float64, " * 7 + "int64)", **OPTIONS)  # once, also for a literal hint
 def cast(
     shapes: Array, nodes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, limit: float, hint: int
 ) -> tuple[float, int]:
@@ -193,6 +196,43 @@ def cast(
                 best, found = t, i
         node += 1
     return best, found
+
+
+@compiled
+def prune(nodes: Array, T: Array, corners: Array, out: Array) -> int:
+    """The leaves of a hierarchy that rays from the camera `T` (4, 4) between four `corners` (4, 3) may meet; how many.
+
+    `corners` are directions in the world, clockwise as the camera sees them. The rows written to `out` (2 P - 1, 8) are a hierarchy again:
+    a flat one, short enough to stay in the nearest cache while a tile of the image is cast.
+    """
+    planes, count, node = np.empty((4, 3)), 0, 0
+    for k in range(4):
+        a, b = corners[k], corners[(k + 1) % 4]
+        planes[k, 0], planes[k, 1], planes[k, 2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    while node < nodes.shape[0]:
+        if _outside(nodes[node], planes, T):
+            node = int(nodes[node, 6])
+            continue
+        if nodes[node, 7] >= 0:
+            for k in range(6):
+                out[count, k] = nodes[node, k]
+            out[count, 6], out[count, 7] = count + 1, nodes[node, 7]
+            count += 1
+        node += 1
+    return count
+
+
+@compiled
+def _outside(box: Array, planes: Array, T: Array) -> bool:
+    """Whether a box lies wholly on the outer side of one of the planes (K, 3) through the camera's centre."""
+    for k in range(planes.shape[0]):
+        reach = 0.0
+        for axis in range(3):
+            normal = planes[k, axis]
+            reach += normal * ((box[axis + 3] if normal > 0.0 else box[axis]) - T[axis, 3])
+        if reach < 0.0:
+            return True
+    return False
 
 
 @compiled

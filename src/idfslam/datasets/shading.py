@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.lightmap import Lightmap, irradiance
 from idfslam.datasets.procedural_textures import Colour, albedo
-from idfslam.datasets.ray_casting import cast, chart_size, compiled, surface_at
+from idfslam.datasets.ray_casting import cast, chart_size, compiled, prune, surface_at
 from idfslam.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy [px]
 
 _FAR = 1e3  # [m]
+_TILE = 16  # [px] side of the squares of an image that are cast together
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,28 @@ def _ray(pinhole: Pinhole, T: Array, u: float, v: float) -> Colour:
 
 
 @compiled
+def _tiles(rows: int, columns: int) -> int:
+    """How many tiles cover the image."""
+    return -(-rows // _TILE) * -(-columns // _TILE)
+
+
+@compiled
+def _corner(tile: int, columns: int) -> tuple[int, int]:
+    """First row and column of a tile."""
+    across = -(-columns // _TILE)
+    return tile // across * _TILE, tile % across * _TILE
+
+
+@compiled
+def _prune(nodes: Array, pinhole: Pinhole, T: Array, left: int, top: int, leaves: Array) -> int:
+    """What rays through a tile's pixels may meet, to their outer edges: the first rows of `leaves`; how many."""
+    corners = np.empty((4, 3))
+    for k, (x, y) in enumerate(((0, 0), (_TILE, 0), (_TILE, _TILE), (0, _TILE))):
+        corners[k, 0], corners[k, 1], corners[k, 2] = _ray(pinhole, T, left + x - 0.5, top + y - 0.5)
+    return prune(nodes, T, corners, leaves)
+
+
+@compiled
 def _shade(
     shapes: Array, materials: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
     T: Array, d: Colour, t: float, shape: int, pixel: float,
@@ -86,18 +109,22 @@ def _render(
     pinhole: Pinhole, T: Array, colour: NDArray[np.float32], depth: NDArray[np.float32],
     normals: NDArray[np.float32], labels: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    shape = -1
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            d = _ray(pinhole, T, u, v)
-            t, shape = cast(shapes, nodes, T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, shape)
-            if shape < 0:
-                continue
-            red, green, blue, chart, nx, ny, nz = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 1.0 / pinhole[0])
-            depth[v, u], labels[v, u] = t, shape * 8 + chart
-            colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue
-            for k in range(3):
-                normals[v, u, k] = T[0, k] * nx + T[1, k] * ny + T[2, k] * nz
+    rows, columns = depth.shape
+    leaves = np.empty_like(nodes)
+    for tile in range(_tiles(rows, columns)):
+        top, left = _corner(tile, columns)
+        count, shape = _prune(nodes, pinhole, T, left, top, leaves), -1
+        for v in range(top, min(top + _TILE, rows)):
+            for u in range(left, min(left + _TILE, columns)):
+                d = _ray(pinhole, T, float(u), float(v))
+                t, shape = cast(shapes, leaves[:count], T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, shape)
+                if shape < 0:
+                    continue
+                red, green, blue, chart, nx, ny, nz = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 1.0 / pinhole[0])
+                depth[v, u], labels[v, u] = t, shape * 8 + chart
+                colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue
+                for k in range(3):
+                    normals[v, u, k] = T[0, k] * nx + T[1, k] * ny + T[2, k] * nz
 
 
 @compiled
@@ -107,17 +134,21 @@ def _smooth_edges(
 ) -> None:  # fmt: skip
     """Where a neighbour shows another surface, the mean of 2 x 2 rays stands for the pixel."""
     rows, columns = labels.shape
-    for v in range(rows):
-        for u in range(columns):
-            here = labels[v, u]
-            same = labels[max(v - 1, 0), u] == here and labels[min(v + 1, rows - 1), u] == here
-            if same and labels[v, max(u - 1, 0)] == here and labels[v, min(u + 1, columns - 1)] == here:
-                continue
-            red, green, blue = 0.0, 0.0, 0.0
-            for k in range(4):
-                d = _ray(pinhole, T, u + 0.5 * (k % 2) - 0.25, v + 0.5 * (k // 2) - 0.25)
-                t, shape = cast(shapes, nodes, T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, here // 8)
-                if shape >= 0:
-                    r, g, b, _, _, _, _ = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 0.7 / pinhole[0])
-                    red, green, blue = red + r / 4, green + g / 4, blue + b / 4
-            colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue
+    leaves = np.empty_like(nodes)
+    for tile in range(_tiles(rows, columns)):
+        top, left = _corner(tile, columns)
+        count = _prune(nodes, pinhole, T, left, top, leaves)
+        for v in range(top, min(top + _TILE, rows)):
+            for u in range(left, min(left + _TILE, columns)):
+                here = labels[v, u]
+                same = labels[max(v - 1, 0), u] == here and labels[min(v + 1, rows - 1), u] == here
+                if same and labels[v, max(u - 1, 0)] == here and labels[v, min(u + 1, columns - 1)] == here:
+                    continue
+                red, green, blue = 0.0, 0.0, 0.0
+                for k in range(4):
+                    d = _ray(pinhole, T, u + 0.5 * (k % 2) - 0.25, v + 0.5 * (k // 2) - 0.25)
+                    t, shape = cast(shapes, leaves[:count], T[0, 3], T[1, 3], T[2, 3], d[0], d[1], d[2], _FAR, here // 8)
+                    if shape >= 0:
+                        r, g, b, _, _, _, _ = _shade(shapes, materials, layout, light, exposure, T, d, t, shape, 0.7 / pinhole[0])
+                        red, green, blue = red + r / 4, green + g / 4, blue + b / 4
+                colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = red, green, blue

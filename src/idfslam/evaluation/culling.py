@@ -5,12 +5,14 @@ unoccluded if besides z < rendered depth + margin. A face is kept if any of its 
 point falls that no earlier view has seen: the same answer as rendering every view, at a fraction of the rays.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import trimesh
+from numba import njit
 from numpy.typing import NDArray
 
+from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.raycasting import RayCaster, pixel_rays
 from idfslam.geometry.camera import Camera
 
@@ -25,41 +27,66 @@ class Visibility:
     far: float
     margin: float
 
+    def within(self, readings: DepthRange) -> "Visibility":
+        """The same rule for no more than the depths that a sensor reads."""
+        return replace(self, near=max(self.near, readings.near), far=min(self.far, readings.far))
+
 
 def in_any_view(
     points: NDArray[np.float64], poses: NDArray[np.float64], camera: Camera, rule: Visibility, *, occluder: RayCaster | None = None
 ) -> Mask:
     """(V,) whether points (V, 3) [m] are in the frustum of a view of poses (N, 4, 4) and, where an occluder is given, unoccluded in it."""
-    seen = np.zeros(len(points), bool)
-    remaining, local_points = np.arange(len(points)), np.asarray(points, np.float32)
-    for T_wc in poses:
-        found = _in_view(local_points, T_wc, camera, rule, occluder)
-        seen[remaining[found]] = True
-        if found.any():
-            remaining, local_points = remaining[~found], local_points[~found]
+    seen = np.zeros(len(points), np.bool_)
+    points = np.asarray(points, np.float64)  # bare: trimesh hands out arrays of its own kind
+    # Neighbouring views show the same: in random order most of what is seen at all is found in the first few
+    for T_wc in poses[np.random.default_rng(0).permutation(len(poses))]:
+        index, pixel, z = _in_frustum(points, seen, T_wc, astuple(camera), rule.near, rule.far)
+        if occluder is not None:
+            index = index[z < _depth(occluder, pixel, T_wc, camera, rule.far) + rule.margin]
+        seen[index] = True
     return seen
 
 
-def _in_view(points: NDArray[np.float32], T_wc: NDArray[np.float64], camera: Camera, rule: Visibility, occluder: RayCaster | None) -> Mask:
-    local = (points - T_wc[:3, 3].astype(np.float32)) @ T_wc[:3, :3].astype(np.float32)
-    found = (local[:, 2] > rule.near) & (local[:, 2] < rule.far)
-    index = np.nonzero(found)[0]
-    x, y, z = local[index].T
-    u, v = np.rint(x / z * camera.fx + camera.cx), np.rint(y / z * camera.fy + camera.cy)
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    found[index[~inside]] = False
-    if occluder is None:
-        return found
-    index, z = index[inside], z[inside]
-    pixel = v[inside].astype(np.int64) * camera.width + u[inside].astype(np.int64)
-    depth = np.zeros(camera.width * camera.height, np.float32)
-    depth[pixel] = 1
-    wanted = np.nonzero(depth)[0]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_frustum(
+    points: NDArray[np.float64],
+    seen: Mask,
+    T_wc: NDArray[np.float64],
+    camera: tuple[int, int, float, float, float, float],
+    near: float,
+    far: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Of the points (V, 3) that are not seen yet, those in the frustum: index, flat index of the pixel, z-depth [m], (M,) each."""
+    width, height, fx, fy, cx, cy = camera
+    index, pixel, depth = np.empty(len(points), np.int64), np.empty(len(points), np.int64), np.empty(len(points))
+    count = 0
+    for i in range(len(points)):
+        if seen[i]:
+            continue
+        p, q, r = points[i, 0] - T_wc[0, 3], points[i, 1] - T_wc[1, 3], points[i, 2] - T_wc[2, 3]
+        z = p * T_wc[0, 2] + q * T_wc[1, 2] + r * T_wc[2, 2]
+        if not near < z < far:
+            continue
+        u = np.rint((p * T_wc[0, 0] + q * T_wc[1, 0] + r * T_wc[2, 0]) / z * fx + cx)
+        v = np.rint((p * T_wc[0, 1] + q * T_wc[1, 1] + r * T_wc[2, 1]) / z * fy + cy)
+        if 0 <= u < width and 0 <= v < height:
+            index[count], pixel[count], depth[count] = i, int(v) * width + int(u), z
+            count += 1
+    return index[:count], pixel[:count], depth[:count]
+
+
+def _depth(occluder: RayCaster, pixel: NDArray[np.int64], T_wc: NDArray[np.float64], camera: Camera, far: float) -> NDArray[np.float32]:
+    """(M,) z-depth [m] of the occluder at flat pixel indices (M,), each pixel cast once.
+
+    A pixel without surface, or with surface beyond the far plane, has depth 0 as in the published scripts: nothing is seen there.
+    """
+    asked = np.zeros(camera.width * camera.height, np.bool_)
+    asked[pixel] = True
+    wanted = np.nonzero(asked)[0]
+    depth = np.zeros(len(asked), np.float32)
     distance = occluder.cast(T_wc[:3, 3].astype(np.float32), pixel_rays(camera, T_wc, wanted)).distance
-    # A pixel without surface, or with surface beyond the far plane, has depth 0 in the published scripts: nothing is seen there
-    depth[wanted] = np.where(distance < rule.far, distance, 0)
-    found[index] = z < depth[pixel] + rule.margin
-    return found
+    depth[wanted] = np.where(distance < far, distance, 0)
+    return depth[pixel]
 
 
 def subdivided(mesh: trimesh.Trimesh, *, max_edge: float = 0.1) -> trimesh.Trimesh:

@@ -3,7 +3,9 @@
 What counts as surface differs between publications and moves the numbers by centimetres, so every number carries its protocol's name:
 
 - `seen` (ours, the default): what the recording shows. Reconstruction: faces in a frustum and unoccluded (its own depth, margin 3 cm).
-  Completion: true points that are seen by the same rule. All evaluated frames, depth range 0.1 to 10 m. Distances are to the surface,
+  Completion: true points that are seen by the same rule. All evaluated frames. Depth range 0.1 to 10 m, and of that no more than the
+  recording's own readings span (`depth_range`: all but a thousandth of them at either end): surface in view that the sensor does not
+  reach is not in the recording. Where the recording is not at hand, 0.1 to 10 m. Distances are to the surface,
   for the accuracy to all of the true one, not to sampled points, so that a perfect reconstruction has accuracy 0 (between two sets of
   200 000 points on 150 m^2 it is 1.4 cm). Depth L1 over pixels where both have a surface, the share of the rest beside it.
 - `nice` (NICE-SLAM): faces in a frustum, no occlusion test; then ICP, point to point, 0.1 m. All frames, no far plane.
@@ -18,7 +20,7 @@ In all of them the same rule culls both meshes, 200 000 points are sampled unifo
 edges of at most 10 cm, since the rules look at vertices.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -28,11 +30,15 @@ from scipy.spatial import cKDTree
 from idfslam.errors import ConfigError, ResultError
 from idfslam.evaluation.culling import Visibility, faces_kept, in_any_view, subdivided, submesh, virtual_views
 from idfslam.evaluation.depth_error import depth_error
+from idfslam.evaluation.depth_range import DepthRange
+from idfslam.evaluation.point_triangle import nearest_distance
 from idfslam.evaluation.raycasting import RayCaster
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import align
 
 Floats = NDArray[np.float64]
+SAMPLES = 200_000  # points on each surface
+VIEWS = 1000  # of depth L1
 _WITHIN = 0.05  # [m] distance up to which a true point counts as found
 _CANDIDATES = 8  # triangles near a point to which its distance is measured
 
@@ -48,6 +54,7 @@ class Protocol:
     stride: int = 1  # of the recorded frames
     virtual: int = 0  # positions of virtual views
     icp: bool = False
+    measured: bool = False  # whether the depth range is narrowed to the recording's readings
     exact: bool = False  # distances to the surface, not to points on it; a true point must itself be seen, not only a vertex of its face
     missing_is_zero: bool = True  # depth L1 counts pixels without reconstruction with depth 0
 
@@ -55,7 +62,7 @@ class Protocol:
 PROTOCOLS = {
     p.name: p
     for p in (
-        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, exact=True, missing_is_zero=False),
+        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, measured=True, exact=True, missing_is_zero=False),
         Protocol("nice", Visibility(0.0, np.inf, 0.0), occlusion=False, icp=True),
         Protocol("neural-rgbd", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2),
         Protocol("coslam", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2, virtual=20),
@@ -69,6 +76,9 @@ class MeshError:
     """Of a reconstruction, under a protocol."""
 
     protocol: str
+    near: float  # [m] the depth range in which surface counts as in view
+    far: float  # [m]
+    range_from: str  # "recording": its readings, "protocol": the rule alone
     accuracy: float  # [m] mean distance from points of the reconstruction to the true points
     completion: float  # [m] mean distance from the true points to points of the reconstruction
     completion_ratio: float  # share of true points with reconstruction within 5 cm
@@ -87,16 +97,22 @@ def mesh_error(
     camera: Camera,
     protocol: str = "seen",
     T_gt_est: Floats | None = None,
-    samples: int = 200_000,
-    views: int = 1000,
+    readings: DepthRange | None = None,
+    samples: int = SAMPLES,
+    views: int = VIEWS,
     seed: int = 0,
 ) -> MeshError:
     """Errors of a reconstruction [m] against the truth, seen from poses (N, 4, 4) in the TRUTH's frame (frames with NaN are left out).
 
-    `T_gt_est` (4, 4) moves the reconstruction into that frame. Raises `ConfigError` for an unknown protocol, `ResultError` where a mesh is
+    `T_gt_est` (4, 4) moves the reconstruction into that frame. `readings`: the depths that the recording holds, which narrow the rule of a
+    protocol that asks for it. Raises `ConfigError` for an unknown protocol, `ResultError` where a mesh is
     empty or nothing of it is left by the protocol.
     """
     chosen = protocol_named(protocol)
+    if not chosen.measured:
+        readings = None
+    if readings is not None:
+        chosen = replace(chosen, rule=chosen.rule.within(readings))
     known = poses[np.isfinite(poses).all((1, 2))]
     if len(known) == 0:
         raise ResultError("no frame has a true pose; the mesh's error needs the true poses of the recorded frames to tell what was seen")
@@ -120,6 +136,9 @@ def mesh_error(
     depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, known, views=views, seed=seed)
     return MeshError(
         protocol=chosen.name,
+        near=chosen.rule.near,
+        far=chosen.rule.far,
+        range_from="protocol" if readings is None else "recording",
         accuracy=float(accuracy.mean()),
         completion=float(completion.mean()),
         completion_ratio=float((completion < _WITHIN).mean()),
@@ -191,10 +210,7 @@ def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Fl
     every = np.asarray(mesh.triangles)
     triangles = np.concatenate([target.triangles, every])
     tree = cKDTree(np.concatenate([target.points, every.mean(1)]))
-    result = np.full(len(points), np.inf)
-    for column in tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1].T:
-        result = np.minimum(result, np.linalg.norm(trimesh.triangles.closest_point(triangles[column], points) - points, axis=-1))
-    return result
+    return nearest_distance(points, triangles, tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1])
 
 
 def icp(source: Floats, target: Floats, *, threshold: float, iterations: int = 30) -> Floats:

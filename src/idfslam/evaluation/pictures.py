@@ -54,16 +54,19 @@ class Picture:
             flip = (towards * self._normals).sum(-1) < 0
             self._normals = np.where(flip[:, None], -self._normals, self._normals)
 
-    def draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> tuple[NDArray[np.uint8], Floats]:
-        """(H, W, 3) uint8 RGB and z-depth (H, W) [m], 0 where there is no surface, seen from T_wc (4, 4)."""
+    def draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 RGB seen from T_wc (4, 4)."""
         size, s = (camera.width, camera.height), shading.supersample
         fine = camera.resized(camera.width * s, camera.height * s)
-        colour, _ = self._colour(T_wc, fine, shading)
+        colour = self._colour(T_wc, fine, shading)
         image = cv2.resize(colour.reshape(fine.height, fine.width, 3), size, interpolation=cv2.INTER_AREA)
+        return (image * 255 + 0.5).astype(np.uint8)
+
+    def depth(self, T_wc: NDArray[np.float64], camera: Camera) -> Floats:
+        """Z-depth (H, W) [m], 0 where there is no surface, seen from T_wc (4, 4)."""
         origin = np.broadcast_to(T_wc[:3, 3].astype(np.float32), (camera.width * camera.height, 3))
         depth = self._first(origin, pixel_rays(camera, T_wc))[0]
-        depth = np.where(np.isfinite(depth), depth, np.float32(0)).reshape(camera.height, camera.width)
-        return (image * 255 + 0.5).astype(np.uint8), depth
+        return np.where(np.isfinite(depth), depth, np.float32(0)).reshape(camera.height, camera.width)
 
     def _first(self, origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
         """Distance, face and barycentric coordinates of the first visible face; one-sided meshes let rays pass through backs."""
@@ -85,8 +88,8 @@ class Picture:
             return np.zeros(len(face), bool)
         return (face >= 0) & ((self._normals[face] * rays).sum(-1) > 0)
 
-    def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> tuple[Floats, Floats]:
-        """Shaded RGB (N, 3) in [0, 1] and distance (N,) of all pixels."""
+    def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+        """Shaded RGB (N, 3) in [0, 1] of all pixels."""
         rays = pixel_rays(camera, T_wc)
         origins = np.broadcast_to(T_wc[:3, 3].astype(np.float32), rays.shape)
         distance, face, weights = self._first(origins, rays)
@@ -105,7 +108,7 @@ class Picture:
         image = np.empty((len(rays), 3), np.float32)
         image[:] = shading.background
         image[hit] = np.clip(rgb * light[:, None], 0, 1)
-        return image, distance
+        return image
 
     @staticmethod
     def _facing(smooth: Floats, flat: Floats, rays: Floats) -> Floats:
@@ -139,7 +142,8 @@ def vertex_colours(mesh: trimesh.Trimesh) -> Floats:
 
 def render_mesh(mesh: trimesh.Trimesh, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.uint8], Floats]:
     """(H, W, 3) uint8 RGB, unlit, and z-depth (H, W) [m], 0 where there is no surface. For many views of one mesh keep a `Picture`."""
-    return Picture(mesh).draw(T_wc, camera)
+    picture = Picture(mesh)
+    return picture.draw(T_wc, camera), picture.depth(T_wc, camera)
 
 
 def up_direction(mesh: trimesh.Trimesh, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -201,11 +205,12 @@ def draw_mesh(
 ) -> list[Path]:
     """Writes STEM_overview.png, from outside into the room, and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
     pictures = {f"{stem}_overview.png": (Picture(mesh, inside=poses[:, :3, 3]), overview_pose(mesh, poses, wide), wide)}
-    both_sides = Picture(mesh)
-    for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):
-        pictures[f"{stem}_view_{i:05d}.png"] = (both_sides, poses[i], camera)
+    if views:
+        both_sides = Picture(mesh)
+        for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):
+            pictures[f"{stem}_view_{i:05d}.png"] = (both_sides, poses[i], camera)
     folder.mkdir(parents=True, exist_ok=True)
     for name, (picture, T_wc, view) in pictures.items():
-        rgb, _ = picture.draw(T_wc, view, Shading())
+        rgb = picture.draw(T_wc, view, Shading())
         cv2.imwrite(str(folder / name), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     return [folder / name for name in pictures]

@@ -43,10 +43,13 @@ class RayCaster:
 
 def pixel_rays(camera: Camera, T_wc: NDArray[np.float64], pixels: NDArray[np.integer] | None = None) -> Floats:
     """World directions (N, 3) of flat pixel indices (N,), or of all pixels row by row; z = 1 in the camera, so that distance IS depth."""
-    index = np.arange(camera.width * camera.height) if pixels is None else pixels
-    v, u = np.divmod(index, camera.width)
-    local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(index))], -1)
-    return (local @ T_wc[:3, :3].T).astype(np.float32)
+    right, down, forward = T_wc[:3, :3].T
+    columns = ((np.arange(camera.width) - camera.cx) / camera.fx)[:, None] * right
+    rows = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None] * down + forward
+    if pixels is None:
+        return (rows[:, None] + columns).astype(np.float32).reshape(-1, 3)
+    v, u = np.divmod(pixels, camera.width)
+    return (rows[v] + columns[u]).astype(np.float32)
 
 
 def render_depth(caster: RayCaster, T_wc: NDArray[np.float64], camera: Camera) -> Floats:

@@ -67,6 +67,7 @@ def _mesh_rows(mesh: MeshError) -> list[tuple[str, str]]:
     ]
     if mesh.depth_l1 is not None and mesh.depth_missing is not None:
         rows += [("depth L1 [cm]", f"{mesh.depth_l1 * 100:.2f}"), ("depth missing [%]", f"{mesh.depth_missing * 100:.1f}")]
+    rows.append(("depth read [m]" if mesh.range_from == "recording" else "depth [m]", f"{mesh.near:.2f} to {mesh.far:.2f}"))
     return rows
 
 

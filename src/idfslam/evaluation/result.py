@@ -9,7 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
-from idfslam.evaluation.mesh_error import mesh_error, protocol_named
+from idfslam.evaluation.depth_range import DepthRange
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, mesh_error, protocol_named
 from idfslam.evaluation.report import Evaluation, plot_error, plot_trajectory, save_json
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error, matched_ground_truth, relative_pose_error
 from idfslam.geometry.camera import Camera
@@ -24,15 +25,19 @@ def evaluate(
     gt_trajectory: Trajectory,
     gt_mesh: trimesh.Trimesh | None = None,
     camera: Camera | None = None,
+    readings: DepthRange | None = None,
     protocol: str = "seen",
     tolerance: float = 0.02,
     keyframes: NDArray[np.int64] | None = None,
+    samples: int = SAMPLES,
+    views: int = VIEWS,
     seed: int = 0,
 ) -> Evaluation:
     """Measures FOLDER/trajectory.txt and, where a true mesh is given, FOLDER/mesh.ply; writes evaluation.json, trajectory.png, error.png.
 
     The mesh is moved into the truth's frame by the trajectories' alignment; the true mesh must lie in the true trajectory's frame. Stamps
-    within `tolerance` [s] belong together. The camera tells what the recording could see. `keyframes` (K,) are marked in the plot.
+    within `tolerance` [s] belong together. Camera and `readings` (the depths that the recording holds) tell what it could see. `keyframes`
+    (K,) are marked in the plot. `samples`: points on each surface; `views`: of depth L1.
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
     unknown protocol.
     """
@@ -46,8 +51,18 @@ def evaluate(
             raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point, they tell what was seen")
         if not is_rotation_determined(truth[ate.frames, :3, 3]):
             log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
-        reconstruction = load_mesh(folder / "mesh.ply")
-        mesh = mesh_error(reconstruction, gt_mesh, poses=truth, camera=camera, protocol=protocol, T_gt_est=ate.T_gt_est, seed=seed)
+        mesh = mesh_error(
+            load_mesh(folder / "mesh.ply"),
+            gt_mesh,
+            poses=truth,
+            camera=camera,
+            protocol=protocol,
+            T_gt_est=ate.T_gt_est,
+            readings=readings,
+            samples=samples,
+            views=views,
+            seed=seed,
+        )
         result = replace(result, mesh=mesh)
     save_json(folder / "evaluation.json", result)
     plot_trajectory(folder / "trajectory.png", estimate.poses, truth, T_gt_est=ate.T_gt_est, keyframes=keyframes)
