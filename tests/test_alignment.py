@@ -85,7 +85,7 @@ def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
 
 
 def rough_wall(angle: float, *, corner: bool = False) -> tuple[Tensor, Tensor, Tensor]:
-    """Points of a wall in 12 x 16 patches (some empty), its gradient off by `angle` [rad] to random sides; a second wall in the right half."""
+    """Points of a wall in 12 x 16 patches, some empty, the gradient off by `angle` [rad] to random sides; a corner: two walls."""
     generator = torch.Generator().manual_seed(0)
     v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
     points = torch.stack([0.02 * u, 0.02 * v, torch.ones_like(u)], -1)

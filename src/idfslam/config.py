@@ -118,6 +118,10 @@ class KeyframeConfig:
     """Motion since the last keyframe [m] that asks for a new one."""
     rotation: float = 12.0
     """Rotation since the last keyframe [degrees] that asks for a new one."""
+    in_view: float = 0.4
+    """Smaller share of the reference keyframes' landmarks in view: a new one is asked for too (alignment to the map) ..."""
+    in_view_every: int = 3
+    """... unless the last is no more than so many frames old: on a bare wall a new one helps no better."""
     culling: bool = True
     """Drop a new keyframe that a stored one covers."""
     cull: float = 0.8

@@ -15,13 +15,12 @@ from torch import Tensor
 
 from idfslam.config import FAST, Config
 from idfslam.frame import Frame, FrameResult, Status
-from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import mesh_of, save_map
 from idfslam.tracking.alignment import Aligner, Alignment
-from idfslam.tracking.motion import Information, MotionModel
+from idfslam.tracking.motion import Information, MotionModel, change_between, moved
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
@@ -46,7 +45,9 @@ class Slam:
         self.graph = KeyframeGraph(config.keyframes, host)
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
+        self._unmapped: Keyframe | None = None  # the last frame, if it is no keyframe
         self.motion = MotionModel()
+        self._in_view = 1.0  # share of the references' landmarks that the last frame saw
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
@@ -54,6 +55,7 @@ class Slam:
         status = self._track(current)
         self.graph.append(frame.timestamp, current.T_wk, status)
         chosen = self._chosen(current, status)
+        self._unmapped = None if chosen or status is Status.LOST else current
         if chosen:
             losses = self._map(current)
         elif self.config.mapper.every and frame.index % self.config.mapper.every == 0 and status is not Status.LOST:
@@ -63,10 +65,12 @@ class Slam:
         return FrameResult(frame.index, frame.timestamp, self.graph.T_wc(-1).numpy(), status, chosen, losses)
 
     def finish(self) -> None:
-        """The end of a run: a last polish of the keyframes' poses and the map over all of them."""
+        """The end of a run: the last frame is kept too, and the keyframes' poses and the map get a last polish over all of them."""
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
+        if self._unmapped is not None and self.config.mapper.final_updates:
+            self._map(self._unmapped)  # or what came into view in the last frames would be in no keyframe
         with self._timed("finish"):
             for _ in range(self.config.mapper.final_updates):
                 keyframes = self.graph.sample(self.config.mapper.final_keyframes)
@@ -143,12 +147,13 @@ class Slam:
         assert best is not None
         if best.status is not Status.LOST:
             self.aligner.accept(best)
+            self._in_view = best.in_view
             return best.T_wc, best.status, best.information
         return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III); never one without depth."""
-        return bool((current.depth > 0).any()) and self.graph.asks_for_keyframe(current.T_wk, status)
+        return bool((current.depth > 0).any()) and self.graph.asks_for_keyframe(current.T_wk, status, self._in_view)
 
     def _map(self, keyframe: Keyframe) -> dict[str, float]:
         """The pose against the map, then the map by the new keyframe and the replayed (Sec. IV)."""
@@ -182,14 +187,15 @@ class Slam:
             return self.mapper.optimise_map([current, *replayed], self.config.mapper.iterations)
 
     def _refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Keyframes' poses against the map as it has become since, and against their neighbours' images. The first is the world and stays."""
+        """Keyframes' poses against the map as it has become since, and earlier keyframes' images. The first stays: it is the world."""
         for keyframe in keyframes if self.config.alignment.enabled else []:
             if keyframe is self.graph.keyframes[0]:
                 continue
             aligned = self.aligner.align(keyframe, keyframe.T_wk, self.graph.earlier(keyframe, self.config.alignment.references), near=True)
-            near = float((aligned.T_wc - keyframe.T_wk)[:3, 3].norm()) < self.config.alignment.refine_reach
+            change = change_between(keyframe.T_wk, aligned.T_wc)
+            near = float(change[:3].norm()) < self.config.alignment.refine_reach
             if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
-                keyframe.T_wk = aligned.T_wc
+                keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
             keyframe.appearance = None
 
     def _finetune(self) -> dict[str, float]:

@@ -59,6 +59,7 @@ class KeyframeGraph:
         self.config, self._generator = config, generator
         self.keyframes: list[Keyframe] = []
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
+        self._chosen_at = 0  # frames processed when that was
         self._links: list[_Link] = []
         self._coverage: list[tuple[int, View]] = []  # keyframe, and a view at its pose T_kc
 
@@ -71,9 +72,11 @@ class KeyframeGraph:
         T_kc = se3.inverse(self.keyframes[k].T_wk) @ T_wc if k >= 0 else T_wc
         self._links.append(_Link(max(k, 0), T_kc, status, timestamp))
 
-    def asks_for_keyframe(self, T_wc: Tensor, status: Status) -> bool:
-        """Enough motion since the last keyframe, or lost (Sec. III)."""
+    def asks_for_keyframe(self, T_wc: Tensor, status: Status, in_view: float = 1.0) -> bool:
+        """Enough motion since the last keyframe, or lost (Sec. III); or too little is left `in_view` of what frames are held against."""
         if self.reference is None or status is Status.LOST:
+            return True
+        if in_view < self.config.in_view and len(self) - self._chosen_at > self.config.in_view_every:
             return True
         T_kc = se3.inverse(self.reference.T_wk) @ T_wc
         moved, turned = float(T_kc[:3, 3].norm()), math.degrees(float(se3.angle(T_kc)))
@@ -84,7 +87,7 @@ class KeyframeGraph:
 
         Its frame is the one appended last; either way it becomes the reference of the frames to come.
         """
-        self.reference = keyframe
+        self.reference, self._chosen_at = keyframe, len(self)
         scores = self._covisibility(keyframe)
         keyframe.earlier = torch.nonzero(scores > self.config.shared).flatten().tolist()
         keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())

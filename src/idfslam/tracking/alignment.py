@@ -36,7 +36,7 @@ class Alignment:
     rmse: float  # [m] of the robustly weighted distances
     stiffness: float  # least information of depth in any direction, per unit weight [1]; small: degenerate
     brightness: float  # typical difference of brightness to the references' landmarks in view, 0 without any
-    in_view: float  # share of the references' landmarks that are in view
+    in_view: float  # share of the references' landmarks that are in view, 1 of none
     information: Information | None  # of depth and images together; None without depth
     iterations: int
 
@@ -165,20 +165,20 @@ class Aligner:
 
         Also the typical difference of brightness, and the share of the landmarks in view.
         """
-        H, b, brightness, seen, count = system.H, system.b, 0.0, 0, 0
+        H, b, brightness, seen, in_view, count = system.H, system.b, 0.0, 0, 0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
             noise, widest = self.config.colour_noise, self.config.colour_robust
             term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest)
-            count += len(marks.points)
+            count, in_view = count + len(marks.points), in_view + term.seen
             if term.seen < self.config.min_landmarks:
                 continue
             H = H + self.config.depth_noise**2 * term.H
             b = b + self.config.depth_noise**2 * term.b
             brightness, seen = brightness + term.seen * term.noise, seen + term.seen
-        return H, b, brightness / max(seen, 1), seen / max(count, 1)
+        return H, b, brightness / max(seen, 1), in_view / count if count else 1.0
 
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, worked out once."""
@@ -211,8 +211,8 @@ class Aligner:
 def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
     """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and its length (N,).
 
-    A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals of
-    a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
+    A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals
+    of a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
     """
     slope = gradient.norm(dim=-1)
     unit = gradient / slope.clamp(min=1e-9)[:, None]

@@ -72,7 +72,7 @@ class MotionModel:
         return T_last @ self.T_step
 
     def update(self, T_last: Tensor, T_wc: Tensor, information: Information | None = None, hold: float = 0.0) -> None:
-        """The frame after `T_last` was found at `T_wc`: its motion is the next one's, as far as the measurement knew it (none given: wholly)."""
+        """The frame after `T_last` was found at `T_wc`: its motion is the next one's, as far as `information` goes (none given: wholly)."""
         if information is not None:
             predicted = self.predict(T_last)
             correction = information.trusted(change_between(predicted, T_wc), _VELOCITY * hold)

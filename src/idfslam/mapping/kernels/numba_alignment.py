@@ -32,7 +32,7 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 @_compiled
 def smoothed_normals(points, unit, patches, alike, coplanar, normal) -> None:  # type: ignore[no-untyped-def]
-    """Fills normal (N, 3) with the means of the unit normals (N, 3) of points (N, 3) in neighbouring patches (rows, columns), of those alike."""
+    """Fills normal (N, 3): means of the alike among the unit normals (N, 3) of points (N, 3) in neighbouring patches (rows, columns)."""
     rows, columns = patches.shape
     for row in range(rows):
         for column in range(columns):
