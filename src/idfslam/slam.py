@@ -72,7 +72,9 @@ class Slam:
         if self._unmapped is not None and self.config.mapper.final_updates:
             self._map(self._unmapped)  # or what came into view in the last frames would be in no keyframe
         with self._timed("finish"):
-            for _ in range(self.config.mapper.final_updates):
+            updates = self.config.mapper.final_updates
+            for i in range(updates):
+                self.mapper.optimiser.anneal = 1 - i / updates
                 keyframes = self.graph.sample(self.config.mapper.final_keyframes)
                 self._refine(keyframes)
                 self.mapper.optimise_map(keyframes, self.config.mapper.iterations)

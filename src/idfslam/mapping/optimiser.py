@@ -16,6 +16,7 @@ class MapOptimiser:
 
     def __init__(self, field: Field, config: MapperConfig) -> None:
         self.field, self.config, self.steps = field, config, 0
+        self.anneal = 1.0  # both rates are multiplied by it: small steps at the end average the noise of many readings
         self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
         self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate)
@@ -30,14 +31,14 @@ class MapOptimiser:
     def step(self) -> None:
         """One step of Adam."""
         self.steps += 1
-        rate = self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
+        rate = self.anneal * self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
         for group in self.adam.param_groups:
             group["lr"] = rate
         if self.config.gradient_clip > 0:
             torch.nn.utils.clip_grad_norm_(self.networks, self.config.gradient_clip)
         self.adam.step()
         if self.grid is not None:
-            tables, table_rate = self.grid.tables.detach(), self.config.table_rate
+            tables, table_rate = self.grid.tables.detach(), self.anneal * self.config.table_rate
             sparse_adam(tables, self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=table_rate)
 
     def grow(self) -> bool:
