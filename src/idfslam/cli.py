@@ -8,7 +8,7 @@ win. OpenCV runs on one thread.
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,8 +18,8 @@ import tyro
 from tyro.conf import DisallowNone, Positional, arg, subcommand
 
 from idfslam import __version__
-from idfslam.config import FAST, PRESETS, Config, check, load
-from idfslam.errors import ConfigError, IdfSlamError
+from idfslam.config import FAST, PRESETS, PRETRAIN, Config, PretrainConfig, check, load
+from idfslam.errors import IdfSlamError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -203,34 +203,46 @@ class Bench:
 
 @dataclass(frozen=True)
 class Pretrain:
-    """Self-supervised training of the tracker's features on recordings, no poses needed."""
+    """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
 
     recordings: Positional[tuple[Path, ...]]
     """Recordings of any layout, or synthetic[:SEED][:kinect]."""
-    out: Path
-    """The weights (safetensors), for `run --tracker.weights`."""
-    steps: int = 2400
-    """Training steps, a pair of frames each."""
-    seed: int = 0
-    """Seed of every random choice."""
+    values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
+    out: Path = Path("weights.safetensors")
+    """The weights (safetensors), for `run --tracker.weights`; beside them the checkpoint."""
+    start: Path | None = None
+    """Weights to begin with; none given: random ones."""
+    resume: bool = False
+    """Go on from the checkpoint beside --out."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints; 0: only at the end. Ctrl-C writes one, too."""
+    validate: tuple[Path, ...] = ()
+    """Recordings to measure the features on while they train; none of their frames is learnt from."""
+    validate_every: int = 500
+    """Steps between validations; 0: only at the end."""
+    log: Path | None = None
+    """A folder for TensorBoard's curves, which needs the extra [train]."""
 
     def __call__(self, console: "Console") -> None:
-        if self.steps < 1:
-            raise ConfigError(f"--steps {self.steps}, expected at least 1")
+        values = check(self.values)
         from rich.progress import Progress
 
         from idfslam.datasets import open_recording
-        from idfslam.tracking.training import pretrain
+        from idfslam.tracking.pretraining import Outputs, pretrain
 
-        recordings = [open_recording(path) for path in self.recordings]
+        recordings, held = ([open_recording(path) for path in paths] for paths in (self.recordings, self.validate))
+        outputs = Outputs(self.out, self.log, self.checkpoint_every, self.validate_every)
         with Progress(console=console) as progress:
-            task = progress.add_task("pretraining", total=self.steps)
+            task = progress.add_task("pretraining", total=values.steps)
 
-            def report(step: int, losses: dict[str, float]) -> None:
-                text = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
-                progress.update(task, completed=step + 1, description=f"pretraining: {text}")
+            def report(done: int, figures: Mapping[str, float]) -> None:
+                losses = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" not in name)
+                progress.update(task, completed=done, description=f"pretraining: {losses}")
+                validation = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" in name)
+                if validation:
+                    progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
 
-            pretrain(recordings, out=self.out, steps=self.steps, seed=self.seed, report=report)
+            pretrain(recordings, outputs, values, held=held, start=self.start, resume=self.resume, report=report)
         print(self.out)
 
 
