@@ -18,10 +18,11 @@ from idfslam.errors import DivergedError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.tracking.correspondences import spans_plane
 from idfslam.tracking.description import subsampled_depth
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
 from idfslam.tracking.matching import Matches
-from idfslam.tracking.tracker import Tracker, spans_plane
+from idfslam.tracking.tracker import Tracker
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 CONFIG = TrackerConfig(height=72, query_stride=2)

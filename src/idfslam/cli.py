@@ -202,6 +202,38 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class BenchPairs:
+    """Relative poses of frames some frames apart: the tracker against SIFT, ORB, ICP, GICP and untrained features."""
+
+    recordings: Positional[tuple[str, ...]]
+    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES."""
+    values: Values = FAST
+    gap: tuple[int, ...] = (5, 10, 20, 40)
+    """How many frames apart; several give a block of rows each."""
+    pairs: int = 100
+    """Pairs of each recording and gap, spread over it."""
+    weights: tuple[Path, ...] = ()
+    """Further weights of `idf-slam pretrain`, a row each."""
+    json: bool = False
+    """One line of JSON instead of the table, the last of the output."""
+    out: Path | None = None
+    """A folder for pairs.json, pairs.md and pictures of matches."""
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        import json
+
+        from idfslam.bench_pairs import bench_pairs, markdown
+
+        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        options: dict[str, Any] = {"gaps": self.gap, "pairs": self.pairs, "weights": self.weights, "folder": self.out}
+        found = bench_pairs(self.recordings, values, **options, report=report)
+        print(json.dumps(found) if self.json else markdown(found))
+
+
+@dataclass(frozen=True)
 class Pretrain:
     """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
 
@@ -256,6 +288,7 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Render, subcommand("render")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
+        | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
