@@ -15,9 +15,10 @@ from idfslam.frame import Frame
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.augmentation import augmented
-from idfslam.tracking.contrastive import contrastive_loss, partners
+from idfslam.tracking.contrastive import contrastive_loss
 from idfslam.tracking.features import FeatureExtractor
 from idfslam.tracking.footage import Footage, Pair, Recording, View, load_footage, sample_pair
+from idfslam.tracking.partners import partners
 from idfslam.tracking.point_rendering import splat
 from idfslam.tracking.training import explained, registration_losses, rendering_losses, train_step
 

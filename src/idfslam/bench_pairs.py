@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from idfslam import results
 from idfslam.bench import listed, machine, markdown_table
-from idfslam.config import Config, FinetuneConfig, TrackerConfig
+from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
@@ -25,6 +25,7 @@ from idfslam.tracking.description import Described, reduced
 from idfslam.tracking.features import FeatureExtractor, untrained_extractor
 from idfslam.tracking.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
 from idfslam.tracking.keypoints import KeypointDetector, Keypoints, Kind
+from idfslam.tracking.registration import Registration
 from idfslam.tracking.tracker import Tracker
 from idfslam.tracking.validation import pose_error
 
@@ -38,9 +39,14 @@ _WRONG = (5, 15)  # [degrees, cm] beyond which a pose that was believed is count
 class Estimate:
     """A pose of a frame in its keyframe, and what it rests on."""
 
-    T_kc: NDArray[np.float64]  # (4, 4); the identity where nothing was found
-    believed: bool
+    T_kc: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    believed: bool = False
     inliers: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))  # (M, 4) pixels in frame and keyframe
+
+
+def _estimate(found: Correspondences, pose: Registration, believed: bool) -> Estimate:
+    pixels = torch.cat([found.frame_uv, found.keyframe_uv], -1)[pose.inliers]
+    return Estimate(pose.T_ab.numpy(), believed, pixels.double().numpy())
 
 
 class Method(Protocol):
@@ -49,14 +55,6 @@ class Method(Protocol):
     def describe(self, frame: Frame) -> Any: ...
 
     def register(self, frame: Any, keyframe: Any) -> Estimate: ...
-
-
-def _estimate(found: Correspondences, config: TrackerConfig, generator: torch.Generator) -> Estimate:
-    pose = estimate_pose(found, config, generator)
-    if pose is None:
-        return Estimate(np.eye(4), False)
-    pixels = torch.cat([found.frame_uv, found.keyframe_uv], -1)[pose.inliers]
-    return Estimate(pose.T_ab.numpy(), believable(pose, found, config), pixels.double().numpy())
 
 
 class LearnedFeatures:
@@ -69,11 +67,12 @@ class LearnedFeatures:
         return self._tracker.describe(frame)
 
     def register(self, frame: Described, keyframe: Described) -> Estimate:
-        return _estimate(self._tracker.correspond(frame, keyframe), self._tracker.config, self._tracker.generator)
+        found, pose = self._tracker.register(frame, keyframe)
+        return Estimate() if pose is None else _estimate(found, pose, self._tracker.believes(pose, found, frame, keyframe))
 
 
 class KeypointFeatures:
-    """SIFT or ORB on the whole image, matched mutually."""
+    """SIFT or ORB on the whole image, matched mutually; believed by the paper's thresholds, since they know nothing of depth images."""
 
     def __init__(self, kind: Kind, config: TrackerConfig) -> None:
         self._detector, self._config, self._generator = KeypointDetector(kind), config, torch.Generator().manual_seed(0)
@@ -86,7 +85,9 @@ class KeypointFeatures:
         i, j = indices.T
         pixels = torch.from_numpy(frame.uv[i]), torch.from_numpy(keyframe.uv[j])
         points = torch.from_numpy(frame.points[i]), torch.from_numpy(keyframe.points[j])
-        return _estimate(Correspondences(*pixels, *points, torch.from_numpy(weight)), self._config, self._generator)
+        found = Correspondences(*pixels, *points, torch.from_numpy(weight))
+        pose = estimate_pose(found, self._config, self._generator)
+        return Estimate() if pose is None else _estimate(found, pose, believable(pose, found, PAPER.tracker))
 
 
 class DepthAlone:

@@ -154,8 +154,10 @@ class TrackerConfig:
     """Every so many rows and columns a pixel may be the answer; 1: all of them."""
     mutual: bool = True
     """Keep a match only if its answer, asked back, returns; off: the matches of both directions together, as in the paper."""
+    consensus: Literal["random", "compatible"] = "compatible"
+    """Which subsets the robust Procrustes tries: random ones, as in the paper, or matches that keep each other's distances (SC2-PCR)."""
     subsets: int = 100
-    """Random subsets tried by the robust Procrustes."""
+    """Subsets tried by the robust Procrustes."""
     subset_share: float = 0.05
     """Share of the correspondences in a subset."""
     truncation: float = 0.1
@@ -164,10 +166,14 @@ class TrackerConfig:
     """Rounds of Procrustes on all inliers after the best subset."""
     inlier_distance: float = 0.05
     """A correspondence this close [m] after alignment is an inlier."""
-    min_inliers: int = 30
+    plane_steps: int = 5
+    """Gauss-Newton steps that then bring the depth images together, point to plane, held by the inliers; 0: none, as in the paper."""
+    min_inliers: int = 12
     """Fewer inliers: lost."""
-    min_inlier_share: float = 0.2
+    min_inlier_share: float = 0.05
     """Smaller share of inliers among the correspondences: lost."""
+    min_agreement: float = 0.93
+    """Smaller share of the overlapping depth pixels that agree at the pose: lost; 0: depth is not asked."""
     min_extent: float = 0.05
     """Inliers that spread less than this [m] across their main direction: lost."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
@@ -362,7 +368,20 @@ PAPER = Config(
         warm_up=20,
     ),
     keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10, replay_connected=0),
-    tracker=TrackerConfig(matches=200, grid=4, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0),
+    tracker=TrackerConfig(
+        matches=200,
+        grid=4,
+        query_stride=1,
+        target_stride=1,
+        mutual=False,
+        consensus="random",
+        truncation=0.0,
+        refits=0,
+        plane_steps=0,
+        min_inliers=30,
+        min_inlier_share=0.2,
+        min_agreement=0.0,
+    ),
     finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),
 )

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from idfslam.config import TrackerConfig
-from idfslam.tracking.registration import Registration, register
+from idfslam.tracking.compatibility import compatible_subsets
+from idfslam.tracking.registration import Registration, random_subsets, register
 
 
 @dataclass(frozen=True)
@@ -32,17 +33,13 @@ def estimate_pose(found: Correspondences, config: TrackerConfig, generator: torc
     """T_kc by the robust Procrustes; None where there are too few correspondences to say anything."""
     if len(found) < max(3, config.min_inliers):
         return None
-    return register(
-        found.frame,
-        found.keyframe,
-        found.weight,
-        subsets=config.subsets,
-        share=config.subset_share,
-        truncation=config.truncation,
-        refits=config.refits,
-        inlier_distance=config.inlier_distance,
-        generator=generator,
-    )
+    subsets, share = config.subsets, config.subset_share
+    if config.consensus == "compatible":
+        tried = compatible_subsets(found.frame, found.keyframe, subsets=subsets, share=share, tolerance=config.inlier_distance)
+    else:
+        tried = random_subsets(len(found), subsets=subsets, share=share, generator=generator)
+    fit = {"inlier_distance": config.inlier_distance, "truncation": config.truncation}
+    return register(found.frame, found.keyframe, found.weight, tried, refits=config.refits, **fit)
 
 
 def believable(pose: Registration, found: Correspondences, config: TrackerConfig) -> bool:

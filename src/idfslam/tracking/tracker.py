@@ -15,6 +15,9 @@ from idfslam.tracking.description import Described, reduced
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.matching import Matches, match, spread
+from idfslam.tracking.partners import partners
+from idfslam.tracking.point_to_plane import point_to_plane
+from idfslam.tracking.registration import Registration, supported
 
 
 @dataclass(frozen=True)
@@ -62,17 +65,26 @@ class Tracker:
     @torch.no_grad()
     def track(self, frame: Described, keyframe: Described) -> TrackingResult:
         """The frame's pose in the keyframe; LOST without the matches, inliers or spread that a pose needs."""
-        found = self.correspond(frame, keyframe)
-        pose = estimate_pose(found, self.config, self.generator)
+        found, pose = self.register(frame, keyframe)
         if pose is None:
             return TrackingResult(np.eye(4), Status.LOST, len(found), 0, float("nan"))
-        status = Status.OK if believable(pose, found, self.config) else Status.LOST
+        status = Status.OK if self.believes(pose, found, frame, keyframe) else Status.LOST
         return TrackingResult(pose.T_ab.cpu().numpy(), status, len(found), int(pose.inliers.sum()), pose.rmse)
 
     @torch.no_grad()
-    def correspond(self, frame: Described, keyframe: Described) -> Correspondences:
-        """The best matches of the two, in the recorded images and in space."""
-        return lifted(self._match(frame, keyframe), frame, keyframe)
+    def register(self, frame: Described, keyframe: Described) -> tuple[Correspondences, Registration | None]:
+        """The best matches of the two, and T_kc by them and by the depth images; None where the matches are too few."""
+        found = lifted(self._match(frame, keyframe), frame, keyframe)
+        pose = estimate_pose(found, self.config, self.generator)
+        if pose is None or self.config.plane_steps == 0 or not bool(pose.inliers.any()):
+            return found, pose
+        T_kc = point_to_plane(pose.T_ab, frame, keyframe, found[pose.inliers], steps=self.config.plane_steps)
+        return found, supported(T_kc, found.frame, found.keyframe, self.config.inlier_distance)
+
+    def believes(self, pose: Registration, found: Correspondences, frame: Described, keyframe: Described) -> bool:
+        """Whether matches support the pose, and the depth images do not contradict it."""
+        least = self.config.min_agreement
+        return believable(pose, found, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
 
     def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
         """One step of Eq. 6 on a random pair of consecutive keyframes with poses (N, 4, 4); its losses by name.

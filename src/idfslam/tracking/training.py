@@ -16,12 +16,13 @@ from idfslam.geometry import se3
 from idfslam.hardware import resolve_precision
 from idfslam.mapping.losses import correspondence_loss
 from idfslam.tracking.augmentation import augmented
-from idfslam.tracking.contrastive import Partners, contrastive_loss, partners
+from idfslam.tracking.contrastive import contrastive_loss
 from idfslam.tracking.features import FeatureExtractor
 from idfslam.tracking.footage import Pair, View
 from idfslam.tracking.matching import Matches, match, spread
+from idfslam.tracking.partners import Partners, partners
 from idfslam.tracking.point_rendering import splat
-from idfslam.tracking.registration import register
+from idfslam.tracking.registration import random_subsets, register
 
 
 def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
@@ -42,8 +43,8 @@ def registered_pose(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, ge
     if len(matches) < config.matches // 10:
         return None
     points_b, points_a = _matched_points(matches, pair)
-    options = {"share": 0.03, "inlier_distance": 0.05, "truncation": 0.1}
-    found = register(points_b, points_a, matches.weight, subsets=200, refits=3, generator=generator, **options)
+    subsets = random_subsets(len(matches), subsets=200, share=0.03, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05, truncation=0.1, refits=3)
     return found.T_ab if float(found.inliers.float().mean()) > config.inliers else None
 
 
@@ -53,7 +54,8 @@ def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig
     if len(matches) < config.matches // 10:
         return {}
     points_b, points_a = _matched_points(matches, pair)
-    found = register(points_b, points_a, matches.weight, subsets=config.subsets, share=0.2, inlier_distance=0.05, generator=generator)
+    subsets = random_subsets(len(matches), subsets=config.subsets, share=0.2, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05)
     colour_a, depth_a = rendering_losses(found.T_ab, pair.a, pair.b)
     colour_b, depth_b = rendering_losses(se3.inverse(found.T_ab), pair.b, pair.a)
     apart = correspondence_loss(points_a.double(), points_b.double(), found.T_ab, matches.weight)
