@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from idfslam import bench_pairs as module
-from idfslam.bench_pairs import Tally, bench_pairs, methods, sample
+from idfslam.bench_pairs import Tally, baselines, bench_pairs, learned, sample
 from idfslam.cli import main
 from idfslam.config import FAST, TrackerConfig
 from idfslam.datasets import open_recording
@@ -77,7 +77,7 @@ def test_every_method_finds_small_motions(box_recording: Path) -> None:
     images = torch.from_numpy(recording[0].colour).permute(2, 0, 1)[None]
     keyframe, frame, truth = next(iter(sample(recording, 2, 1)))
     config = replace(TrackerConfig(), min_inliers=10)
-    chosen = methods(config, (), images, lambda line: None)
+    chosen = learned(config, ()) | baselines(config, images, lambda line: None)
     assert list(chosen) == ["ours", "untrained", "SIFT", "ORB"] + ["ICP", "GICP"] * icp_installed()
     for name, method in chosen.items():
         estimate = method.register(method.describe(frame), method.describe(keyframe))
@@ -97,12 +97,14 @@ def test_the_command(box_recording: Path, tmp_path: Path, capsys: pytest.Capture
     assert json.loads((tmp_path / "out" / "pairs.json").read_text())["rows"] == found["rows"]
     assert "| ours | 3 | 2 | 100 |" in (tmp_path / "out" / "pairs.md").read_text()
     assert (tmp_path / "out" / "matches-box-3.png").stat().st_size > 10_000
+    main(["bench-pairs", str(box_recording), "--gap", "3", "--pairs", "1", "--no-baselines"])
+    assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines() if " | 3 | " in line] == ["| ours"]
 
 
 def test_rows_for_icp_are_left_out_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(module, "icp_installed", lambda: False)
-    chosen = methods(TrackerConfig(), (), torch.rand(1, 3, 24, 32), said.append)
+    chosen = baselines(TrackerConfig(), torch.rand(1, 3, 24, 32), said.append)
     assert "GICP" not in chosen
     assert said == ["no rows for ICP and GICP: small_gicp is not installed: pip install 'idf-slam[bench]'"]
 

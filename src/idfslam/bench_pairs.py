@@ -167,12 +167,18 @@ def sample(recording: Dataset, gap: int, pairs: int) -> PairSample:
     return PairSample(recording, gap, tuple(int(i) for i in chosen))
 
 
-def methods(config: TrackerConfig, weights: Sequence[Path], images: torch.Tensor, report: Callable[[str], None]) -> dict[str, Method]:
-    """By name: the shipped features, those in `weights`, untrained ones fitted to `images` (B, 3, h, w), SIFT, ORB, ICP where installed."""
-    found: dict[str, Method] = {"ours": LearnedFeatures(config)}
-    found |= {path.stem: LearnedFeatures(replace(config, weights=path)) for path in weights}
-    found["untrained"] = LearnedFeatures(config, untrained_extractor(images))
-    found |= {"SIFT": KeypointFeatures("SIFT", config), "ORB": KeypointFeatures("ORB", config)}
+def learned(config: TrackerConfig, weights: Sequence[Path]) -> dict[str, Method]:
+    """By name: the features that the config names, and those in `weights`."""
+    return {"ours": LearnedFeatures(config), **{path.stem: LearnedFeatures(replace(config, weights=path)) for path in weights}}
+
+
+def baselines(config: TrackerConfig, images: torch.Tensor, report: Callable[[str], None]) -> dict[str, Method]:
+    """By name: untrained features fitted to `images` (B, 3, h, w), SIFT, ORB, and ICP where it is installed."""
+    found: dict[str, Method] = {
+        "untrained": LearnedFeatures(config, untrained_extractor(images)),
+        "SIFT": KeypointFeatures("SIFT", config),
+        "ORB": KeypointFeatures("ORB", config),
+    }
     if icp_installed():
         return found | {"ICP": DepthAlone("PLANE_ICP"), "GICP": DepthAlone("GICP")}
     report("no rows for ICP and GICP: small_gicp is not installed: pip install 'idf-slam[bench]'")
@@ -186,12 +192,14 @@ def bench_pairs(
     gaps: Sequence[int] = (5, 10, 20, 40),
     pairs: int = 100,
     weights: Sequence[Path] = (),
+    against_baselines: bool = True,
     folder: Path | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Errors of all methods on `pairs` pairs of each recording and gap; into `folder` (if any) go JSON, table, and pictures of matches.
+    """Errors of our features, those in `weights`, and the baselines, on `pairs` pairs of each recording and gap.
 
-    Raises ConfigError and RecordingError before the first pair where something cannot be measured.
+    Into `folder` (if any) go JSON, table, and pictures of matches. Raises ConfigError and RecordingError before the first pair where
+    something cannot be measured.
     """
     if pairs < 1 or not gaps or min(gaps) < 1:
         raise ConfigError(f"--pairs {pairs} --gap {' '.join(map(str, gaps))}, expected at least 1 pair and gaps of at least 1 frame")
@@ -201,7 +209,10 @@ def bench_pairs(
         results.prepare(folder)
     rows = []
     for taken in samples:
-        tallies, picture = _measure(taken, methods(config.tracker, weights, _images(taken.recording, config.tracker.height), report))
+        chosen = learned(config.tracker, weights)
+        if against_baselines:
+            chosen |= baselines(config.tracker, _images(taken.recording, config.tracker.height), report)
+        tallies, picture = _measure(taken, chosen)
         rows += [
             {"recording": taken.recording.name, "gap": taken.gap, "method": name, **tally.figures()} for name, tally in tallies.items()
         ]

@@ -214,6 +214,8 @@ class BenchPairs:
     """Pairs of each recording and gap, spread over it."""
     weights: tuple[Path, ...] = ()
     """Further weights of `idf-slam pretrain`, a row each."""
+    baselines: bool = True
+    """Whether untrained features, SIFT, ORB, ICP and GICP are measured beside."""
     json: bool = False
     """One line of JSON instead of the table, the last of the output."""
     out: Path | None = None
@@ -229,6 +231,7 @@ class BenchPairs:
 
         report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
         options: dict[str, Any] = {"gaps": self.gap, "pairs": self.pairs, "weights": self.weights, "folder": self.out}
+        options["against_baselines"] = self.baselines
         found = bench_pairs(self.recordings, values, **options, report=report)
         print(json.dumps(found) if self.json else markdown(found))
 
