@@ -94,6 +94,19 @@ def test_another_place_is_lost() -> None:
     assert tracker.track(tracker.describe(noise), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).status is Status.LOST
 
 
+def test_depth_that_contradicts_is_evidence_against_a_pose() -> None:
+    # The wall at 2 m is 20 cm off where the pose has the frame 20 cm too near: no pixel agrees, however many matches were to support it.
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    frame, keyframe = tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64)))
+    found, right = tracker.register(frame, keyframe)
+    assert right is not None
+    assert tracker.believes(right, found, frame, keyframe)
+    wrong = replace(right, T_ab=pose(0, 0, 0.2, 0, 0, 0) @ T_KC)
+    assert not tracker.believes(wrong, found, frame, keyframe)
+    by_matches_alone = Tracker(replace(CONFIG, min_agreement=0.0), NO_FINETUNING)
+    assert by_matches_alone.believes(wrong, found, frame, keyframe)
+
+
 def test_inliers_on_a_line_are_no_evidence() -> None:
     line = torch.linspace(-1, 1, 50)[:, None] * torch.tensor([1.0, 2.0, 0.5])
     assert not spans_plane(line, 0.05)

@@ -267,7 +267,8 @@ class Pretrain:
 
         recordings, held = ([open_recording(path) for path in paths] for paths in (self.recordings, self.validate))
         outputs = Outputs(self.out, self.log, self.checkpoint_every, self.validate_every)
-        with Progress(console=console) as progress:
+        first = os.environ.get("RANK", "0") == "0"  # of the processes that torchrun starts
+        with Progress(console=console, disable=not first) as progress:
             task = progress.add_task("pretraining", total=values.steps)
 
             def report(done: int, figures: Mapping[str, float]) -> None:
@@ -278,7 +279,8 @@ class Pretrain:
                     progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
 
             pretrain(recordings, outputs, values, held=held, start=self.start, resume=self.resume, report=report)
-        print(self.out)
+        if first:
+            print(self.out)
 
 
 def parse(arguments: Sequence[str]) -> Command:

@@ -9,7 +9,7 @@ from types import FrameType
 
 @contextmanager
 def interruptions() -> Iterator[Callable[[], bool]]:
-    """Tells whether Ctrl-C (or SIGTERM) came; a second one ends the program at once. Outside the main thread it never came."""
+    """Tells whether Ctrl-C (or SIGTERM) came; a second Ctrl-C ends the program at once. Outside the main thread it never came."""
     came = False
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
@@ -19,15 +19,12 @@ def interruptions() -> Iterator[Callable[[], bool]]:
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal came
         came = True
-        restore()
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        signal.signal(signal.SIGINT, before[signal.SIGINT])
 
     for number in before:
         signal.signal(number, note)
     try:
         yield lambda: came
     finally:
-        restore()
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -144,8 +144,11 @@ def pretrain(
         log = TrainingLog(outputs.log if crew.first else None, first_step=training.step)
         footage = [load_footage(recording, config.height) for recording in recordings]
         made = {"recordings": [r.name for r in recordings], "frames": sum(map(len, footage)), "start": start and start.name}
-        _run(training, footage, [held_out(dataset, config) for dataset in held] if crew.first else [], outputs, log, crew, made, report)
-        log.close()
+        unseen = [held_out(dataset, config) for dataset in held] if crew.first else []
+        try:
+            _run(training, footage, unseen, outputs, log, crew, made, report)
+        finally:
+            log.close()
 
 
 def _run(
