@@ -49,10 +49,11 @@ class Outputs:
 
 
 class Training:
-    """The extractor while it learns: its weights, optimiser and schedule, and how many steps are done."""
+    """The extractor while it learns: its weights, optimiser and schedule, how many steps are done and what time they took."""
 
     def __init__(self, config: PretrainConfig, crew: Workers, device: torch.device, start: Path | None) -> None:
-        self.config, self._crew, self.device, self.step = config, crew, device, 0
+        self.config, self._crew, self.device = config, crew, device
+        self.step, self.seconds = 0, 0.0
         torch.manual_seed(config.seed)
         extractor = FeatureExtractor() if start is None else load_extractor(start)
         self.extractor: FeatureExtractor = extractor.train().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -64,7 +65,7 @@ class Training:
 
         From near, clean pairs to far, changed ones: registration must work before it can teach.
         """
-        config = self.config
+        config, began = self.config, time.perf_counter()
         ramp = min(1.0, self.step / (config.ramp * config.steps)) if config.ramp > 0 else 1.0
         gap = max(2, round(config.gap * (0.1 + 0.9 * ramp)))
         sums: dict[str, list[float]] = defaultdict(list)
@@ -78,6 +79,7 @@ class Training:
         self._learn()
         self.schedule.step()
         self.step += 1
+        self.seconds += time.perf_counter() - began
         return {name: float(np.mean(values)) for name, values in sums.items()}
 
     def _learn(self) -> None:
@@ -98,6 +100,7 @@ class Training:
             "optimiser": self.optimiser.state_dict(),
             "schedule": self.schedule.state_dict(),
             "step": self.step,
+            "seconds": self.seconds,
             "config": asdict(self.config),
         }
 
@@ -111,7 +114,7 @@ class Training:
         self.extractor.load_state_dict(state["extractor"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
-        self.step = int(state["step"])
+        self.step, self.seconds = int(state["step"]), float(state["seconds"])
 
 
 def pretrain(
@@ -161,7 +164,7 @@ def _run(
     made: Mapping[str, Any],
     report: Report,
 ) -> None:
-    began, steps = time.perf_counter(), training.config.steps
+    steps = training.config.steps
     with interruptions() as interrupted:
         while training.step < steps:
             figures = training.advance(footage)
@@ -173,7 +176,7 @@ def _run(
                 report(done, figures)
             stop = crew.any(interrupted(), training.device)
             if crew.first and (stop or _due(done, outputs.checkpoint_every, steps)):
-                _write(training, outputs, {**made, "seconds": round(time.perf_counter() - began)})
+                _write(training, outputs, made)
             if stop:
                 raise KeyboardInterrupt
 
@@ -191,7 +194,10 @@ def _write(training: Training, outputs: Outputs, made: Mapping[str, Any]) -> Non
     """The checkpoint, and the weights as safetensors with how they were made as metadata (JSON)."""
     with results.replacing(outputs.checkpoint) as part:
         torch.save(training.state(), part)
-    metadata = {"made": {**made, "steps": training.step, "idfslam": __version__}, "config": asdict(training.config)}
+    metadata = {
+        "made": {**made, "steps": training.step, "seconds": round(training.seconds), "idfslam": __version__},
+        "config": asdict(training.config),
+    }
     tensors = {name: tensor.cpu().contiguous() for name, tensor in training.extractor.state_dict().items()}
     with results.replacing(outputs.weights) as part:
         save_file(tensors, part, metadata={key: json.dumps(value) for key, value in metadata.items()})
@@ -203,7 +209,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise ResultError(f"{path}: no checkpoint, expected one of an earlier run with the same --out; leave --resume out to begin")
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        missing = {"extractor", "optimiser", "schedule", "step", "config"} - set(state)
+        missing = {"extractor", "optimiser", "schedule", "step", "seconds", "config"} - set(state)
     except (OSError, RuntimeError, UnpicklingError, TypeError, EOFError) as error:
         raise ResultError(
             f"{path}: not a checkpoint of `idf-slam pretrain` ({str(error).splitlines()[0]}); begin without --resume"
