@@ -85,8 +85,8 @@ def test_nothing_to_hold_on_to_leaves_the_pose() -> None:
 
 
 def test_noise_of_a_reading() -> None:
-    # sigma(2 m) = 0.0012 + 0.0019 * 1.6^2 = 6.06 mm, of a difference sqrt(2) times that: 8.58 mm.
-    assert float(sensor_noise(torch.tensor(2.0))) == pytest.approx(0.00858, abs=1e-5)
+    # sigma(2 m) = 1.2 mm (1 + 1.5 * 1.6^2) = 5.81 mm, of a difference sqrt(2) times that: 8.21 mm.
+    assert float(sensor_noise(torch.tensor(2.0))) == pytest.approx(0.00821, abs=1e-5)
 
 
 def test_it_makes_the_tracker_more_exact(box_recording: Path) -> None:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry import se3
+from idfslam.mapping.objectives import noise_ratio
 from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.description import Described
 
@@ -14,6 +15,7 @@ _STRIDE = 4  # rows and columns of the frame, of which one takes part, in all bu
 _FINE_STEPS = 2  # in which all take part
 _REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step
 _FACING = 0.8  # least cosine between two normals that may correspond
+_BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at its best (Nguyen et al. 2012)
 _MATCH_NOISE = 0.01  # [m] of a match on top of the sensor's: a pixel of the features, seen from 2 m
 _MATCH_WEIGHT = 0.1  # of a match beside a point: neighbouring matches err alike
 _PRIOR = 1.0  # information [1/m^2, 1/rad^2] that the pose stays: next to nothing, against 10^4 of a point
@@ -21,8 +23,8 @@ _ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to 
 
 
 def sensor_noise(z: Tensor) -> Tensor:
-    """Standard deviation [m] of the difference of two readings at depth z [m] of a structured-light camera (Nguyen et al. 2012)."""
-    return 2**0.5 * (0.0012 + 0.0019 * (z - 0.4) ** 2)
+    """Standard deviation [m] of the difference of two readings at depth z [m]."""
+    return 2**0.5 * _BEST * noise_ratio(z)
 
 
 @torch.no_grad()
