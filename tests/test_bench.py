@@ -1,6 +1,7 @@
 """The benchmark: its list, its arithmetic and tables by hand, and a small recording through it."""
 
 import json
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from box_room import BOX, write_box_recording
 from idfslam import bench, cli
 from idfslam.against_open3d import measure, require_open3d
 from idfslam.bench import Entry, Spread, figures, listed, markdown, speed_kept, summary
-from idfslam.config import FAST
+from idfslam.config import FAST, PRETRAIN
 from idfslam.datasets.synthetic import SyntheticRoom
 from idfslam.errors import ConfigError, RecordingError
 
@@ -109,7 +110,10 @@ def test_flags() -> None:
     assert isinstance(command, cli.Bench)
     assert (command.recordings, command.seeds, command.frames, command.against) == (("a", "b@5"), 2, 9, "open3d")
     assert (command.out, command.mesh, command.values.preset, command.values.mapper.pixels) == (Path("there"), False, "paper", 64)
-    assert cli.parse(["pretrain", "a", "b", "--out", "w", "--steps", "5"]) == cli.Pretrain((Path("a"), Path("b")), Path("w"), 5)
+    flags = "--out w --steps 5 --validate c --resume"
+    expected = cli.Pretrain((Path("a"), Path("b")), replace(PRETRAIN, steps=5), Path("w"), validate=(Path("c"),), resume=True)
+    assert cli.parse(["pretrain", "a", "b", *flags.split()]) == expected
+    assert cli.parse(["bench-pairs", "a", "--gap", "5", "20", "--json"]) == cli.BenchPairs(("a",), FAST, (5, 20), json=True)
 
 
 def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,6 +24,8 @@ def test_values_of_the_paper() -> None:
     assert (mapper.learning_rate, mapper.pose_learning_rate, mapper.pose_decay, mapper.pose_decay_every) == (0.005, 0.005, 0.7, 10)
     assert (mapper.every, mapper.redraw, mapper.active_sampling, mapper.pose_optimisation) == (0, 1, True, True)
     assert (keyframes.cull, keyframes.covisible, keyframes.replay, keyframes.replay_connected) == (0.5, 0.3, 10, 0)
+    assert (tracker.consensus, tracker.subsets, tracker.subset_share, tracker.refits) == ("random", 100, 0.05, 0)
+    assert (tracker.mutual, tracker.plane_steps, tracker.min_agreement) == (False, 0, 0.0)
     assert (tracker.matches, tracker.grid, finetune.keyframes, finetune.learning_rate) == (200, 4, 10, 1e-4)
     assert not keyframes.occlusion
     assert not PAPER.alignment.enabled

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from idfslam.geometry import se3
-from idfslam.tracking.registration import best_subset, procrustes, register, residuals
+from idfslam.tracking.registration import best_subset, procrustes, random_subsets, register, residuals
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -72,7 +72,7 @@ def test_best_subset_is_the_one_with_least_residual_over_all() -> None:
     source = cloud(5)
     target = source.clone()
     target[4, 0] += 9
-    chosen = best_subset(source, target, torch.ones(5), subsets=50, share=0.6, truncation=0.0, generator=generator())
+    chosen = best_subset(source, target, torch.ones(5), random_subsets(5, subsets=50, share=0.6, generator=generator()))
     assert 4 not in chosen.tolist()
     assert len(chosen) == 3
 
@@ -88,12 +88,10 @@ def test_half_outliers(truncation: float, refits: int) -> None:
         source,
         target,
         torch.ones(200, dtype=torch.float64),
-        subsets=1000,
-        share=0.015,
+        random_subsets(200, subsets=1000, share=0.015, generator=generator()),
         inlier_distance=0.05,
         truncation=truncation,
         refits=refits,
-        generator=generator(),
     )
     delta = se3.inverse(T) @ found.T_ab
     assert float(delta[:3, 3].norm()) < 0.02
@@ -107,8 +105,8 @@ def test_inliers_and_rmse_by_hand() -> None:
     source = cloud(5)
     target = source.clone()
     target[4, 2] += 1
-    options = {"subsets": 50, "share": 0.6, "inlier_distance": 0.05, "generator": generator()}
-    found = register(source, target, torch.ones(5), **options)
+    subsets = random_subsets(5, subsets=50, share=0.6, generator=generator())
+    found = register(source, target, torch.ones(5), subsets, inlier_distance=0.05)
     assert found.inliers.tolist() == [True, True, True, True, False]
     assert found.rmse == pytest.approx(0, abs=1e-9)
 
@@ -117,7 +115,7 @@ def test_gradients_reach_the_weights_through_the_winner() -> None:
     source = cloud(30)
     target = source + 0.01 * cloud(30, 7)
     weight = torch.ones(30, dtype=torch.float64, requires_grad=True)
-    found = register(source, target, weight, subsets=10, share=0.2, inlier_distance=0.05, generator=generator())
+    found = register(source, target, weight, random_subsets(30, subsets=10, share=0.2, generator=generator()), inlier_distance=0.05)
     residuals(found.T_ab, source, target).sum().backward()
     assert weight.grad is not None
     assert int((weight.grad != 0).sum()) == 6  # 20 % of 30 formed the winning subset

@@ -18,10 +18,11 @@ from idfslam.errors import DivergedError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.tracking.correspondences import spans_plane
 from idfslam.tracking.description import subsampled_depth
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
 from idfslam.tracking.matching import Matches
-from idfslam.tracking.tracker import Tracker, spans_plane
+from idfslam.tracking.tracker import Tracker
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 CONFIG = TrackerConfig(height=72, query_stride=2)
@@ -91,6 +92,19 @@ def test_another_place_is_lost() -> None:
     noise = Frame(0, 0.0, rng.random((72, 96, 3), np.float32), (1 + rng.random((72, 96))).astype(np.float32), CAMERA)
     tracker = Tracker(CONFIG, NO_FINETUNING)
     assert tracker.track(tracker.describe(noise), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).status is Status.LOST
+
+
+def test_depth_that_contradicts_is_evidence_against_a_pose() -> None:
+    # The wall at 2 m is 20 cm off where the pose has the frame 20 cm too near: no pixel agrees, however many matches were to support it.
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    frame, keyframe = tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64)))
+    found, right = tracker.register(frame, keyframe)
+    assert right is not None
+    assert tracker.believes(right, found, frame, keyframe)
+    wrong = replace(right, T_ab=pose(0, 0, 0.2, 0, 0, 0) @ T_KC)
+    assert not tracker.believes(wrong, found, frame, keyframe)
+    by_matches_alone = Tracker(replace(CONFIG, min_agreement=0.0), NO_FINETUNING)
+    assert by_matches_alone.believes(wrong, found, frame, keyframe)
 
 
 def test_inliers_on_a_line_are_no_evidence() -> None:

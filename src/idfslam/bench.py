@@ -238,15 +238,15 @@ def markdown(found: Mapping[str, Any]) -> str:
     )
     parts = [head + "Mean ± standard deviation over the seeds; surface by the protocol `seen`."]
     rows = [[r["name"], *_counts(r), *(_cell(r["summary"].get(f.key), f.unit, f.digits) for f in used)] for r in recordings]
-    parts.append(_table(["recording", "frames", "runs", *(f.title for f in used)], rows))
+    parts.append(markdown_table(["recording", "frames", "runs", *(f.title for f in used)], rows))
     stages = list(dict.fromkeys(stage for r in recordings for stage in r["ms_per_frame"]))
     if stages:
         rows = [[r["name"], *(_cell(r["ms_per_frame"].get(stage), 1.0, 1) for stage in stages)] for r in recordings]
-        parts.append(_table(["[ms a frame]", *stages], rows))
+        parts.append(markdown_table(["[ms a frame]", *stages], rows))
     compared = [r for r in recordings if r["open3d"] is not None and "failed" not in r["open3d"]]
     if compared:
         titles = ["recording", "Open3D frames/s", "ours", "times as fast", "Open3D ATE RMSE [cm]", "ours", "ours / Open3D's", "Open3D lost"]
-        parts.append(_table(titles, [_comparison(r) for r in compared]))
+        parts.append(markdown_table(titles, [_comparison(r) for r in compared]))
     parts += [f"Failed: {line}" for r in recordings for line in failures(r)]
     return "\n\n".join(parts) + "\n"
 
@@ -275,7 +275,8 @@ def _cell(spread: Mapping[str, Any] | None, unit: float, digits: int) -> str:
     return "-" if spread is None else Spread(**spread).text(unit, digits)
 
 
-def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells below their titles, the first column to the left, the others to the right."""
     lines = [titles, ["---", *["---:"] * (len(titles) - 1)], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 

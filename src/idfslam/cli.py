@@ -8,7 +8,7 @@ win. OpenCV runs on one thread.
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,8 +18,8 @@ import tyro
 from tyro.conf import DisallowNone, Positional, arg, subcommand
 
 from idfslam import __version__
-from idfslam.config import FAST, PRESETS, Config, check, load
-from idfslam.errors import ConfigError, IdfSlamError
+from idfslam.config import FAST, PRESETS, PRETRAIN, Config, PretrainConfig, check, load
+from idfslam.errors import IdfSlamError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -202,36 +202,85 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class BenchPairs:
+    """Relative poses of frames some frames apart: the tracker against SIFT, ORB, ICP, GICP and untrained features."""
+
+    recordings: Positional[tuple[str, ...]]
+    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES."""
+    values: Values = FAST
+    gap: tuple[int, ...] = (5, 10, 20, 40)
+    """How many frames apart; several give a block of rows each."""
+    pairs: int = 100
+    """Pairs of each recording and gap, spread over it."""
+    weights: tuple[Path, ...] = ()
+    """Further weights of `idf-slam pretrain`, a row each."""
+    baselines: bool = True
+    """Whether untrained features, SIFT, ORB, ICP and GICP are measured beside."""
+    json: bool = False
+    """One line of JSON instead of the table, the last of the output."""
+    out: Path | None = None
+    """A folder for pairs.json, pairs.md and pictures of matches."""
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        import json
+
+        from idfslam.bench_pairs import bench_pairs, markdown
+
+        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        options: dict[str, Any] = {"gaps": self.gap, "pairs": self.pairs, "weights": self.weights, "folder": self.out}
+        options["against_baselines"] = self.baselines
+        found = bench_pairs(self.recordings, values, **options, report=report)
+        print(json.dumps(found) if self.json else markdown(found))
+
+
+@dataclass(frozen=True)
 class Pretrain:
-    """Self-supervised training of the tracker's features on recordings, no poses needed."""
+    """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
 
     recordings: Positional[tuple[Path, ...]]
     """Recordings of any layout, or synthetic[:SEED][:kinect]."""
-    out: Path
-    """The weights (safetensors), for `run --tracker.weights`."""
-    steps: int = 2400
-    """Training steps, a pair of frames each."""
-    seed: int = 0
-    """Seed of every random choice."""
+    values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
+    out: Path = Path("weights.safetensors")
+    """The weights (safetensors), for `run --tracker.weights`; beside them the checkpoint."""
+    start: Path | None = None
+    """Weights to begin with; none given: random ones."""
+    resume: bool = False
+    """Go on from the checkpoint beside --out."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints; 0: only at the end. Ctrl-C writes one, too."""
+    validate: tuple[Path, ...] = ()
+    """Recordings to measure the features on while they train; none of their frames is learnt from."""
+    validate_every: int = 500
+    """Steps between validations; 0: only at the end."""
+    log: Path | None = None
+    """A folder for TensorBoard's curves, which needs the extra [train]."""
 
     def __call__(self, console: "Console") -> None:
-        if self.steps < 1:
-            raise ConfigError(f"--steps {self.steps}, expected at least 1")
+        values = check(self.values)
         from rich.progress import Progress
 
         from idfslam.datasets import open_recording
-        from idfslam.tracking.training import pretrain
+        from idfslam.tracking.pretraining import Outputs, pretrain
 
-        recordings = [open_recording(path) for path in self.recordings]
-        with Progress(console=console) as progress:
-            task = progress.add_task("pretraining", total=self.steps)
+        recordings, held = ([open_recording(path) for path in paths] for paths in (self.recordings, self.validate))
+        outputs = Outputs(self.out, self.log, self.checkpoint_every, self.validate_every)
+        first = os.environ.get("RANK", "0") == "0"  # of the processes that torchrun starts
+        with Progress(console=console, disable=not first) as progress:
+            task = progress.add_task("pretraining", total=values.steps)
 
-            def report(step: int, losses: dict[str, float]) -> None:
-                text = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
-                progress.update(task, completed=step + 1, description=f"pretraining: {text}")
+            def report(done: int, figures: Mapping[str, float]) -> None:
+                losses = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" not in name)
+                progress.update(task, completed=done, description=f"pretraining: {losses}")
+                validation = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" in name)
+                if validation:
+                    progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
 
-            pretrain(recordings, out=self.out, steps=self.steps, seed=self.seed, report=report)
-        print(self.out)
+            pretrain(recordings, outputs, values, held=held, start=self.start, resume=self.resume, report=report)
+        if first:
+            print(self.out)
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -244,6 +293,7 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Render, subcommand("render")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
+        | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."

@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -154,8 +154,10 @@ class TrackerConfig:
     """Every so many rows and columns a pixel may be the answer; 1: all of them."""
     mutual: bool = True
     """Keep a match only if its answer, asked back, returns; off: the matches of both directions together, as in the paper."""
+    consensus: Literal["random", "compatible"] = "compatible"
+    """Which subsets the robust Procrustes tries: random ones, as in the paper, or matches that keep each other's distances (SC2-PCR)."""
     subsets: int = 100
-    """Random subsets tried by the robust Procrustes."""
+    """Subsets tried by the robust Procrustes."""
     subset_share: float = 0.05
     """Share of the correspondences in a subset."""
     truncation: float = 0.1
@@ -164,10 +166,14 @@ class TrackerConfig:
     """Rounds of Procrustes on all inliers after the best subset."""
     inlier_distance: float = 0.05
     """A correspondence this close [m] after alignment is an inlier."""
-    min_inliers: int = 30
+    plane_steps: int = 5
+    """Gauss-Newton steps that then bring the depth images together, point to plane, held by the inliers; 0: none, as in the paper."""
+    min_inliers: int = 12
     """Fewer inliers: lost."""
-    min_inlier_share: float = 0.2
+    min_inlier_share: float = 0.05
     """Smaller share of inliers among the correspondences: lost."""
+    min_agreement: float = 0.93
+    """Smaller share of the overlapping depth pixels that agree at the pose: lost; 0: depth is not asked."""
     min_extent: float = 0.05
     """Inliers that spread less than this [m] across their main direction: lost."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
@@ -196,6 +202,61 @@ class FinetuneConfig:
     """w_r of Eq. 6."""
     pixels: int = 256
     """Pixels rendered for Eqs. 1 and 7."""
+
+
+@dataclass(frozen=True)
+class PretrainConfig:
+    """How the feature extractor is pretrained, without poses (Sec. V; UnsupervisedR&R [31])."""
+
+    steps: int = 2400
+    """Steps of the optimiser."""
+    batch: int = 1
+    """Pairs a step, over all processes ([31]: 8); each goes through the network by itself, so memory does not grow with them."""
+    seed: int = 0
+    """Seed of every random choice."""
+    height: int = 120
+    """Rows that the frames are reduced to."""
+    crop: tuple[int, int] = (96, 128)
+    """Rows and columns of the random crop that a step trains on."""
+    gap: int = 40
+    """Frames of a pair lie at most this far apart ([31]: 20)."""
+    ramp: float = 0.33
+    """Share of the steps over which distance and augmentation grow to their values; 0: at once, for weights that know something."""
+    learning_rate: float = 1e-3
+    """Adam's first rate, falling to zero along a half cosine ([31]: 1e-4, constant)."""
+    weight_decay: float = 1e-6
+    """Adam's weight decay [31]."""
+    colour_weight: float = 0.0
+    """Weight of the rendered colour's L1 ([31]: 1). In short runs the losses of [31] hold the contrastive one back (docs/model-card.md)."""
+    depth_weight: float = 0.0
+    """Weight of the rendered depth's L1 ([31]: 1)."""
+    correspondence_weight: float = 0.0
+    """Weight of the matched points' distance ([31]: 0.1)."""
+    contrastive_weight: float = 1.0
+    """Weight of the contrastive loss (not in [31])."""
+    temperature: float = 0.07
+    """Of the contrastive loss."""
+    queries: int = 256
+    """Pixels of each image that ask for their partner in the contrastive loss."""
+    augmentation: float = 0.5
+    """Strength of the changes of exposure, colour, noise, sharpness and of the holes in depth; 0: none."""
+    matches: int = 400
+    """K of the registration."""
+    subsets: int = 10
+    """Random subsets of 20 % that the rendered pose is the best of [31]."""
+    inliers: float = 0.2
+    """Share of the matches that a pose must explain before its correspondences are learnt."""
+    agreement: float = 0.85
+    """Share of overlapping depth pixels that it must explain too."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the network learns; auto: a GPU when there is one."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Arithmetic of the network's matrix products; auto: bf16 where the machine is good at it."""
+
+    @property
+    def rendered(self) -> bool:
+        """Whether a loss of [31] takes part."""
+        return max(self.colour_weight, self.depth_weight, self.correspondence_weight) > 0
 
 
 @dataclass(frozen=True)
@@ -307,20 +368,41 @@ PAPER = Config(
         warm_up=20,
     ),
     keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10, replay_connected=0),
-    tracker=TrackerConfig(matches=200, grid=4, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0),
+    tracker=TrackerConfig(
+        matches=200,
+        grid=4,
+        query_stride=1,
+        target_stride=1,
+        mutual=False,
+        consensus="random",
+        truncation=0.0,
+        refits=0,
+        plane_steps=0,
+        min_inliers=30,
+        min_inlier_share=0.2,
+        min_agreement=0.0,
+    ),
     finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),
 )
 
 PRESETS = {"fast": FAST, "paper": PAPER}
 
+PRETRAIN = PretrainConfig()
+
+
+Checked = TypeVar("Checked", Config, PretrainConfig)
 
 RUN_SECTIONS = ("recording", "versions")  # what a run's config.yaml tells beside the values: no part of a Config
 _AT_LEAST_ONE = {
     *("field.layers", "field.width", "field.levels", "field.features", "mapper.pixels", "mapper.samples", "mapper.cells"),
     *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "finetune.pixels"),
+    *("steps", "batch", "height", "crop", "gap", "matches", "subsets", "queries"),  # of a PretrainConfig
 }
-_ABOVE_ZERO = {"field.truncation", "field.coarsest", "field.finest", "mapper.sharpness", "mesh.resolution", "tracker.inlier_distance"}
+_ABOVE_ZERO = {
+    *("field.truncation", "field.coarsest", "field.finest", "mapper.sharpness", "mesh.resolution", "tracker.inlier_distance"),
+    "temperature",
+}
 
 
 def dump(config: Any) -> dict[str, Any]:
@@ -406,7 +488,7 @@ def _read(value: Any, hint: Any, old: Any, name: str) -> Any:
     return value
 
 
-def check(config: Config) -> Config:
+def check(config: Checked) -> Checked:
     """The same config, if its numbers can be: finite, none negative, counts at least 1 where nothing works without.
 
     Raises ConfigError for the first that cannot.
@@ -417,7 +499,7 @@ def check(config: Config) -> Config:
             numbers = value if isinstance(value, tuple) else (value,)
             if any(isinstance(v, int | float) and (not math.isfinite(v) or v < 0) for v in numbers):
                 raise ConfigError(f"{name} is {value}, expected a finite number of at least 0")
-            if name in _AT_LEAST_ONE and value < 1:
+            if name in _AT_LEAST_ONE and min(numbers) < 1:
                 raise ConfigError(f"{name} is {value}, expected at least 1")
             if name in _ABOVE_ZERO and value <= 0:
                 raise ConfigError(f"{name} is {value}, expected more than 0")

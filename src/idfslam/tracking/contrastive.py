@@ -1,29 +1,7 @@
-"""Which pixels of two views see the same point, and the loss by which their features learn to find each other."""
+"""The loss by which features of pixels that see the same point learn to find each other."""
 
 import torch
 from torch import Tensor
-
-from idfslam.geometry import se3
-from idfslam.tracking.footage import View
-
-
-@torch.no_grad()
-def partners(T_ab: Tensor, a: View, b: View, tolerance: float = 0.03) -> tuple[Tensor, Tensor, float]:
-    """Pixels of b that a sees too, by pose and depth: flat indices (N,), their places (N, 2) in a, and the share that agrees.
-
-    The share is of the points that fall on a's measured pixels, not hidden behind them; agreement is within `tolerance` times the
-    depth, taken as 1 m at least.
-    """
-    index = b.valid.flatten().nonzero()[:, 0]
-    uv, z = a.camera.project(se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[index]))
-    inside = a.camera.inside(uv, z)
-    index, uv, z = index[inside], uv[inside], z[inside]
-    nearest = uv.round().long()
-    behind = z - a.points[nearest[:, 1], nearest[:, 0], 2]
-    measured, slack = a.valid[nearest[:, 1], nearest[:, 0]], tolerance * z.clamp(min=1)
-    agrees = measured & (behind.abs() < slack)
-    visible = measured & (behind < slack)
-    return index[agrees], uv[agrees], float(agrees.sum() / visible.sum().clamp(min=1))
 
 
 def contrastive_loss(queries: Tensor, features: Tensor, uv: Tensor, temperature: float) -> Tensor:

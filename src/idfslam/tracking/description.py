@@ -1,14 +1,21 @@
 """A frame as the tracker keeps it: images at the tracker's resolution, points, and the trunk's features."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional as F
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+
+_ONE_SURFACE = 0.03  # relative difference of depth within which readings belong together
+_NORMAL_REACH = 2  # [px] to each side that a normal is taken over
+_NORMAL_EDGE = 0.1  # relative difference of depth over that distance beyond which there is none
 
 
 @dataclass(frozen=True)
@@ -29,13 +36,29 @@ class Described:
         """(h, w) bool: pixels with depth."""
         return self.points[..., 2] > 0
 
+    @cached_property
+    def normals(self) -> Tensor:
+        """(h, w, 3) unit normals of the points, towards the camera; zero where they are not known."""
+        return surface_normals(self.points)
+
 
 def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
     """Colour (h, w, 3), depth (h, w) [m] and camera of the frame reduced to `height` rows (never enlarged)."""
     h = min(height, frame.camera.height)
     w = round(frame.camera.width * h / frame.camera.height)
     colour = cv2.resize(frame.colour, (w, h), interpolation=cv2.INTER_AREA)
-    return colour.astype(np.float32, copy=False), subsampled_depth(frame.depth, h, w), frame.camera.resized(w, h)
+    return colour.astype(np.float32, copy=False), averaged_depth(frame.depth, h, w), frame.camera.resized(w, h)
+
+
+def averaged_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+    """Depth (H, W) as the mean of the readings under each pixel of a (height, width) image, where they lie on one surface.
+
+    Where the mean is off the reading at the centre by more than a few percent, an edge runs through, and that reading stands alone.
+    """
+    share = cv2.resize((depth > 0).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(depth, (width, height), interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-6)
+    centre = subsampled_depth(depth, height, width)
+    return np.where(np.abs(mean - centre) < _ONE_SURFACE * centre, mean, centre).astype(np.float32)
 
 
 def subsampled_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
@@ -47,3 +70,16 @@ def subsampled_depth(depth: NDArray[np.float32], height: int, width: int) -> NDA
         beside = depth[np.ix_(np.maximum(rows - up, 0), np.maximum(columns - left, 0))]
         out = np.where(out > 0, out, beside)
     return out
+
+
+def surface_normals(points: Tensor) -> Tensor:
+    """Unit normals (h, w, 3) of an image of points (h, w, 3) [m], towards the camera; zero at borders, holes and edges of depth."""
+    k = _NORMAL_REACH
+    middle, left, right = points[k:-k, k:-k], points[k:-k, : -2 * k], points[k:-k, 2 * k :]
+    up, down = points[: -2 * k, k:-k], points[2 * k :, k:-k]
+    measured = torch.stack([p[..., 2] for p in (middle, left, right, up, down)]).amin(0) > 0
+    across, along = right - left, down - up
+    smooth = torch.maximum(across[..., 2].abs(), along[..., 2].abs()) < _NORMAL_EDGE * middle[..., 2]
+    normals = torch.zeros_like(points)
+    normals[k:-k, k:-k] = F.normalize(torch.linalg.cross(along, across), dim=-1) * (measured & smooth)[..., None]
+    return normals

@@ -70,6 +70,19 @@ def folded(extractor: FeatureExtractor, dtype: torch.dtype) -> FeatureExtractor:
     return copied.to(dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
+def untrained_extractor(images: Tensor, seed: int = 0) -> FeatureExtractor:
+    """Random filters whose batch norms are fitted to some images (B, 3, H, W): what the architecture gives without learning."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        extractor = FeatureExtractor()
+    for norm in extractor.modules():
+        if isinstance(norm, nn.BatchNorm2d):
+            norm.momentum = 1.0  # the statistics of these images alone
+    with torch.no_grad():
+        extractor.train()(images)
+    return extractor.eval()
+
+
 def load_extractor(path: Path | None = None) -> FeatureExtractor:
     """The extractor with the weights in `path`, or with those shipped in the package (docs/model-card.md), in eval mode.
 

@@ -40,48 +40,51 @@ def residuals(T_ab: Tensor, source: Tensor, target: Tensor) -> Tensor:
     return (target.double() - se3.transform(T_ab, source.double())).norm(dim=-1)
 
 
+def random_subsets(count: int, *, subsets: int, share: float, generator: torch.Generator) -> Tensor:
+    """`subsets` random choices of a `share` of `count` matches, three at least: indices (S, n) [31]."""
+    size = min(count, max(3, round(share * count)))
+    return torch.rand(subsets, count, generator=generator).topk(size, dim=-1).indices
+
+
 @torch.no_grad()
-def best_subset(
-    source: Tensor, target: Tensor, weight: Tensor, *, subsets: int, share: float, truncation: float, generator: torch.Generator
-) -> Tensor:
-    """Indices (n,) of the random subset whose Procrustes leaves the least weighted residual over ALL matches [31].
+def best_subset(source: Tensor, target: Tensor, weight: Tensor, subsets: Tensor, *, truncation: float = 0.0) -> Tensor:
+    """The one of the index sets (S, n) whose Procrustes leaves the least weighted residual over ALL matches: (n,) [31].
 
     `truncation` [m] caps a match's residual, so that outliers count alike however far off; 0: not capped.
     """
-    size = max(3, round(share * len(weight)))
-    keys = torch.rand(subsets, len(weight), generator=generator).to(weight.device)
-    chosen = keys.topk(min(size, len(weight)), dim=-1).indices
-    T_ab = procrustes(source[chosen], target[chosen], weight[chosen])
-    residual = residuals(T_ab, source, target)
+    residual = residuals(procrustes(source[subsets], target[subsets], weight[subsets]), source, target)
     if truncation > 0:
         residual = residual.clamp(max=truncation)
-    return chosen[(weight * residual).sum(-1).argmin()]
+    return subsets[(weight * residual).sum(-1).argmin()]
 
 
 def register(
     source: Tensor,
     target: Tensor,
     weight: Tensor,
+    subsets: Tensor,
     *,
-    subsets: int,
-    share: float,
     inlier_distance: float,
-    generator: torch.Generator,
     truncation: float = 0.0,
     refits: int = 0,
 ) -> Registration:
     """T_ab from points b `source` (M, 3) to points a `target` (M, 3) [m] with weights (M,), M >= 3, some of them outliers.
 
-    The best of `subsets` random subsets of `share` of the matches gives the transform; each of `refits` rounds then repeats Procrustes
-    on all inliers, those within `inlier_distance` [m]. Gradients flow through the winning fit (and the refits).
+    The best of the `subsets` (S, n) of the matches gives the transform; each of `refits` rounds then repeats Procrustes on all inliers,
+    those within `inlier_distance` [m]. Gradients flow through the winning fit (and the refits).
     """
-    chosen = best_subset(source, target, weight, subsets=subsets, share=share, truncation=truncation, generator=generator)
+    chosen = best_subset(source, target, weight, subsets.to(weight.device), truncation=truncation)
     T_ab = procrustes(source[chosen], target[chosen], weight[chosen])
     for _ in range(refits):
         inliers = residuals(T_ab.detach(), source, target) < inlier_distance
         if int(inliers.sum()) < 3:
             break
         T_ab = procrustes(source[inliers], target[inliers], weight[inliers])
+    return supported(T_ab, source, target, inlier_distance)
+
+
+def supported(T_ab: Tensor, source: Tensor, target: Tensor, inlier_distance: float) -> Registration:
+    """A transform with the matches that it explains."""
     distance = residuals(T_ab.detach(), source, target)
     inliers = distance < inlier_distance
     return Registration(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))

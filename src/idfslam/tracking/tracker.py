@@ -6,16 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.frame import Frame, Status
 from idfslam.hardware import resolve_precision
+from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.description import Described, reduced
-from idfslam.tracking.features import folded, load_extractor
+from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.matching import Matches, match, spread
-from idfslam.tracking.registration import Registration, register
+from idfslam.tracking.partners import partners
+from idfslam.tracking.point_to_plane import point_to_plane
+from idfslam.tracking.registration import Registration, supported
 
 
 @dataclass(frozen=True)
@@ -29,22 +31,24 @@ class TrackingResult:
     rmse: float  # of the inliers' distances [m]; nan without any
 
 
-def spans_plane(points: Tensor, extent: float) -> bool:
-    """Whether points (M, 3) spread (standard deviation) by more than `extent` [m] in two directions; on a line a rotation stays free."""
-    centred = (points - points.mean(0)).double()
-    return float(torch.linalg.svdvals(centred)[1]) > extent * len(points) ** 0.5
-
-
 class Tracker:
     """Tracks frames against keyframes; the extractor's out-conv learns the scene by `finetune`.
 
-    Deterministic given the seed. Raises ConfigError if the weights cannot be used.
+    Deterministic given the seed. `extractor` stands in for the one that the config names. Raises ConfigError if its weights cannot be used.
     """
 
-    def __init__(self, config: TrackerConfig, finetune: FinetuneConfig, device: torch.device | str = "cpu", seed: int = 0) -> None:
+    def __init__(
+        self,
+        config: TrackerConfig,
+        finetune: FinetuneConfig,
+        device: torch.device | str = "cpu",
+        seed: int = 0,
+        *,
+        extractor: FeatureExtractor | None = None,
+    ) -> None:
         self.config, self.finetuning, self.device = config, finetune, torch.device(device)
         self.generator = torch.Generator().manual_seed(seed)
-        self.extractor = load_extractor(config.weights).to(self.device).requires_grad_(False)
+        self.extractor = (extractor or load_extractor(config.weights)).to(self.device).requires_grad_(False)
         self.dtype = resolve_precision(config.precision, self.device)
         self.inference = folded(self.extractor, self.dtype)
         learning = self.extractor.out_conv.requires_grad_(True)
@@ -61,14 +65,26 @@ class Tracker:
     @torch.no_grad()
     def track(self, frame: Described, keyframe: Described) -> TrackingResult:
         """The frame's pose in the keyframe; LOST without the matches, inliers or spread that a pose needs."""
-        matches = self._match(frame, keyframe)
-        if len(matches) < max(3, self.config.min_inliers):
-            return TrackingResult(np.eye(4), Status.LOST, len(matches), 0, float("nan"))
-        found = self._register(matches, frame, keyframe)
-        inliers = int(found.inliers.sum())
-        supported = inliers >= max(3, self.config.min_inliers, self.config.min_inlier_share * len(matches))
-        supported = supported and spans_plane(frame.points.flatten(0, 1)[matches.frame[found.inliers]], self.config.min_extent)
-        return TrackingResult(found.T_ab.cpu().numpy(), Status.OK if supported else Status.LOST, len(matches), inliers, found.rmse)
+        found, pose = self.register(frame, keyframe)
+        if pose is None:
+            return TrackingResult(np.eye(4), Status.LOST, len(found), 0, float("nan"))
+        status = Status.OK if self.believes(pose, found, frame, keyframe) else Status.LOST
+        return TrackingResult(pose.T_ab.cpu().numpy(), status, len(found), int(pose.inliers.sum()), pose.rmse)
+
+    @torch.no_grad()
+    def register(self, frame: Described, keyframe: Described) -> tuple[Correspondences, Registration | None]:
+        """The best matches of the two, and T_kc by them and by the depth images; None where the matches are too few."""
+        found = lifted(self._match(frame, keyframe), frame, keyframe)
+        pose = estimate_pose(found, self.config, self.generator)
+        if pose is None or self.config.plane_steps == 0 or not bool(pose.inliers.any()):
+            return found, pose
+        T_kc = point_to_plane(pose.T_ab, frame, keyframe, found[pose.inliers], steps=self.config.plane_steps)
+        return found, supported(T_kc, found.frame, found.keyframe, self.config.inlier_distance)
+
+    def believes(self, pose: Registration, found: Correspondences, frame: Described, keyframe: Described) -> bool:
+        """Whether matches support the pose, and the depth images do not contradict it."""
+        least = self.config.min_agreement
+        return believable(pose, found, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
 
     def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
         """One step of Eq. 6 on a random pair of consecutive keyframes with poses (N, 4, 4); its losses by name.
@@ -82,10 +98,13 @@ class Tracker:
         i = int(torch.randint(len(keyframes) - 1, (), generator=self.generator))
         reference, current = keyframes[i], keyframes[i + 1]
         matches = self._match(current, reference)
-        if len(matches) < max(3, self.config.min_inliers):
+        pose = estimate_pose(lifted(matches, current, reference), self.config, self.generator)
+        if pose is None:
             return None
-        T_rc, T_wr = self._register(matches, current, reference).T_ab, torch.as_tensor(T_wk[i], device=self.device)
-        losses = finetuning_losses(current, reference, matches, T_rc, T_wr, render=render, pixels=config.pixels, generator=self.generator)
+        T_wr = torch.as_tensor(T_wk[i], device=self.device)
+        losses = finetuning_losses(
+            current, reference, matches, pose.T_ab, T_wr, render=render, pixels=config.pixels, generator=self.generator
+        )
         return finetune_step(self.optimiser, losses, config)
 
     def _match(self, frame: Described, keyframe: Described) -> Matches:
@@ -95,16 +114,8 @@ class Tracker:
         found = match(a, b, frame.valid, keyframe.valid, mutual=config.mutual, **strides)
         return spread(found, (a.shape[1], a.shape[2]), limit=config.matches, grid=config.grid)
 
-    def _register(self, matches: Matches, frame: Described, keyframe: Described) -> Registration:
-        config = self.config
-        return register(
-            frame.points.flatten(0, 1)[matches.frame],
-            keyframe.points.flatten(0, 1)[matches.keyframe],
-            matches.weight,
-            subsets=config.subsets,
-            share=config.subset_share,
-            truncation=config.truncation,
-            refits=config.refits,
-            inlier_distance=config.inlier_distance,
-            generator=self.generator,
-        )
+
+def lifted(matches: Matches, frame: Described, keyframe: Described) -> Correspondences:
+    """Matches of pixels with the points there; differentiable in the weights."""
+    points_c, points_k = frame.points.flatten(0, 1)[matches.frame], keyframe.points.flatten(0, 1)[matches.keyframe]
+    return Correspondences(frame.source.project(points_c)[0], keyframe.source.project(points_k)[0], points_c, points_k, matches.weight)

@@ -1,0 +1,57 @@
+"""Point-to-plane ICP and Generalized ICP of two depth images, by small_gicp: registration without any features."""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError
+from idfslam.frame import Frame
+
+Variant = Literal["PLANE_ICP", "GICP"]
+
+_VOXEL = 0.04  # [m] the points are thinned to
+_REACH = 0.3  # [m] between points that may correspond
+_ITERATIONS = 50
+
+
+def icp_installed() -> bool:
+    """Whether small_gicp is there."""
+    return find_spec("small_gicp") is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A frame's points with their normals and covariances, and the tree to search them by."""
+
+    points: Any
+    tree: Any
+
+
+class IterativeClosestPoints:
+    """Aligns clouds from the identity on. Raises ConfigError where small_gicp is not installed."""
+
+    def __init__(self, variant: Variant) -> None:
+        if not icp_installed():
+            raise ConfigError("ICP needs small_gicp, which is not installed: pip install 'idf-slam[bench]'")
+        self._variant = variant
+
+    def cloud(self, frame: Frame) -> Cloud:
+        """The frame's depth as a cloud, on one thread."""
+        import small_gicp
+        import torch
+
+        points = frame.camera.backproject(torch.from_numpy(frame.depth))[frame.depth > 0].double().numpy()
+        return Cloud(*small_gicp.preprocess_points(points, downsampling_resolution=_VOXEL, num_threads=1))
+
+    def align(self, source: Cloud, target: Cloud) -> tuple[NDArray[np.float64], bool]:
+        """T (4, 4) from the source's to the target's frame, and whether the iteration converged; the identity for an empty cloud."""
+        import small_gicp
+
+        if min(source.points.size(), target.points.size()) < 10:
+            return np.eye(4), False
+        options = {"max_correspondence_distance": _REACH, "num_threads": 1, "max_iterations": _ITERATIONS}
+        found = small_gicp.align(target.points, source.points, target.tree, np.eye(4), registration_type=self._variant, **options)
+        return np.asarray(found.T_target_source), bool(found.converged)

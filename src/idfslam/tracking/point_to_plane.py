@@ -1,0 +1,81 @@
+"""Projective point-to-plane ICP of two depth images (Chen and Medioni 1992; Blais and Levine 1995), held by matched points.
+
+Features say where to begin, to within their pixels; surfaces say exactly. Where these slide on each other (a bare wall) matches hold them.
+"""
+
+import torch
+from torch import Tensor
+
+from idfslam.geometry import se3
+from idfslam.mapping.objectives import noise_ratio
+from idfslam.tracking.correspondences import Correspondences
+from idfslam.tracking.description import Described
+
+_STRIDE = 4  # rows and columns of the frame, of which one takes part, in all but the last steps
+_FINE_STEPS = 2  # in which all take part
+_REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step
+_FACING = 0.8  # least cosine between two normals that may correspond
+_BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at its best (Nguyen et al. 2012)
+_MATCH_NOISE = 0.01  # [m] of a match on top of the sensor's: a pixel of the features, seen from 2 m
+_MATCH_WEIGHT = 0.1  # of a match beside a point: neighbouring matches err alike
+_PRIOR = 1.0  # information [1/m^2, 1/rad^2] that the pose stays: next to nothing, against 10^4 of a point
+_ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter
+
+
+def sensor_noise(z: Tensor) -> Tensor:
+    """Standard deviation [m] of the difference of two readings at depth z [m]."""
+    return 2**0.5 * _BEST * noise_ratio(z)
+
+
+@torch.no_grad()
+def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches: Correspondences, *, steps: int) -> Tensor:
+    """T_kc (4, 4) float64 after `steps` of Gauss-Newton from a T_kc that is right to within a few cm."""
+    coarse, fine = _surface(frame, _STRIDE), _surface(frame, 1)
+    for step in range(steps):
+        share = step / max(steps - 1, 1)
+        points, normals = fine if step >= steps - _FINE_STEPS else coarse
+        H, b = _plane_system(T_kc, points, normals, keyframe, _REACH[0] + share * (_REACH[1] - _REACH[0]))
+        H_matches, b_matches = _match_system(T_kc, matches)
+        prior = _PRIOR * torch.eye(6).to(H)
+        T_kc = se3.exp(torch.linalg.solve(H + H_matches + prior, b + b_matches)) @ T_kc
+    return se3.orthonormal(T_kc)
+
+
+def _surface(frame: Described, stride: int) -> tuple[Tensor, Tensor]:
+    """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where both are known."""
+    inside = slice(stride // 2, None, stride)
+    points, normals = (image[inside, inside].flatten(0, 1) for image in (frame.points, frame.normals))
+    known = normals[:, 2] != 0
+    return points[known], normals[known]
+
+
+def _plane_system(T_kc: Tensor, points: Tensor, normals: Tensor, keyframe: Described, reach: float) -> tuple[Tensor, Tensor]:
+    """Normal equations H (6, 6), b (6,) of the distances of points (N, 3) to the planes at the pixels where they fall."""
+    T, camera = T_kc.to(points), keyframe.camera
+    moved, turned = se3.transform(T, points), normals @ T[:3, :3].T
+    uv, z = camera.project(moved)
+    inside = camera.inside(uv, z)
+    u, v = uv.round().long().where(inside[:, None], 0).unbind(-1)
+    offset, normal = moved - keyframe.points[v, u], keyframe.normals[v, u]
+    distance = (offset * normal).sum(-1)
+    near = (distance.abs() < reach) & (offset.norm(dim=-1) < 2 * reach)
+    sigma = sensor_noise(z)
+    weight = (inside & near & ((turned * normal).sum(-1) > _FACING)) * _robust(distance, sigma)
+    J = torch.cat([normal, torch.linalg.cross(moved, normal)], -1)
+    JtW = (J * weight[:, None]).T
+    return (JtW @ J).double(), -(JtW @ distance).double()
+
+
+def _match_system(T_kc: Tensor, matches: Correspondences) -> tuple[Tensor, Tensor]:
+    """Normal equations H (6, 6), b (6,) of the differences between matched points."""
+    moved, target = se3.transform(T_kc, matches.frame.to(T_kc)), matches.keyframe.to(T_kc)
+    difference = moved - target
+    weight = _MATCH_WEIGHT * _robust(difference.norm(dim=-1), sensor_noise(target[:, 2]) + _MATCH_NOISE)
+    J = torch.cat([torch.eye(3).to(T_kc).expand(len(moved), 3, 3), -se3.hat(moved)], -1)
+    JtW = (J * weight[:, None, None]).flatten(0, 1).T
+    return JtW @ J.flatten(0, 1), -JtW @ difference.flatten()
+
+
+def _robust(residual: Tensor, sigma: Tensor) -> Tensor:
+    """Weights of Geman-McClure, over the variance."""
+    return 1 / (sigma * (1 + (residual / (_ROBUST * sigma)) ** 2)) ** 2
