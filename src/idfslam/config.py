@@ -36,7 +36,7 @@ class FieldConfig:
     """Features a level of the grid."""
     coarsest: float = 0.48
     """Edge of the coarsest level's cells [m]."""
-    finest: float = 0.02
+    finest: float = 0.04
     """Edge of the finest level's cells [m]."""
     table_log2: int = 15
     """Entries of a level's table at the start, as a power of two; tables double as the scene grows."""
