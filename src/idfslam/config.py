@@ -188,7 +188,7 @@ class FinetuneConfig:
 
     enabled: bool = True
     """Finetune on frames that are not keyframes."""
-    every: int = 10
+    every: int = 20
     """One step on every so many of these frames (the paper: on each)."""
     keyframes: int = 10
     """N_kf: keyframes that must be stored before it starts."""
@@ -265,7 +265,7 @@ class AlignmentConfig:
 
     enabled: bool = True
     """Align every frame to the map; off: the tracker's pose stands, as in the paper."""
-    points: int = 4000
+    points: int = 3000
     """Depth points of a frame that are aligned."""
     iterations: int = 12
     """Largest number of Gauss-Newton steps."""
@@ -279,7 +279,7 @@ class AlignmentConfig:
     """... up to so many times."""
     colour_robust: float = 3.0
     """Scale of the robust weights of brightness, in units of its noise."""
-    landmarks: int = 5000
+    landmarks: int = 3600
     """Pixels of a keyframe whose brightness is compared, at most."""
     min_landmarks: int = 100
     """With fewer of a keyframe's landmarks in view its image says nothing: a handful on one edge fits in many wrong places."""
@@ -293,7 +293,7 @@ class AlignmentConfig:
     """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
     hold: float = 8e-3
     """Information, per unit weight of depth, below which a direction is held to the guess (a bare wall leaves three open)."""
-    converged: float = 5e-5
+    converged: float = 1e-4
     """Steps below this [m, rad] end the iteration."""
     refined: int = 1
     """Replayed keyframes whose pose is aligned anew at each map update, in turns with the map: bundle adjustment."""
@@ -396,7 +396,8 @@ Checked = TypeVar("Checked", Config, PretrainConfig)
 RUN_SECTIONS = ("recording", "versions")  # what a run's config.yaml tells beside the values: no part of a Config
 _AT_LEAST_ONE = {
     *("field.layers", "field.width", "field.levels", "field.features", "mapper.pixels", "mapper.samples", "mapper.cells"),
-    *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "finetune.pixels"),
+    *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "alignment.iterations"),
+    "finetune.pixels",
     *("steps", "batch", "height", "crop", "gap", "matches", "subsets", "queries"),  # of a PretrainConfig
 }
 _ABOVE_ZERO = {

@@ -76,7 +76,7 @@ class Slam:
             for i in range(updates):
                 self.mapper.optimiser.anneal = 1 - i / updates
                 keyframes = self.graph.sample(self.config.mapper.final_keyframes)
-                self._refine(keyframes)
+                self._refine(keyframes[: self.config.mapper.final_keyframes // 2])
                 self.mapper.optimise_map(keyframes, self.config.mapper.iterations)
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:

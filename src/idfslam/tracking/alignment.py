@@ -77,6 +77,8 @@ class _System:
     radius: float  # mean distance of the points [m], to compare a turn with a shift
 
 
+_Normals = tuple[Tensor, Tensor]  # (N, 3) unit, and the slope (N,) of the distance along them
+
 MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
@@ -100,9 +102,12 @@ class Aligner:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
         T, change = T_guess.double(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
-        coarse = surface.every(3)
-        for step in range(coarse_steps if near else 0, self.config.iterations):
-            system = self._depth_system(coarse if step < coarse_steps else surface, T, step)
+        coarse, normals = surface.every(3), None
+        for step in range(min(coarse_steps, self.config.iterations - 1) if near else 0, self.config.iterations):
+            if step < coarse_steps:
+                system, _ = self._depth_system(coarse, T, step, None)
+            else:  # near the end they turn no more
+                system, normals = self._depth_system(surface, T, step, normals)
             H, b, brightness, in_view = self._with_images(system, view, references, T, step)
             information = Information.of(H, system.weight, system.radius)
             P = information.prior(self.config.hold)
@@ -148,15 +153,18 @@ class Aligner:
         if alignment.brightness > 0:
             self._usual_brightness += (alignment.brightness - self._usual_brightness) * (0.1 if self._usual_brightness else 1.0)
 
-    def _depth_system(self, surface: Surface, T: Tensor, step: int) -> _System:
-        """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps."""
+    def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
+        """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps.
+
+        normals: of a step before; none given: those at the points as they lie now.
+        """
         T32 = T.float().to(surface.points)
         turned = surface.points @ T32[:3, :3].T
         distance, gradient = self.query(turned + T32[:3, 3])
         robust = self.config.robust * max(1.0, 4.0 * 0.5**step)
-        normal, slope = smoothed_normals(turned, gradient, surface.patches)
+        normals = normals or smoothed_normals(turned, gradient, surface.patches)
         build = depth_system if turned.device.type == "cpu" else plain_depth_system
-        return build(turned, distance, normal, slope, surface.sigma, self.truncation, robust, self.config.robust_widest)
+        return build(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest), normals
 
     def _with_images(
         self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
@@ -214,15 +222,14 @@ def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple
     A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals
     of a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
     """
-    slope = gradient.norm(dim=-1)
-    unit = gradient / slope.clamp(min=1e-9)[:, None]
     if points.device.type != "cpu":
-        return plain_smoothed(points, unit, patches), slope
+        slope = gradient.norm(dim=-1)
+        return plain_smoothed(points, gradient / slope.clamp(min=1e-9)[:, None], patches), slope
     from idfslam.mapping.kernels import numba_alignment
 
-    normal = torch.empty_like(unit)
-    arrays = [t.numpy() for t in (points, unit, patches)]
-    numba_alignment.smoothed_normals(*arrays, np.float32(_ALIKE), np.float32(_COPLANAR), normal.numpy())  # type: ignore[call-arg]
+    normal, slope = torch.empty_like(gradient), torch.empty(len(gradient))
+    inputs, outputs = [t.numpy() for t in (points, gradient, patches)], (normal.numpy(), slope.numpy())
+    numba_alignment.smoothed_normals(*inputs, np.float32(_ALIKE), np.float32(_COPLANAR), *outputs)  # type: ignore[call-arg]
     return normal, slope
 
 
@@ -250,8 +257,8 @@ def depth_system(
 
     H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma)]
-    weight, squares, known = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
-    radius = float(turned.norm(dim=-1).mean())
+    found = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
+    weight, squares, known, radius = found
     return _System(H, b, weight, known / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
 
 

@@ -49,7 +49,7 @@ class Information:
 def moved(T: Tensor, change: Tensor) -> Tensor:
     """The pose (4, 4) after a change (6,)."""
     out = T.clone()
-    out[:3, :3] = se3.exp(torch.cat([torch.zeros_like(change[:3]), change[3:]]))[:3, :3] @ T[:3, :3]
+    out[:3, :3] = torch.linalg.matrix_exp(se3.hat(change[3:])) @ T[:3, :3]
     out[:3, 3] = T[:3, 3] + change[:3]
     return out
 

@@ -31,8 +31,16 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def smoothed_normals(points, unit, patches, alike, coplanar, normal) -> None:  # type: ignore[no-untyped-def]
-    """Fills normal (N, 3): means of the alike among the unit normals (N, 3) of points (N, 3) in neighbouring patches (rows, columns)."""
+def smoothed_normals(points, gradient, patches, alike, coplanar, normal, slope) -> None:  # type: ignore[no-untyped-def]
+    """Fills slope (N,) with the lengths of the gradients (N, 3) at points (N, 3), and normal (N, 3) with means of their directions.
+
+    Over those of the points in neighbouring patches (rows, columns) that are alike.
+    """
+    unit = np.empty_like(gradient)
+    for n in range(len(gradient)):
+        slope[n] = np.sqrt(gradient[n, 0] ** 2 + gradient[n, 1] ** 2 + gradient[n, 2] ** 2)
+        for axis in range(3):
+            unit[n, axis] = gradient[n, axis] / max(slope[n], np.float32(1e-9))
     rows, columns = patches.shape
     for row in range(rows):
         for column in range(columns):
@@ -55,10 +63,12 @@ def smoothed_normals(points, unit, patches, alike, coplanar, normal) -> None:  #
 
 @_compiled
 def depth_system(turned, distance, normal, slope, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
-    """Distances of points to the map: fills H (6, 6), b (6,); returns sum of weights, of weighted squares [m^2], and the points known."""
+    """Distances of points to the map: fills H (6, 6), b (6,); returns sum of weights, of weighted squares [m^2],
+    the points known, and the mean distance of all [m]."""
     J = np.empty(6)
-    total, squares, known = 0.0, 0.0, 0
+    total, squares, known, radius = 0.0, 0.0, 0, 0.0
     for n in range(len(distance)):
+        radius += np.sqrt(turned[n, 0] ** 2 + turned[n, 1] ** 2 + turned[n, 2] ** 2)
         if abs(distance[n]) >= 0.9 * truncation or slope[n] <= 0.2:
             continue
         known += 1
@@ -74,7 +84,7 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
         total += w
         squares += w * r * r
     _mirror(H)
-    return total, squares, known
+    return total, squares, known, radius / len(distance)
 
 
 @_compiled
