@@ -18,7 +18,7 @@ from idfslam.run import Run, open_source, run
 
 VIEWS = "views.png"
 _VIEWS = 4
-_DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes, to within 2 % of its answer
+_DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
 
 
 def demo(config: Config, folder: Path, *, room: int, frames: int, console: Console | None = None) -> tuple[Run, Evaluation, list[Path]]:
