@@ -13,7 +13,8 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframes import Keyframe
 from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system, plain_smoothed, smoothed_normals
+from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system
+from idfslam.tracking.normals import plain_smoothed, smoothed_normals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]

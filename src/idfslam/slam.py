@@ -78,6 +78,7 @@ class Slam:
                 keyframes = self.graph.sample(self.config.mapper.final_keyframes)
                 self._refine(keyframes[: self.config.mapper.final_keyframes // 2])
                 self.mapper.optimise_map(keyframes, self.config.mapper.iterations)
+            self.mapper.optimiser.anneal = 1.0
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""

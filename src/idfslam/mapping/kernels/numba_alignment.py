@@ -31,7 +31,7 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def smoothed_normals(points, gradient, patches, alike, coplanar, normal, slope) -> None:  # type: ignore[no-untyped-def]
+def smoothed_normals(points, gradient, patches, reach, alike, coplanar, normal, slope) -> None:  # type: ignore[no-untyped-def]
     """Fills slope (N,) with the lengths of the gradients (N, 3) at points (N, 3), and normal (N, 3) with means of their directions.
 
     Over those of the points in neighbouring patches (rows, columns) that are alike.
@@ -49,8 +49,8 @@ def smoothed_normals(points, gradient, patches, alike, coplanar, normal, slope) 
                 continue
             a, b, c = unit[n, 0], unit[n, 1], unit[n, 2]
             x, y, z = np.float32(0), np.float32(0), np.float32(0)
-            for i in range(max(row - 2, 0), min(row + 3, rows)):
-                for j in range(max(column - 2, 0), min(column + 3, columns)):
+            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
                     m = patches[i, j]
                     if m < 0 or a * unit[m, 0] + b * unit[m, 1] + c * unit[m, 2] < alike:
                         continue
@@ -63,8 +63,10 @@ def smoothed_normals(points, gradient, patches, alike, coplanar, normal, slope) 
 
 @_compiled
 def depth_system(turned, distance, normal, slope, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
-    """Distances of points to the map: fills H (6, 6), b (6,); returns sum of weights, of weighted squares [m^2],
-    the points known, and the mean distance of all [m]."""
+    """Distances of points to the map: fills H (6, 6), b (6,); returns the sums of weights and of weighted squares [m^2].
+
+    And how many points are known, and the mean distance of all [m].
+    """
     J = np.empty(6)
     total, squares, known, radius = 0.0, 0.0, 0, 0.0
     for n in range(len(distance)):
