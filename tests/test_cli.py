@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from idfslam import cli
+from idfslam.commands.run import CameraFlags
 from idfslam.config import FAST, PAPER
 
 
@@ -63,7 +64,7 @@ def test_flags_of_run() -> None:
     command = run_values(*flags.split(), "--mapper.no-active-sampling", "--field.encoding", "positional")
     assert (command.start, command.frames, command.stride, command.format, command.out) == (3, 20, 2, "tum", Path("there"))
     assert (command.values.device, command.values.seed) == ("cpu", 9)
-    assert command.camera == cli.CameraFlags(fx=500, depth_scale=5000)
+    assert command.camera == CameraFlags(fx=500, depth_scale=5000)
     assert command.values.mapper.active_sampling is False
     assert command.values.field.encoding == "positional"
 

@@ -1,0 +1,25 @@
+"""What every command of the command line has."""
+
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+from tyro.conf import arg
+
+from idfslam.config import Config
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
+
+
+class Command(Protocol):
+    """A command with its flags; the console takes progress and warnings."""
+
+    def __call__(self, console: "Console") -> None: ...
+
+
+def output() -> "Console":
+    """Where figures and paths go: stdout."""
+    from rich.console import Console
+
+    return Console()

@@ -1,0 +1,65 @@
+"""`idf-slam run`."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from idfslam.commands.command import Values, output
+from idfslam.config import FAST, check
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class CameraFlags:
+    """The camera, where it is not the recording's own; the flags win over what the recording says."""
+
+    fx: float | None = None
+    """Focal length [px]."""
+    fy: float | None = None
+    """Focal length [px]."""
+    cx: float | None = None
+    """Principal point [px]; pixel centres at integers."""
+    cy: float | None = None
+    """Principal point [px]."""
+    depth_scale: float | None = None
+    """Units of the depth images per metre: 1000 for millimetres."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """SLAM on a recording: trajectory, mesh, map and figures into a folder."""
+
+    path: Positional[Path]
+    """The recording, in any layout that is known; which one is seen from what lies in it."""
+    values: Values = FAST
+    out: Path | None = None
+    """The result folder; none given: results/ and the recording's name."""
+    start: int = 0
+    """The first frame."""
+    frames: int | None = None
+    """How many frames; none given: to the end."""
+    stride: int = 1
+    """Every so many frames one is taken."""
+    format: str | None = None
+    """The recording's layout, where it is not to be seen from its files."""
+    camera: CameraFlags = CameraFlags()
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        from idfslam.results import Source
+        from idfslam.run import open_source, run
+        from idfslam.tables import print_run
+
+        camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
+        scale = camera.pop("depth_scale", None)
+        place = self.path.absolute() if self.path.exists() else self.path  # found again from anywhere; `synthetic` is no file
+        source = Source(str(place), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        recording = open_source(source)
+        folder = self.out or Path("results") / recording.name
+        print_run(run(recording, values, folder, source=source, console=console), output())
