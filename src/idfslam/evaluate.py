@@ -29,7 +29,7 @@ def evaluate_folder(
     """Errors of the results in `folder`, where evaluation.json, trajectory.png and error.png are written.
 
     gt: trajectory in TUM format, matched by time stamp; none: the recording's own. gt_mesh: [m], in the frame of the true trajectory;
-    none: with the recording's own trajectory the surface of a synthetic room, else the mesh is not evaluated.
+    none: with the recording's own trajectory the surface of a generated one, else the mesh is not evaluated.
     recording: what the results were made of, where it is open already; none: the one that config.yaml names is opened.
     samples: points on each surface. views: of depth L1.
     Raises ResultError where results or ground truth are missing, RecordingError where the recording is and no `gt` stands for it.

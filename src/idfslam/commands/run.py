@@ -34,7 +34,8 @@ class Run:
     """SLAM on a recording: trajectory, mesh, map and figures into a folder."""
 
     path: Positional[Path]
-    """The recording, in any layout that is known; which one is seen from what lies in it."""
+    """The recording, in any layout that is known; which one is seen from what lies in it. Or a generated one: synthetic[:SEED][:kinect],
+    corridor[:SEED][:kinect][:Nlaps]; kidnap: before any of these carries the camera off, five times."""
     values: Values = FAST
     out: Path | None = None
     """The result folder; none given: results/ and the recording's name."""
@@ -52,14 +53,14 @@ class Run:
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
+        from idfslam.datasets.generated import located
         from idfslam.results import Source
         from idfslam.run import open_source, run
         from idfslam.tables import print_run
 
         camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
         scale = camera.pop("depth_scale", None)
-        place = self.path.absolute() if self.path.exists() else self.path  # found again from anywhere; `synthetic` is no file
-        source = Source(str(place), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        source = Source(located(str(self.path)), self.format, camera or None, scale, self.start, self.frames, self.stride)
         recording = open_source(source)
         folder = self.out or Path("results") / recording.name
         print_run(run(recording, values, folder, source=source, console=console), output())
