@@ -18,14 +18,14 @@ def skirting(scene: Scene, T: Array, along: tuple[float, float], material: int) 
     scene.box(T, (low, 0, 0.92), (high, 0.016, 0.98), material)
 
 
-def ceiling_lamp(scene: Scene, T: Array, ceiling: float) -> None:
+def ceiling_lamp(scene: Scene, T: Array, ceiling: float, power: float = 1.0) -> None:
     """A glowing panel under the ceiling, along x."""
     glass = scene.material(pattern.STRIPES, (0.9, 0.88, 0.82), (0.8, 0.78, 0.73), (0.95, 0.93, 0.88), scale=0.1, contrast=0.3, glow=1.3)
     metal = scene.material(pattern.PAINT, (0.3, 0.3, 0.3), contrast=0.2)
     scene.box(T, (-0.32, -0.17, ceiling - 0.03), (0.32, 0.17, ceiling), metal)
     scene.box(T, (-0.3, -0.15, ceiling - 0.04), (0.3, 0.15, ceiling - 0.03), glass)
-    for x in (-0.2, 0.2):
-        scene.glowing_disc(T, (x, 0, ceiling - 0.05), 0.12, -1, (1.5, 1.4, 1.2), 2)
+    for x in (-0.18, 0.18):
+        scene.glowing_disc(T, (x, 0, ceiling - 0.05), 0.05, -1, (1.5 * power, 1.4 * power, 1.2 * power), 1)
 
 
 def bench(scene: Scene, T: Array, width: float) -> None:

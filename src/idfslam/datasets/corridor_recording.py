@@ -19,6 +19,7 @@ class SyntheticCorridor(RenderedRecording):
         if seed < 0 or laps < 1 or width < 8 or height < 8:
             raise ConfigError(f"corridor {seed}, {laps} laps, {width}x{height} px; expected a seed >= 0 and at least 1 lap and 8x8 px")
         self.corridor = build_corridor(seed)
+        plan = self.corridor.plan
         name = f"corridor-{seed}{'-noise' if noise else ''}{f'-{laps}laps' if laps > 1 else ''}"
-        poses = walk(seed, max(frames, lap_frames(self.corridor.half, laps)), self.corridor)
+        poses = walk(seed, max(frames, lap_frames(plan.half, laps)), plan)
         super().__init__(name, self.corridor, poses, (width, height), seed=seed, noise=noise)
