@@ -13,6 +13,7 @@ from idfslam.datasets.corridor_recording import SyntheticCorridor
 from idfslam.datasets.corridor_walk import closed_path, lap_frames, walk
 from idfslam.datasets.furniture import place, tilt
 from idfslam.datasets.ray_casting import build_hierarchy, cast
+from idfslam.datasets.rendered import RenderedRecording
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.camera import Camera
 
@@ -182,10 +183,9 @@ def test_frames_repeat_and_noise_leaves_holes(recording: SyntheticCorridor) -> N
     np.testing.assert_array_equal(frame.colour, recording[450].colour)
     assert (frame.index, frame.timestamp, frame.depth.shape) == (450, 15.0, (240, 320))
     assert (frame.depth > 0).all()
-    recording._noise = True
-    noisy = recording[450]
-    np.testing.assert_array_equal(noisy.depth, recording[450].depth)
-    recording._noise = False
+    sensor = RenderedRecording("noisy", recording.corridor, recording.ground_truth, (320, 240), seed=0, noise=True)
+    noisy = sensor[450]
+    np.testing.assert_array_equal(noisy.depth, sensor[450].depth)
     assert 0.5 < (noisy.depth > 0).mean() < 1
     assert noisy.depth.max() < 4.7
 

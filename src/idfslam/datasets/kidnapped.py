@@ -32,13 +32,13 @@ class Kidnapped:
     """A dataset of the frames of another one in the order `order` (M,): its indices, BLACK for a black frame.
 
     Time stamps are regular, at the recording's median interval. `ground_truth` follows the frames, with NaN for the black ones.
-    Raises ConfigError where the recording is too short for so many kidnappings: ten frames each are needed.
+    Raises ConfigError where the recording is too short for so many kidnappings: it takes two frames more than two for each.
     """
 
     def __init__(self, dataset: Dataset, times: int = 5, frames: int = 30, seed: int = 0) -> None:
-        if times < 1 or frames < 1 or len(dataset) < 10 * (times + 1):
+        if times < 1 or frames < 1 or len(dataset) < 2 * (times + 1):
             found = f"{times} kidnappings of {frames} black frames in the {len(dataset)} frames of {dataset.name}"
-            raise ConfigError(f"{found}, expected at least 1 of each and {10 * (max(times, 1) + 1)} frames")
+            raise ConfigError(f"{found}, expected at least 1 of each and {2 * (max(times, 1) + 1)} frames")
         truth = dataset.ground_truth
         self.name, self.camera, self._dataset = f"kidnap-{dataset.name}", dataset.camera, dataset
         self.order: NDArray[np.int64] = kidnapped_order(len(dataset), truth, times, frames, np.random.default_rng([seed, 29]))
