@@ -26,7 +26,7 @@ def kind_of(path: str) -> str | None:
 
 def kidnapped_path(path: str) -> str | None:
     """RECORDING of kidnap:RECORDING; None for any other path, and where a file has that very name."""
-    return path[len(KIDNAP) :] if path.startswith(KIDNAP) and not Path(path).exists() else None
+    return path[len(KIDNAP) :] if path.startswith(KIDNAP) and path != KIDNAP and not Path(path).exists() else None
 
 
 def located(path: str) -> str:
