@@ -3,6 +3,7 @@
 import logging
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,6 +75,8 @@ def run(
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
         errors = evaluation(slam, recording)
         metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
+        if (live := evaluation(slam, recording, live=True)) is not None and live.ate is not None:
+            metrics["live_ate_m"] = live.ate.translation.rmse
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
         written = _write_poses(folder, slam, recording, config, source) | _write_map(folder, slam, mesh)
@@ -139,16 +142,20 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, usual)
 
 
-def counts(slam: Slam) -> dict[str, int]:
-    """How many keyframes are stored, and how many frames are lost or degenerate."""
-    statuses = slam.statuses()
-    lost, degenerate = (sum(status is kind for status in statuses) for kind in (Status.LOST, Status.DEGENERATE))
-    return {"keyframes": len(slam.graph.keyframes), "lost_frames": lost, "degenerate_frames": degenerate}
+def counts(slam: Slam) -> dict[str, Any]:
+    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
+    found = Counter(slam.statuses())
+    frames = {
+        "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
+        "interpolated_frames": found[Status.INTERPOLATED],
+        "degenerate_frames": found[Status.DEGENERATE],
+    }
+    return {"keyframes": len(slam.graph.keyframes)} | frames | slam.connections()
 
 
-def evaluation(slam: Slam, recording: Dataset) -> Evaluation | None:
-    """ATE and RPE where the recording has ground truth; None where it has none."""
-    poses = slam.trajectory()
+def evaluation(slam: Slam, recording: Dataset, *, live: bool = False) -> Evaluation | None:
+    """ATE and RPE where the recording has ground truth, None where it has none; live: of the poses as they were first told."""
+    poses = slam.live_trajectory() if live else slam.trajectory()
     if recording.ground_truth is None:
         return None
     truth = recording.ground_truth[: len(poses)]
@@ -179,7 +186,8 @@ def _draw(folder: Path, slam: Slam, recording: Dataset, keyframes: NDArray[np.in
     truth = None if errors is None or recording.ground_truth is None else recording.ground_truth[: len(poses)]
     T_gt_est = None if errors is None or errors.ate is None else errors.ate.T_gt_est
     with results.replacing(folder / results.PICTURE) as part:
-        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes)
+        before = slam.live_trajectory() if slam.connections()["loops"] else None
+        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes, before=before)
 
 
 def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:
