@@ -23,6 +23,7 @@ from idfslam.commands.demo import Demo
 from idfslam.commands.eval import Eval
 from idfslam.commands.mesh import Mesh
 from idfslam.commands.pretrain import Pretrain
+from idfslam.commands.record import Record
 from idfslam.commands.render import Render
 from idfslam.commands.run import Run
 from idfslam.config import FAST, PRESETS, Config, load
@@ -41,6 +42,7 @@ def parse(arguments: Sequence[str]) -> Command:
     commands: Any = (
         Annotated[Demo, subcommand("demo", default=Demo(values))]
         | Annotated[Run, subcommand("run", default=Run(tyro.MISSING, values))]
+        | Annotated[Record, subcommand("record")]
         | Annotated[Eval, subcommand("eval")]
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Render, subcommand("render")]

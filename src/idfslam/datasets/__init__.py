@@ -8,10 +8,10 @@ from pathlib import Path
 from idfslam.datasets import folder, icl_nuim, replica, scannet, seven_scenes, tum
 from idfslam.datasets.calibration import Calibration, override
 from idfslam.datasets.prefetch import Prefetch
-from idfslam.datasets.recording import Dataset, Reader, Recording, Selection
+from idfslam.datasets.recording import Dataset, FrameSource, Reader, Recording, Selection
 from idfslam.errors import ConfigError, RecordingError
 
-__all__ = ["FORMATS", "Dataset", "Prefetch", "Recording", "Selection", "open_recording"]
+__all__ = ["FORMATS", "Dataset", "FrameSource", "Prefetch", "Recording", "Selection", "open_recording"]
 
 _SYNTHETIC = re.compile(r"synthetic(?::(?P<seed>\d+))?(?P<noise>:kinect)?")
 
