@@ -15,9 +15,8 @@ from recordings import colour_image
 from idfslam.errors import CameraError, ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.live import LiveStream, open_live
+from idfslam.live import LiveStream, open_live, realsense
 from idfslam.live import opencv as driver
-from idfslam.live import realsense
 
 WIDTH, HEIGHT = 64, 48
 GIVEN = {"fx": 15.0, "fy": 15.0, "cx": 7.5, "cy": 5.5}

@@ -20,6 +20,7 @@ from idfslam.commands.bench import Bench
 from idfslam.commands.bench_pairs import BenchPairs
 from idfslam.commands.command import Command
 from idfslam.commands.demo import Demo
+from idfslam.commands.download import Download
 from idfslam.commands.eval import Eval
 from idfslam.commands.mesh import Mesh
 from idfslam.commands.pretrain import Pretrain
@@ -49,6 +50,7 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
+        | Annotated[Download, subcommand("download")]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
     command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))

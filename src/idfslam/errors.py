@@ -25,5 +25,9 @@ class ResultError(IdfSlamError):
     """A result folder that lacks what a command needs, or holds a file of another version."""
 
 
+class DownloadError(IdfSlamError):
+    """A public sequence that cannot be had: unknown, not reachable, damaged, or in the way of something else."""
+
+
 class DivergedError(IdfSlamError):
     """A loss that is not finite; names the keyframe and the loss."""
