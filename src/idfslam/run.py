@@ -62,6 +62,8 @@ def run(
     if config.field.encoding == "grid":
         torch.set_num_threads(1)  # its tensors are small and Numba uses the cores: threads that wait for each other cost half the rate
     if isinstance(recording, LiveStream):
+        if console is not None:
+            console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
         warm_up(config, make_slam)
     slam = make_slam(config)
     meter = Meter()
