@@ -1,6 +1,7 @@
 """A result folder against the ground truth of the recording that it was made of, or against one in files."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 from idfslam import results
@@ -11,6 +12,7 @@ from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, protocol_named
 from idfslam.evaluation.report import Evaluation
 from idfslam.evaluation.result import evaluate, load_mesh
 from idfslam.geometry.trajectory import Trajectory, load_tum
+from idfslam.live import is_live, replayed
 from idfslam.run import open_source
 
 log = logging.getLogger(__name__)
@@ -55,8 +57,11 @@ def evaluate_folder(
 
 
 def _recording(folder: Path) -> Dataset | None:
-    """What the results were made of; None if that was no recording, but frames handed over by a program."""
+    """What the results were made of; None if that was no recording, but a camera, or frames handed over by a program."""
     _, source = results.read_config(folder)
+    if source is not None and is_live(source.path):
+        path = replayed(source.path)
+        source = None if path is None else replace(source, path=path, frames=None)
     return None if source is None else open_source(source)
 
 

@@ -8,10 +8,10 @@ from idfslam.datasets import folder, generated, icl_nuim, replica, scannet, seve
 from idfslam.datasets.calibration import override
 from idfslam.datasets.kidnapped import Kidnapped
 from idfslam.datasets.prefetch import Prefetch
-from idfslam.datasets.recording import Dataset, Reader, Recording, Selection
+from idfslam.datasets.recording import Dataset, FrameSource, Reader, Recording, Selection
 from idfslam.errors import ConfigError, RecordingError
 
-__all__ = ["FORMATS", "Dataset", "Kidnapped", "Prefetch", "Recording", "Selection", "open_recording"]
+__all__ = ["FORMATS", "Dataset", "FrameSource", "Kidnapped", "Prefetch", "Recording", "Selection", "open_recording"]
 
 READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     scannet.READER,
