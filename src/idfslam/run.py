@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -27,6 +27,7 @@ from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.live import LiveStream, is_live, open_live
 from idfslam.metrics import Meter
+from idfslam.prior_map import PriorMap
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
 from idfslam.warm_up import warm_up
@@ -50,6 +51,7 @@ def run(
     folder: Path,
     *,
     source: results.Source | None = None,
+    prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
 ) -> Run:
@@ -66,7 +68,7 @@ def run(
         if console is not None:
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
         warm_up(config, make_slam)
-    slam = make_slam(config)
+    slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
     meter = Meter()
     with stop_on_interrupt() as stop, ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar:
         try:
@@ -76,7 +78,7 @@ def run(
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
-            results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source))
+            results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source, prior))
             raise
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
         if isinstance(recording, LiveStream):
@@ -87,7 +89,7 @@ def run(
             metrics["live_ate_m"] = live.ate.translation.rmse
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
-        written = _write_poses(folder, slam, recording, config, source) | _write_map(folder, slam, mesh)
+        written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
         results.write_json(folder / results.METRICS, metrics)
         results.remove_stale(folder, written=written | {results.METRICS})
     return Run(folder, _trajectory(slam, recording), mesh, metrics)
@@ -99,6 +101,13 @@ def open_feed(source: results.Source) -> Dataset | LiveStream:
         return open_source(source)
     options = asdict(source)
     return open_live(options.pop("path"), **options)
+
+
+def started_in(prior: PriorMap, config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
+    """A system whose map is an earlier run's; the field is as it was there, whatever the config says."""
+    slam = make_slam(replace(config, field=prior.saved.field.config))
+    slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
+    return slam
 
 
 def open_source(source: results.Source) -> Dataset:
@@ -184,14 +193,19 @@ def _trajectory(slam: Slam, recording: FrameSource) -> Trajectory:
     return Trajectory(recording.timestamps[: len(poses)], poses)
 
 
-def _write_poses(folder: Path, slam: Slam, recording: FrameSource, config: Config, source: results.Source | None) -> set[str]:
+def _write_poses(
+    folder: Path, slam: Slam, recording: FrameSource, config: Config, source: results.Source | None, prior: PriorMap | None
+) -> set[str]:
     """Trajectory, keyframes, config and the trajectory's picture; the names of the files."""
     trajectory = _trajectory(slam, recording)
     with results.replacing(folder / results.TRAJECTORY) as part:
         save_tum(part, trajectory)
-    indices = np.array([keyframe.index for keyframe in slam.graph.keyframes], np.int64)
-    poses = np.array([np.asarray(keyframe.T_wk) for keyframe in slam.graph.keyframes], np.float64).reshape(-1, 4, 4)
-    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses))
+    adopted = [] if prior is None else prior.keyframes
+    own = slam.graph.keyframes[len(adopted) :]
+    indices = np.array([keyframe.index for keyframe in own], np.int64)
+    poses = np.array([np.asarray(keyframe.T_wk) for keyframe in own], np.float64).reshape(-1, 4, 4)
+    earlier = [replace(k.record, T_wk=np.asarray(stored.T_wk)) for k, stored in zip(adopted, slam.graph.keyframes)]
+    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses, earlier))
     results.write_config(folder, config, source)
     _draw(folder, slam, recording, indices)
     return {results.TRAJECTORY, results.KEYFRAMES, results.CONFIG, results.PICTURE}

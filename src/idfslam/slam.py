@@ -23,7 +23,7 @@ from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 from idfslam.graph.loops import Loop, Loops
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
-from idfslam.mapping.saved_map import mesh_of, save_map
+from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.localisation import Localiser, unambiguous
 from idfslam.tracking.motion import Information, MotionModel, change_between, moved
@@ -60,6 +60,18 @@ class Slam:
         self.motion = MotionModel()
         self._live: list[NDArray[np.float64]] = []  # each frame's pose as it was first told
         self._in_view = 1.0  # share of the references' landmarks that the last frame saw
+
+    def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
+        """Before the first frame: a saved map, whose field is of this config, and its keyframes with poses T_wk (4, 4).
+
+        The camera counts as lost until it is found there; from then on the map is extended.
+        """
+        self.mapper.take_over(saved.field)
+        for frame, T_wk in keyframes:
+            view = self._view(frame)
+            view.T_wk = T_wk
+            self.graph.adopt(view)
+        self.graph.cover_with(saved.views)
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
@@ -144,7 +156,7 @@ class Slam:
         """
         if not self.graph.keyframes:
             return Status.OK if bool((current.depth > 0).any()) else Status.LOST
-        last, information = self.graph.T_wc(-1), None
+        last, information = self._last_pose(current), None
         if self.config.alignment.enabled:
             current.T_wk, status, information = self._align(current)
         else:
@@ -183,7 +195,7 @@ class Slam:
         best: Alignment | None = None
         tracked: Tensor | None = None
         for guess in ("motion", "tracker", "last"):
-            T_guess = current.T_wk if guess == "motion" else self.graph.T_wc(-1)
+            T_guess = current.T_wk if guess == "motion" else self._last_pose(current)
             if guess == "tracker":
                 T_guess, status = self._register(current)
                 if status is Status.LOST:
@@ -318,13 +330,16 @@ class Slam:
             losses = self.tracker.finetune(described, T_wk, self.mapper.renderer(self.graph.keyframes))
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
 
+    def _last_pose(self, current: Keyframe) -> Tensor:
+        return self.graph.T_wc(-1) if len(self.graph) else current.T_wk
+
     def _described(self, keyframe: Keyframe) -> Described:
         return self.localiser.described(keyframe)
 
     @property
     def _lost(self) -> bool:
-        """Whether the last frame was."""
-        return len(self.graph) > 0 and self.graph.status() is Status.LOST
+        """Whether the last frame was; at the start, whether there is a map to be found in."""
+        return self.graph.status() is Status.LOST if len(self.graph) else bool(self.graph.keyframes)
 
     @property
     def _relocalises(self) -> bool:

@@ -54,12 +54,15 @@ class Run:
     format: str | None = None
     """The recording's layout, where it is not to be seen from its files."""
     camera: CameraFlags = CameraFlags()
+    map: Path | None = None
+    """The result folder of an earlier run: the camera is found in its map, which is extended. Its recording must still be there."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.live import located
+        from idfslam.prior_map import load_prior
         from idfslam.results import Source
         from idfslam.run import open_feed, run
         from idfslam.tables import print_run
@@ -69,4 +72,5 @@ class Run:
         source = Source(located(str(self.path)), self.format, camera or None, scale, self.start, self.frames, self.stride)
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
-        print_run(run(recording, values, folder, source=source, console=console), output())
+        prior = None if self.map is None else load_prior(self.map)
+        print_run(run(recording, values, folder, source=source, prior=prior, console=console), output())

@@ -146,12 +146,7 @@ class KeyframeGraph:
         stored = cover is None
         keyframe.anchor = len(self.keyframes) if cover is None else cover
         if stored:
-            self.keyframes.append(keyframe)
-            keyframe.keep_in(self.archive)
-            for i in keyframe.neighbours:
-                self.keyframes[i].neighbours.add(keyframe.anchor)
-            for i in keyframe.linked:
-                self.keyframes[i].linked.add(keyframe.anchor)
+            self._store(keyframe)
         last = self._links[-1]
         self._links[-1] = _Link(keyframe.anchor, self._relative(keyframe), last.status, last.timestamp)
         return stored
@@ -165,6 +160,24 @@ class KeyframeGraph:
         if self.config.cull_reach:
             covers = [i for i in covers if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
         return max(covers, key=lambda i: float(scores[i]), default=None)
+
+    def adopt(self, keyframe: Keyframe) -> None:
+        """Store a keyframe of an earlier run, before this one's first frame: its pose is known beside all others'."""
+        scores = self._covisibility(keyframe)
+        keyframe.anchor = len(self.keyframes)
+        keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
+        keyframe.linked = set(keyframe.neighbours) | ({keyframe.anchor - 1} if self.keyframes else set())
+        keyframe.alike = torch.nonzero(scores > self.config.shared).flatten().tolist()
+        self._store(keyframe)
+        self.reference = keyframe
+
+    def _store(self, keyframe: Keyframe) -> None:
+        self.keyframes.append(keyframe)
+        keyframe.keep_in(self.archive)
+        for i in keyframe.neighbours:
+            self.keyframes[i].neighbours.add(keyframe.anchor)
+        for i in keyframe.linked:
+            self.keyframes[i].linked.add(keyframe.anchor)
 
     def _reach(self) -> Collection[int]:
         """Stored keyframes whose pose relative to the last chosen one was measured, in no more than three steps."""
@@ -245,6 +258,14 @@ class KeyframeGraph:
         self._coverage.append((self.reference.anchor, small))
         if len(self._coverage) > _COVERAGE_MOST:
             del self._coverage[1::2]  # every other: what is left still spreads over the whole run
+
+    def cover_with(self, views: Sequence[View]) -> None:
+        """Remember what an earlier run has seen, each view relative to the stored keyframe that is nearest."""
+        centres = torch.stack([k.T_wk[:3, 3] for k in self.keyframes]).numpy()
+        for view in views:
+            k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
+            T_kc = se3.inverse(self.keyframes[k].T_wk).numpy() @ view.T_wc
+            self._coverage.append((k, View(T_kc, view.depth, view.camera)))
 
     def views(self) -> list[View]:
         """All that was seen, at the poses that the keyframes have now."""

@@ -33,6 +33,11 @@ class Mapper:
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
 
+    def take_over(self, field: Field) -> None:
+        """Go on from another field of the same config."""
+        self.field.load_state_dict(field.state_dict())
+        self.optimiser.count_as_used()
+
     def initialise(self, keyframe: Keyframe) -> dict[str, float]:
         """Teach the map its first frame."""
         return self.optimise_map([keyframe], self.config.first_iterations)
