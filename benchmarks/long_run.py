@@ -1,0 +1,69 @@
+"""A long run: memory, speed and error by every thousand frames, as a table and a picture.
+
+    python benchmarks/long_run.py corridor:0:kinect 10000 [OUT.png]
+
+Speed counts `Slam.process` alone: generated frames cost time of their own, in another thread.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from idfslam.cli import prepare_process
+
+prepare_process()
+
+import torch  # noqa: E402
+
+from idfslam.datasets import open_recording  # noqa: E402
+from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
+from idfslam.run import frames  # noqa: E402
+from idfslam.slam import Slam  # noqa: E402
+
+EVERY = 1000
+
+
+def memory() -> float:
+    """Resident memory of this process [MiB], by Linux."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def main() -> None:
+    name, count = sys.argv[1], int(sys.argv[2])
+    torch.set_num_threads(1)
+    recording, slam = open_recording(name, frames=count), Slam()
+    truth = np.asarray(recording.ground_truth)
+    rows: list[tuple[float, ...]] = []
+    seconds = 0.0
+    print("frames | frames/s | memory [MiB] | keyframes | loops | ATE so far [cm]")
+    for i, (frame, _) in enumerate(frames(recording), start=1):
+        start = time.perf_counter()
+        slam.process(frame)
+        seconds += time.perf_counter() - start
+        if i % EVERY == 0 or i == count:
+            ate = absolute_trajectory_error(slam.trajectory(), truth[:i]).translation.rmse
+            frames_in = i - int(rows[-1][0]) if rows else i
+            rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loops.closed), 100 * ate))
+            print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), flush=True)
+            seconds = 0.0
+    if len(sys.argv) > 3:
+        draw(Path(sys.argv[3]), np.array(rows))
+
+
+def draw(path: Path, rows: np.ndarray) -> None:
+    """Speed, memory and error over the frames (R, 6)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.2), dpi=130, layout="constrained")
+    for plot, column, label in zip(figure.subplots(1, 3), (1, 2, 5), ("frames/s", "memory [MiB]", "ATE so far [cm]")):
+        plot.plot(rows[:, 0], rows[:, column], marker="o", markersize=3)
+        plot.set(xlabel="frames", ylabel=label, ylim=(0, None))
+        plot.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+if __name__ == "__main__":
+    main()
