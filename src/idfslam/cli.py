@@ -107,6 +107,7 @@ def _console() -> "Console":
     console = Console(stderr=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     logging.basicConfig(level=logging.WARNING, handlers=[handler], format="%(message)s", force=True)
+    logging.getLogger("idfslam").setLevel(logging.INFO)  # loops closed, a lost camera found
     return console
 
 

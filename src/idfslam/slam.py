@@ -80,7 +80,8 @@ class Slam:
         found_again = self._lost and status is not Status.LOST
         self.graph.append(frame.timestamp, current.T_wk, status)
         if found_again and self._relocalises:
-            self.graph.bridge()
+            bridged = self.graph.bridge()
+            log.info("found again at frame %d; %d frames before it are interpolated", frame.index, bridged)
         chosen = self._chosen(current, status)
         self._unmapped = None if chosen or status is Status.LOST else current
         if chosen:
