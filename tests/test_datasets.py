@@ -215,7 +215,8 @@ def test_distortion_is_undone() -> None:
     bgr, raw = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 1000, np.uint16)
     patch = np.s_[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3]
     bgr[patch], raw[patch] = 255, 2000
-    colour, depth = Undistortion(camera, k)(bgr, raw)
+    undistort = Undistortion(camera, k)
+    colour, depth = undistort.colour(bgr), undistort.depth(raw)
     at = round(camera.fy * y + camera.cy), round(camera.fx * x + camera.cx)
     assert np.hypot(at[0] - v, at[1] - u) > 3  # the lens moves it by more than the patch is wide
     assert (colour[at] == 255).all() and depth[at] == 2000

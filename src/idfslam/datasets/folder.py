@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import RecordingError
@@ -31,13 +31,16 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/")
     images = numbered(colour)
     pairs = paired(images, numbered(path / "depth"), path)
-    calibration = override.over(read_cam_params(path)).over(read_camera_file(path)).over(Calibration(depth_scale=1000))
+    beside = read_depth_camera(path)
+    scale = Calibration(depth_scale=beside.calibration.depth_scale if beside else None)
+    calibration = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path)).over(Calibration(depth_scale=1000))
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
         ground_truth=read_poses(path, list(images)),
         calibration=calibration,
+        depth_camera=beside,
     )
 
 
