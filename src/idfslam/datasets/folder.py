@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file, read_depth_camera
+from idfslam.datasets.calibration import Calibration, DepthCamera, read_cam_params, read_camera_file, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import RecordingError
@@ -31,9 +31,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/")
     images = numbered(colour)
     pairs = paired(images, numbered(path / "depth"), path)
-    beside = read_depth_camera(path)
-    scale = Calibration(depth_scale=beside.calibration.depth_scale if beside else None)
-    calibration = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path)).over(Calibration(depth_scale=1000))
+    calibration, beside = calibrated(path, override)
     return Recording(
         path.name,
         ImageFiles(pairs),
@@ -42,6 +40,14 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         calibration=calibration,
         depth_camera=beside,
     )
+
+
+def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCamera | None]:
+    """The colour camera, and the depth camera where it stands beside it, by the user, cam_params.json and camera files; millimetres."""
+    beside = read_depth_camera(path)
+    scale = Calibration(depth_scale=beside.calibration.depth_scale if beside else None)
+    stated = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path))
+    return stated.over(Calibration(depth_scale=1000)), beside
 
 
 def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:

@@ -29,8 +29,13 @@ class ImageFiles:
 
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         colour, depth = self.pairs[i]
-        raw = decode_depth(_read(depth), str(depth))  # first: it tells swapped folders apart
+        raw = read_depth(depth)  # first: it tells swapped folders apart
         return decode_colour(_read(colour), str(colour)), raw
+
+
+def read_depth(path: Path) -> NDArray[np.uint16]:
+    """(H, W) as stored; raises FrameError."""
+    return decode_depth(_read(path), str(path))
 
 
 def _read(path: Path) -> bytes:
