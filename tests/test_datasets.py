@@ -27,7 +27,8 @@ from recordings import (
     write_tum,
 )
 
-from idfslam.datasets import FORMATS, Prefetch, open_recording, tum
+from idfslam.datasets import FORMATS, Prefetch, open_recording
+from idfslam.datasets.association import associate
 from idfslam.datasets.images import Undistortion
 from idfslam.datasets.recording import Selection
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -168,15 +169,15 @@ def test_association_takes_the_closest_first_and_each_image_once() -> None:
     colour = np.array([0.000, 0.030, 0.060, 0.200])
     depth = np.array([0.012, 0.028, 0.075, 0.221])
     # 30-28 ms (2 ms) comes first; then 0-12 (12); then 60-75 (15); 200-221 is 21 ms apart: too far
-    assert tum.associate(colour, depth, 0.02) == [(0, 0), (1, 1), (2, 2)]
+    assert associate(colour, depth, 0.02) == [(0, 0), (1, 1), (2, 2)]
     # both colour images are within 20 ms of the one depth image: only the nearer gets it
-    assert tum.associate(np.array([0.0, 0.010]), np.array([0.009]), 0.02) == [(1, 0)]
+    assert associate(np.array([0.0, 0.010]), np.array([0.009]), 0.02) == [(1, 0)]
 
 
 @given(st.lists(st.floats(0, 1), max_size=20), st.lists(st.floats(0, 1), max_size=20))
 def test_association_is_one_to_one_within_the_tolerance(a: list[float], b: list[float]) -> None:
     x, y = np.sort(np.array(a, float)), np.sort(np.array(b, float))
-    pairs = tum.associate(x, y, 0.02)
+    pairs = associate(x, y, 0.02)
     assert len({i for i, _ in pairs}) == len({k for _, k in pairs}) == len(pairs)
     assert all(abs(x[i] - y[k]) <= 0.02 for i, k in pairs)
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from idfslam.datasets import folder, icl_nuim, record3d, replica, scannet, seven_scenes, stray_scanner, tum, video_folder
+from idfslam.datasets import azure_kinect, folder, icl_nuim, record3d, replica, scannet, seven_scenes, stray_scanner, tum, video_folder
 from idfslam.datasets.calibration import Calibration, override
 from idfslam.datasets.prefetch import Prefetch
 from idfslam.datasets.recording import Dataset, Reader, Recording, Selection
@@ -23,6 +23,7 @@ READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     tum.READER,
     stray_scanner.READER,
     record3d.READER,
+    azure_kinect.READER,
     video_folder.READER,
     folder.READER,
 )

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,6 +22,29 @@ def pyav() -> ModuleType:
     except ImportError as error:
         raise ConfigError("reading video needs PyAV: pip install 'idf-slam[video]'") from error
     return av
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a video file holds beside its frames."""
+
+    titles: list[str]  # of the video tracks; "" where one has none
+    formats: list[str]  # of their pixels, in ffmpeg's names
+    tags: dict[str, str]
+    attachments: dict[str, bytes]  # by file name
+
+
+def read_contents(path: Path) -> Contents:
+    """Raises RecordingError where the file is no video."""
+    av = pyav()
+    try:
+        with av.open(str(path)) as container:
+            tracks = container.streams.video
+            files = {stream.metadata.get("filename", ""): bytes(stream.data) for stream in container.streams.attachments}
+            titles, formats = [track.metadata.get("title", "") for track in tracks], [str(track.pix_fmt) for track in tracks]
+            return Contents(titles, formats, dict(container.metadata), files)
+    except av.FFmpegError as error:
+        raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
 
 
 class VideoTrack:
