@@ -30,6 +30,20 @@ class CameraFlags:
 
 
 @dataclass(frozen=True)
+class TopicFlags:
+    """Topics of a ROS recording, where they are not found by themselves."""
+
+    colour: str | None = None
+    """Colour images."""
+    depth: str | None = None
+    """Depth images; named, they are taken to be registered to colour where nothing says otherwise."""
+    camera_info: str | None = None
+    """The colour camera."""
+    poses: str | None = None
+    """The ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
+
+
+@dataclass(frozen=True)
 class Run:
     """SLAM on a recording: trajectory, mesh, map and figures into a folder."""
 
@@ -47,6 +61,7 @@ class Run:
     format: str | None = None
     """The recording's layout, where it is not to be seen from its files."""
     camera: CameraFlags = CameraFlags()
+    topics: TopicFlags = TopicFlags()
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
@@ -58,8 +73,9 @@ class Run:
 
         camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
         scale = camera.pop("depth_scale", None)
+        topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
         place = self.path.absolute() if self.path.exists() else self.path  # found again from anywhere; `synthetic` is no file
-        source = Source(str(place), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        source = Source(str(place), self.format, camera or None, scale, topics or None, self.start, self.frames, self.stride)
         recording = open_source(source)
         folder = self.out or Path("results") / recording.name
         print_run(run(recording, values, folder, source=source, console=console), output())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import Calibration, DepthCamera
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
 from idfslam.datasets.registration import Registration
+from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -54,6 +55,7 @@ class Reader:
     layout: str
     recognises: Callable[[Path], bool]
     open: Callable[[Path, Calibration], Dataset]  # the calibration is the user's override
+    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = None  # of layouts that have topics, which the user may name
 
 
 class Recording:
