@@ -242,6 +242,16 @@ def test_depth_is_registered_by_tf_static(storage: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(frame.depth[2:, 2:], 1, rtol=1e-6)
 
 
+def test_a_transform_that_is_none(tmp_path: Path) -> None:
+    def broken(store: object) -> object:
+        message = tf("link", "depth", np.eye(4))(store)
+        message.transforms[0].transform.rotation.w = 0.0
+        return message
+
+    with pytest.raises(RecordingError, match="/tf_static: depth: a quaternion has length 0, expected 1 in a transform"):
+        open_recording(bag(tmp_path, [("/tf_static", 1.0, broken), *with_depth_beside(())]))
+
+
 def test_depth_that_nobody_knows_where_it_stands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     depth = "/camera/depth/image_rect_raw"
     messages = with_depth_beside((("elsewhere", "depth", np.eye(4)),))
@@ -394,6 +404,35 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
     with pytest.raises(FrameError, match=f"{COLOUR} at 9.000 s cannot be read .*: copy the recording again") as caught:
         recording[8]
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("storage", "options"),
+    [
+        ("ros1", {}),
+        ("ros1", {"set_compression": (Writer1.CompressionFormat.LZ4,)}),
+        ("ros1", {"set_compression": (Writer1.CompressionFormat.BZ2,)}),
+        ("sqlite3", {}),
+        ("sqlite3", {"set_compression": (CompressionMode.MESSAGE, CompressionFormat.ZSTD)}),
+        ("mcap", {}),
+        ("mcap", {"set_compression": (CompressionMode.STORAGE, CompressionFormat.ZSTD)}),
+    ],
+)
+def test_whatever_is_damaged_is_said_in_one_line(storage: str, options: dict, tmp_path: Path) -> None:
+    """Bytes overwritten at places spread over the whole file: readable still, or refused, as a whole or for a frame."""
+    path = bag(tmp_path, recorded(), storage, **options)
+    file = path if path.is_file() else next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
+    whole, random, refused = file.read_bytes(), np.random.default_rng(0), 0
+    for place in random.integers(0, len(whole) - 8, 20):
+        file.write_bytes(whole[:place] + random.bytes(8) + whole[place + 8 :])
+        try:
+            recording = open_recording(path)
+            for i in range(len(recording)):
+                recording[i]
+        except (RecordingError, FrameError) as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 0
 
 
 def test_two_threads_share_a_bag(tmp_path: Path) -> None:

@@ -53,4 +53,4 @@ def _from_reference(bag: Bag, topic: str) -> NDArray[np.float64]:
     if not topics:
         raise RecordingError(f"{bag.path}: {topic} has no extrinsics (its tf topic), expected a bag of the RealSense SDK: record again")
     transform = bag.first(topics[0])
-    return matrix(transform.translation, transform.rotation)
+    return matrix(transform.translation, transform.rotation, f"{bag.path}: {topics[0]}")

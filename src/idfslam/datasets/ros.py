@@ -60,7 +60,8 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         infos = ", ".join(bag.topics(CAMERA_INFO)) or "none at all"
         wanted = "name it with --topics.camera-info, or give --camera.fx --camera.fy --camera.cx --camera.cy"
         raise RecordingError(f"{path}: no {CAMERA_INFO} for {colour.name} (found {infos}): {wanted}")
-    frames = StaticFrames(message for topic in bag.topics("tf2_msgs/TFMessage") if "static" in topic for message in bag.messages(topic))
+    static = [topic for topic in bag.topics("tf2_msgs/TFMessage") if "static" in topic]
+    frames = StaticFrames((message for topic in static for message in bag.messages(topic)), f"{path}: /tf_static")
     index = bag.index(colour.name, depth.name)
     stamps = {name: np.array([entry.stamp for entry in index[name]]) for name in index}
     pairs = associate(stamps[colour.name], stamps[depth.name], TOLERANCE)
@@ -126,18 +127,18 @@ def read_truth(
     for message in bag.messages(topic):
         T = frames.T(message.child_frame_id, camera) if hasattr(message, "child_frame_id") else None
         header = message.header.stamp
-        entries.append((header.sec + header.nanosec / 1e9, _pose(message) @ (np.eye(4) if T is None else T)))
+        entries.append((header.sec + header.nanosec / 1e9, _pose(message, f"{bag.path}: {topic}") @ (np.eye(4) if T is None else T)))
     entries.sort(key=lambda entry: entry[0])
     stamps, reference = np.array([stamp for stamp, _ in entries]), np.stack([T for _, T in entries])
     found_poses = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
     return poses.checked(found_poses, count=len(timestamps), source=lambda _: f"{bag.path}: {topic}")
 
 
-def _pose(message: Any) -> NDArray[np.float64]:
+def _pose(message: Any, source: str) -> NDArray[np.float64]:
     if hasattr(message, "transform"):
-        return matrix(message.transform.translation, message.transform.rotation)
+        return matrix(message.transform.translation, message.transform.rotation, source)
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    return matrix(pose.position, pose.orientation)
+    return matrix(pose.position, pose.orientation, source)
 
 
 READER = Reader("ros", "a .bag or .mcap file or a ROS 2 bag's folder", recognises, open_ros, open_ros)

@@ -31,14 +31,12 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         try:
-            from rosbags.highlevel import AnyReader, AnyReaderError
+            from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
             raise ConfigError("reading ROS bags and MCAP needs rosbags: pip install 'idf-slam[ros]'") from error
-        from rosbags.highlevel.anyreader import ReaderErrors
 
-        self.path, self._lock = path, threading.Lock()
-        self._errors: tuple[type[Exception], ...] = (AnyReaderError, *ReaderErrors, *_DAMAGE)
+        self.path, self._lock, self._errors = path, threading.Lock(), _errors()
         try:
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
             self._reader.open()
@@ -54,7 +52,9 @@ class Bag:
 
     def first(self, topic: str) -> Any:
         """The first message; raises RecordingError where it cannot be read."""
-        return next(self.messages(topic))
+        for message in self.messages(topic):
+            return message
+        raise RecordingError(f"{self.path}: {topic} cannot be read (its messages are gone): copy the recording again")
 
     def messages(self, topic: str) -> Iterator[Any]:
         """All messages in their order; raises RecordingError where one cannot be read."""
@@ -91,6 +91,20 @@ class Bag:
         except self._errors as error:
             reason = _line(error)
         raise FrameError(f"{self.path}: {topic} at {entry.stamp:.3f} s cannot be read ({reason}): copy the recording again")
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    """All that rosbags, and what it reads with, raise for files that are not what they should be."""
+    import apsw
+    from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Error1
+    from rosbags.rosbag2 import ReaderError as Error2
+
+    try:
+        from compression.zstd import ZstdError  # Python 3.14
+    except ImportError:
+        from backports.zstd import ZstdError
+    return (AnyReaderError, Error1, Error2, apsw.Error, ZstdError, *_DAMAGE)
 
 
 def stamp_of(message: Any) -> float:
