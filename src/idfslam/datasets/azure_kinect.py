@@ -37,17 +37,14 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
     """Colour and depth images within 20 ms of one another, but for the delay that the recording states, are pairs."""
     contents = read_contents(path)
     colour, depth = _tracks(path, contents)
-    delay = float(contents.tags.get("K4A_DEPTH_DELAY_NS") or 0) / 1e9
-    pairs = associate(colour.times, depth.times - delay, TOLERANCE)
+    pairs = associate(colour.times, depth.times - _delay(path, contents), TOLERANCE)
     if not pairs:
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected both tracks of one recording")
     size = moderate(*colour.size)
     file = contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json")
-    stated, beside = (
-        (Calibration(), None)
-        if file not in contents.attachments
-        else read_calibration(contents.attachments[file], colour.size, depth.size, f"{path}: {file}")
-    )
+    stated, beside = Calibration(), None
+    if file in contents.attachments:
+        stated, beside = read_calibration(contents.attachments[file], colour.size, depth.size, f"{path}: {file}")
     if beside is None and colour.size != depth.size:
         found = f"colour {colour.size[0]}x{colour.size[1]}, depth {depth.size[0]}x{depth.size[1]} and no {file} attached"
         raise RecordingError(f"{path}: {found}, expected the calibration as k4arecorder writes it: record again")
@@ -65,6 +62,15 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
         calibration=(stated.resized(colour.size, size) if beside else stated).over(Calibration(depth_scale=1000)),
         depth_camera=beside,
     )
+
+
+def _delay(path: Path, contents: Contents) -> float:
+    """[s] of the depth images behind their colour images."""
+    stated = contents.tags.get("K4A_DEPTH_DELAY_NS") or "0"
+    try:
+        return float(stated) / 1e9
+    except ValueError as error:
+        raise RecordingError(f"{path}: K4A_DEPTH_DELAY_NS is {stated}, expected nanoseconds: correct or remove the tag") from error
 
 
 def _tracks(path: Path, contents: Contents) -> tuple[VideoTrack, VideoTrack]:
