@@ -15,7 +15,7 @@ from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 
 # A wall at 2 m with f = 40 px: x metres sideways move its pixels by 20 x of 64 columns, so that 1 - 20 x / 64 of them stay in view.
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
-PAPER = KeyframeConfig(translation=0.15, rotation=12.0, cull=0.5, covisible=0.3, replay=10, replay_connected=0)
+PAPER = KeyframeConfig(translation=0.15, rotation=12.0, cull=0.5, cull_reach=0, covisible=0.3, replay=10, replay_connected=0)
 
 
 def at(x: float, turn: float = 0.0) -> Tensor:

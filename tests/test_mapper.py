@@ -74,7 +74,7 @@ def test_the_poses_gradient_against_finite_differences() -> None:
     field = Field(FIELD).double()
     objective = RenderingObjective(replace(CONFIG, importance_samples=0), FIELD.truncation)  # importance samples move without gradient
     keyframe = view(torch.eye(4, dtype=torch.float64))
-    keyframe = replace(keyframe, depth=keyframe.depth.double(), colour=keyframe.colour.double())
+    keyframe = Keyframe(keyframe.frame, keyframe.T_wk, keyframe.depth.double(), keyframe.colour.double())
     uv = torch.randint(0, 48, (30, 2), generator=torch.Generator().manual_seed(2))
 
     def loss(xi: Tensor) -> Tensor:

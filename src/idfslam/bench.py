@@ -20,11 +20,11 @@ import yaml
 
 from idfslam import __version__, results
 from idfslam.config import Config, dump
+from idfslam.datasets import generated
 from idfslam.errors import ConfigError, IdfSlamError, RecordingError, ResultError
 
 REPORT, TABLE, VALUES = "bench.json", "bench.md", "values.yaml"
 _BLOCK = 100  # frames over which metrics.json gives the course of the speed
-_SYNTHETIC = re.compile(r"synthetic(:\d+)?(:kinect)?")
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Entry:
 
     @property
     def gt_mesh(self) -> Path | None:
-        """The true mesh in the recording's folder; None where there is none (a synthetic room brings its own)."""
-        place = Path(self.path)
+        """The true mesh in the recording's folder; None where there is none (a generated recording brings its own)."""
+        place = Path(generated.kidnapped_path(self.path) or self.path)
         mesh = (place if place.is_dir() else place.parent) / "gt_mesh.ply"
         return mesh if place.exists() and mesh.is_file() else None
 
@@ -97,7 +97,7 @@ def bench(
     against: str | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Runs `recordings` (paths, `synthetic:SEED[:kinect]`, each with `@FRAMES` if wanted) with the seeds config.seed, config.seed + 1, ...
+    """Runs `recordings` (paths or names as of `open_recording`, each with `@FRAMES` if wanted), each with `seeds` seeds.
 
     Results go to FOLDER/NAME-SEED; FOLDER/bench.json and FOLDER/bench.md are written anew after each recording. `mesh`: the surface is
     evaluated where the true one is known. `against="open3d"`: its dense SLAM on the same frames, before the runs of each recording.
@@ -127,7 +127,7 @@ def bench(
 def listed(recordings: Sequence[str], frames: int | None = None) -> list[Entry]:
     """The recordings by name; `@FRAMES` wins over `frames`. Raises RecordingError for one that is missing, ConfigError for one repeated."""
     if not recordings:
-        raise ConfigError("no recordings, expected at least one: paths or synthetic[:SEED][:kinect], with @FRAMES if wanted")
+        raise ConfigError(f"no recordings, expected at least one: paths, {generated.FORMS}, with @FRAMES if wanted")
     entries = [_entry(text, frames) for text in recordings]
     counts = Counter(entry.name for entry in entries)
     unique = [replace(e, name=f"{Path(e.path).parent.name}-{e.name}") if counts[e.name] > 1 else e for e in entries]
@@ -145,10 +145,14 @@ def _entry(text: str, frames: int | None) -> Entry:
         frames = int(count)
     else:
         path = text
-    if _SYNTHETIC.fullmatch(path) and not Path(path).exists():
+    inner = generated.kidnapped_path(path)
+    if inner is not None:
+        entry = _entry(inner, frames)
+        return replace(entry, name=f"kidnap-{entry.name}", path=generated.KIDNAP + entry.path)
+    if generated.kind_of(path) is not None:
         return Entry(path.replace(":", "-"), path, frames)
     if not Path(path).exists():
-        raise RecordingError(f"{path}: no such file or folder, expected a recording or synthetic[:SEED][:kinect], with @FRAMES if wanted")
+        raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
     place = Path(path).resolve()
     return Entry(place.stem if place.is_file() else place.name, str(place), frames)
 

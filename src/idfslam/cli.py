@@ -20,9 +20,11 @@ from idfslam.commands.bench import Bench
 from idfslam.commands.bench_pairs import BenchPairs
 from idfslam.commands.command import Command
 from idfslam.commands.demo import Demo
+from idfslam.commands.download import Download
 from idfslam.commands.eval import Eval
 from idfslam.commands.mesh import Mesh
 from idfslam.commands.pretrain import Pretrain
+from idfslam.commands.record import Record
 from idfslam.commands.render import Render
 from idfslam.commands.run import Run
 from idfslam.config import FAST, PRESETS, Config, load
@@ -41,12 +43,14 @@ def parse(arguments: Sequence[str]) -> Command:
     commands: Any = (
         Annotated[Demo, subcommand("demo", default=Demo(values))]
         | Annotated[Run, subcommand("run", default=Run(tyro.MISSING, values))]
+        | Annotated[Record, subcommand("record")]
         | Annotated[Eval, subcommand("eval")]
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Render, subcommand("render")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
+        | Annotated[Download, subcommand("download")]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
     command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))

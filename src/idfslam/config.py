@@ -95,9 +95,13 @@ class MapperConfig:
     free_margin: float = 0.6
     """In free space the T-SDF, in units of tr, should be no less (samples supervision)."""
     final_updates: int = 20
-    """Map updates over all keyframes after the last frame."""
+    """Map updates after the last frame, at least (--refine) ..."""
     final_keyframes: int = 8
-    """Keyframes of each of them."""
+    """... on so many keyframes each, half of which are aligned anew; ..."""
+    final_rounds: float = 2.0
+    """... as many of them as it takes to align each keyframe so often, ..."""
+    final_seconds: float = 60.0
+    """... and not for longer than this [s]."""
     certainty: float = 0.0
     """Power of a reading's relative certainty by which it counts (samples supervision); 0: all alike."""
     every: int = 4
@@ -124,12 +128,16 @@ class KeyframeConfig:
     """... unless the last is no more than so many frames old: on a bare wall a new one helps no better."""
     culling: bool = True
     """Drop a new keyframe that a stored one covers."""
-    cull: float = 0.8
-    """sigma_cull: covisibility above which a new keyframe is dropped."""
+    cull: float = 0.92
+    """sigma_cull: covisibility above which a new keyframe is dropped ..."""
+    cull_reach: float = 0.4
+    """... unless it stands farther from the other than this share of its median depth, from where it shows more; 0: always (paper)."""
     covisible: float = 0.3
     """sigma_covis: covisibility above which two keyframes are connected."""
     shared: float = 0.6
     """Covisibility above which an earlier keyframe serves as a second reference for alignment."""
+    in_memory: int = 64
+    """Keyframes whose images are held in memory; those of the others are packed into a temporary file."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
     replay: int = 2
@@ -314,6 +322,34 @@ class AlignmentConfig:
 
 
 @dataclass(frozen=True)
+class LoopConfig:
+    """Loops closed and lost cameras found again (not in the paper, whose stated limits these are)."""
+
+    enabled: bool = True
+    """Look for places seen before, and correct all poses where one shows drift (alignment to the map)."""
+    relocalise: bool = True
+    """Look for a lost camera among all keyframes; off: frames are mapped where the last motion leads, as in the paper."""
+    tries: int = 2
+    """Keyframes that a new keyframe is compared with in search of a loop ..."""
+    relocalisation_tries: int = 4
+    """... and a lost frame."""
+    slack: float = 0.15
+    """A loop may correct this [m] ..."""
+    drift: float = 0.03
+    """... and so much a metre of the way round it; more is another place that looks alike."""
+    turn_slack: float = 3.0
+    """The same for its turn [degrees] ..."""
+    turn_drift: float = 0.3
+    """... [degrees] a metre."""
+    confirmed_within: float = 1.0
+    """A second loop, from no farther than this [m], must ask for the same correction."""
+    relearnt: int = 6
+    """Times that the map learns a keyframe anew which a loop has moved ..."""
+    relearnt_at_once: int = 5
+    """... so many keyframes at a time, on every frame until it is done."""
+
+
+@dataclass(frozen=True)
 class MeshConfig:
     """Extraction of the surface."""
 
@@ -331,12 +367,15 @@ class Config:
     """Seed of every random choice."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the networks run; auto: a GPU when there is one."""
+    refine: bool = True
+    """After the last frame, polish all keyframes' poses and the map together (mapper.final_...)."""
     field: FieldConfig = FieldConfig()
     mapper: MapperConfig = MapperConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     tracker: TrackerConfig = TrackerConfig()
     finetune: FinetuneConfig = FinetuneConfig()
     alignment: AlignmentConfig = AlignmentConfig()
+    loops: LoopConfig = LoopConfig()
     mesh: MeshConfig = MeshConfig()
 
 
@@ -344,6 +383,7 @@ FAST = Config()
 
 PAPER = Config(
     preset="paper",
+    refine=False,
     field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
     mapper=MapperConfig(
         supervision="rendering",
@@ -357,7 +397,6 @@ PAPER = Config(
         free_space_weight=10.0,
         truncation_weight=6000.0,
         every=0,
-        final_updates=0,
         redraw=1,
         pose_optimisation=True,
         learning_rate=0.005,
@@ -367,7 +406,7 @@ PAPER = Config(
         gradient_clip=1.0,
         warm_up=20,
     ),
-    keyframes=KeyframeConfig(cull=0.5, covisible=0.3, replay=10, replay_connected=0),
+    keyframes=KeyframeConfig(cull=0.5, cull_reach=0, covisible=0.3, replay=10, replay_connected=0),
     tracker=TrackerConfig(
         matches=200,
         grid=4,
@@ -384,6 +423,7 @@ PAPER = Config(
     ),
     finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4),
     alignment=AlignmentConfig(enabled=False),
+    loops=LoopConfig(enabled=False, relocalise=False),
 )
 
 PRESETS = {"fast": FAST, "paper": PAPER}
@@ -403,6 +443,7 @@ _AT_LEAST_ONE = {
 _ABOVE_ZERO = {
     *("field.truncation", "field.coarsest", "field.finest", "mapper.sharpness", "mesh.resolution", "tracker.inlier_distance"),
     "temperature",
+    "mapper.final_seconds",
 }
 
 

@@ -9,6 +9,10 @@ class RecordingError(IdfSlamError):
     """A recording that cannot be used as a whole: missing files, unknown layout or camera, mismatched counts."""
 
 
+class CameraError(IdfSlamError):
+    """A live camera that is not there, is not what it should be, or is gone."""
+
+
 class FrameError(IdfSlamError):
     """One frame of a recording that cannot be read; the run goes on and treats the frame as lost."""
 
@@ -19,6 +23,10 @@ class ConfigError(IdfSlamError):
 
 class ResultError(IdfSlamError):
     """A result folder that lacks what a command needs, or holds a file of another version."""
+
+
+class DownloadError(IdfSlamError):
+    """A public sequence that cannot be had: unknown, not reachable, damaged, or in the way of something else."""
 
 
 class DivergedError(IdfSlamError):

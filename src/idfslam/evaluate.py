@@ -1,6 +1,7 @@
 """A result folder against the ground truth of the recording that it was made of, or against one in files."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 from idfslam import results
@@ -11,6 +12,7 @@ from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, protocol_named
 from idfslam.evaluation.report import Evaluation
 from idfslam.evaluation.result import evaluate, load_mesh
 from idfslam.geometry.trajectory import Trajectory, load_tum
+from idfslam.live import is_live, replayed
 from idfslam.run import open_source
 
 log = logging.getLogger(__name__)
@@ -29,7 +31,7 @@ def evaluate_folder(
     """Errors of the results in `folder`, where evaluation.json, trajectory.png and error.png are written.
 
     gt: trajectory in TUM format, matched by time stamp; none: the recording's own. gt_mesh: [m], in the frame of the true trajectory;
-    none: with the recording's own trajectory the surface of a synthetic room, else the mesh is not evaluated.
+    none: with the recording's own trajectory the surface of a generated one, else the mesh is not evaluated.
     recording: what the results were made of, where it is open already; none: the one that config.yaml names is opened.
     samples: points on each surface. views: of depth L1.
     Raises ResultError where results or ground truth are missing, RecordingError where the recording is and no `gt` stands for it.
@@ -55,8 +57,11 @@ def evaluate_folder(
 
 
 def _recording(folder: Path) -> Dataset | None:
-    """What the results were made of; None if that was no recording, but frames handed over by a program."""
+    """What the results were made of; None if that was no recording, but a camera, or frames handed over by a program."""
     _, source = results.read_config(folder)
+    if source is not None and is_live(source.path):
+        path = replayed(source.path)
+        source = None if path is None else replace(source, path=path, frames=None)
     return None if source is None else open_source(source)
 
 

@@ -32,6 +32,7 @@ class Status(str, Enum):
     OK = "ok"
     DEGENERATE = "degenerate"  # the geometry leaves a direction free (a bare wall): tracker and colour decided
     LOST = "lost"  # no evidence for any pose: the last motion was carried on
+    INTERPOLATED = "interpolated"  # was lost; the camera was found again later, and the pose lies between those known
 
 
 @dataclass(frozen=True)

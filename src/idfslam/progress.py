@@ -11,9 +11,9 @@ _WIDE = 140  # columns of a terminal that has room for every loss
 
 
 class ProgressBar:
-    """Shows each `FrameResult`; without a console it shows nothing."""
+    """Shows each `FrameResult` of `total`, None where nobody knows how many come; without a console it shows nothing."""
 
-    def __init__(self, total: int, console: Console | None) -> None:
+    def __init__(self, total: int | None, console: Console | None) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(bar_width=10), MofNCompleteColumn(), TimeRemainingColumn())
         fields = (TextColumn("{task.fields[speed]}"), TextColumn("{task.fields[counts]}"), TextColumn("{task.fields[losses]}", style="dim"))
         self._progress = Progress(*columns, *fields, console=console, disable=console is None)

@@ -4,7 +4,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -42,6 +42,16 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
+class EarlierKeyframe:
+    """A keyframe of a map that a run started in."""
+
+    source: Source  # the recording that it is of
+    index: int  # its frame there
+    timestamp: float  # [s]
+    T_wk: NDArray[np.float64]  # (4, 4)
+
+
+@dataclass(frozen=True, eq=False)
 class KeyframeRecord:
     """The keyframes of a run as keyframes.json tells them."""
 
@@ -49,6 +59,7 @@ class KeyframeRecord:
     indices: NDArray[np.int64]  # (K,) frames of the trajectory
     timestamps: NDArray[np.float64]  # (K,) [s]
     poses: NDArray[np.float64]  # (K, 4, 4) T_wk
+    earlier: Sequence[EarlierKeyframe] = ()  # those of other recordings
 
 
 def prepare(folder: Path) -> None:
@@ -115,12 +126,19 @@ def read_config(folder: Path) -> tuple[Config, Source | None]:
 
 
 def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
-    """Camera, and frame index, time stamp [s] and pose T_wk (4 x 4, rows) of each keyframe."""
+    """Camera, and frame index, time stamp [s] and pose T_wk (4 x 4, rows) of each keyframe; apart, those of the map that was extended."""
     keyframes = [
         {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
         for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
     ]
-    write_json(folder / KEYFRAMES, {"camera": asdict(record.camera), "keyframes": keyframes})
+    earlier = [asdict(keyframe) for keyframe in record.earlier]
+    write_json(folder / KEYFRAMES, {"camera": asdict(record.camera), "keyframes": keyframes} | ({"earlier": earlier} if earlier else {}))
+
+
+def own_keyframes(record: KeyframeRecord, source: Source) -> list[EarlierKeyframe]:
+    """A run's own keyframes as those of an earlier one."""
+    columns = zip(record.indices, record.timestamps, record.poses, strict=True)
+    return [EarlierKeyframe(source, int(index), float(stamp), T_wk) for index, stamp, T_wk in columns]
 
 
 def read_keyframes(folder: Path) -> KeyframeRecord:
@@ -134,6 +152,10 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
             np.array([k["index"] for k in keyframes], np.int64),
             np.array([k["timestamp"] for k in keyframes], np.float64),
             np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
+            [
+                EarlierKeyframe(Source(**k["source"]), k["index"], k["timestamp"], np.array(k["T_wk"], np.float64).reshape(4, 4))
+                for k in values.get("earlier", [])
+            ],
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"{path}: not as a run writes it ({error}); run again into this folder") from error

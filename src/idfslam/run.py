@@ -3,9 +3,10 @@
 import logging
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,15 +19,18 @@ from rich.console import Console
 
 from idfslam import results
 from idfslam.config import Config
-from idfslam.datasets import Dataset, Prefetch, open_recording
+from idfslam.datasets import Dataset, FrameSource, Prefetch, open_recording
 from idfslam.errors import DivergedError, RecordingError
 from idfslam.evaluation.report import Evaluation, plot_trajectory
 from idfslam.evaluation.result import evaluate_poses
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.live import LiveStream, is_live, open_live
 from idfslam.metrics import Meter
+from idfslam.prior_map import PriorMap
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
+from idfslam.warm_up import warm_up
 
 log = logging.getLogger(__name__)
 
@@ -42,26 +46,31 @@ class Run:
 
 
 def run(
-    recording: Dataset,
+    recording: Dataset | LiveStream,
     config: Config,
     folder: Path,
     *,
     source: results.Source | None = None,
+    prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
 ) -> Run:
-    """Every frame of `recording` through Slam; all results into `folder`.
+    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`.
 
     Ctrl-C ends after the frame in hand and writes the results so far; a second one ends at once. A frame that cannot be read is
     reported and treated as lost. Raises ResultError before anything is computed if the folder cannot be written to, and
-    after the poses so far are written DivergedError, or RecordingError if no frame could be used.
+    after the poses so far are written DivergedError, or RecordingError if no frame could be used; CameraError if none came.
     """
     results.prepare(folder)
     if config.field.encoding == "grid":
         torch.set_num_threads(1)  # its tensors are small and Numba uses the cores: threads that wait for each other cost half the rate
-    slam = make_slam(config)
+    if isinstance(recording, LiveStream):
+        if console is not None:
+            console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
+        warm_up(config, make_slam)
+    slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
     meter = Meter()
-    with stop_on_interrupt() as stop, ProgressBar(len(recording), console) as bar:
+    with stop_on_interrupt() as stop, ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar:
         try:
             unreadable = _process(slam, recording, meter, bar, stop)
             bar.describe("refining")
@@ -69,17 +78,36 @@ def run(
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
-            results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source))
+            results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source, prior))
             raise
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
+        if isinstance(recording, LiveStream):
+            metrics |= {"dropped_frames": recording.dropped, "camera_lost": recording.failure is not None}
         errors = evaluation(slam, recording)
         metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
+        if (live := evaluation(slam, recording, live=True)) is not None and live.ate is not None:
+            metrics["live_ate_m"] = live.ate.translation.rmse
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
-        written = _write_poses(folder, slam, recording, config, source) | _write_map(folder, slam, mesh)
+        written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
         results.write_json(folder / results.METRICS, metrics)
         results.remove_stale(folder, written=written | {results.METRICS})
     return Run(folder, _trajectory(slam, recording), mesh, metrics)
+
+
+def open_feed(source: results.Source) -> Dataset | LiveStream:
+    """What a run is to be made of: a live camera, or else a recording. Raises as `open_live` and `open_source`."""
+    if not is_live(source.path):
+        return open_source(source)
+    options = asdict(source)
+    return open_live(options.pop("path"), **options)
+
+
+def started_in(prior: PriorMap, config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
+    """A system whose map is an earlier run's; the field is as it was there, whatever the config says."""
+    slam = make_slam(replace(config, field=prior.saved.field.config))
+    slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
+    return slam
 
 
 def open_source(source: results.Source) -> Dataset:
@@ -96,9 +124,9 @@ def open_source(source: results.Source) -> Dataset:
     )
 
 
-def frames(recording: Dataset) -> Iterator[tuple[Frame, bool]]:
+def frames(recording: Dataset | LiveStream) -> Iterator[tuple[Frame, bool]]:
     """Each frame, read ahead, and whether it could be read; a blank one stands for one that could not."""
-    for i, frame in Prefetch(recording):
+    for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording):
         if isinstance(frame, Frame):
             yield frame, True
         else:
@@ -106,7 +134,7 @@ def frames(recording: Dataset) -> Iterator[tuple[Frame, bool]]:
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
 
 
-def _process(slam: Slam, recording: Dataset, meter: Meter, bar: ProgressBar, stop: threading.Event) -> int:
+def _process(slam: Slam, recording: Dataset | LiveStream, meter: Meter, bar: ProgressBar, stop: threading.Event) -> int:
     """Frames through Slam until the end or the first Ctrl-C; how many of them could not be read."""
     unreadable = 0
     for frame, readable in frames(recording):
@@ -115,7 +143,8 @@ def _process(slam: Slam, recording: Dataset, meter: Meter, bar: ProgressBar, sto
         meter.frame()
         bar.update(result, frames_per_second=meter.frames_per_second)
         if stop.is_set():
-            log.warning("interrupted after frame %d of %d: writing the results so far", frame.index, len(recording))
+            of = "" if isinstance(recording, LiveStream) else f" of {len(recording)}"
+            log.warning("interrupted after frame %d%s: writing the results so far", frame.index, of)
             break
     return unreadable
 
@@ -140,47 +169,57 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, usual)
 
 
-def counts(slam: Slam) -> dict[str, int]:
-    """How many keyframes are stored, and how many frames are lost or degenerate."""
-    statuses = slam.statuses()
-    lost, degenerate = (sum(status is kind for status in statuses) for kind in (Status.LOST, Status.DEGENERATE))
-    return {"keyframes": len(slam.graph.keyframes), "lost_frames": lost, "degenerate_frames": degenerate}
+def counts(slam: Slam) -> dict[str, Any]:
+    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
+    found = Counter(slam.statuses())
+    frames = {
+        "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
+        "interpolated_frames": found[Status.INTERPOLATED],
+        "degenerate_frames": found[Status.DEGENERATE],
+    }
+    return {"keyframes": len(slam.graph.keyframes)} | frames | slam.connections()
 
 
-def evaluation(slam: Slam, recording: Dataset) -> Evaluation | None:
-    """ATE and RPE where the recording has ground truth; None where it has none."""
-    poses = slam.trajectory()
+def evaluation(slam: Slam, recording: FrameSource, *, live: bool = False) -> Evaluation | None:
+    """ATE and RPE where the recording has ground truth, None where it has none; live: of the poses as they were first told."""
+    poses = slam.live_trajectory() if live else slam.trajectory()
     if recording.ground_truth is None:
         return None
     truth = recording.ground_truth[: len(poses)]
     return evaluate_poses(poses, truth) if np.isfinite(truth).all((1, 2)).any() else None
 
 
-def _trajectory(slam: Slam, recording: Dataset) -> Trajectory:
+def _trajectory(slam: Slam, recording: FrameSource) -> Trajectory:
     poses = slam.trajectory()
     return Trajectory(recording.timestamps[: len(poses)], poses)
 
 
-def _write_poses(folder: Path, slam: Slam, recording: Dataset, config: Config, source: results.Source | None) -> set[str]:
+def _write_poses(
+    folder: Path, slam: Slam, recording: FrameSource, config: Config, source: results.Source | None, prior: PriorMap | None
+) -> set[str]:
     """Trajectory, keyframes, config and the trajectory's picture; the names of the files."""
     trajectory = _trajectory(slam, recording)
     with results.replacing(folder / results.TRAJECTORY) as part:
         save_tum(part, trajectory)
-    indices = np.array([keyframe.index for keyframe in slam.graph.keyframes], np.int64)
-    poses = np.array([np.asarray(keyframe.T_wk) for keyframe in slam.graph.keyframes], np.float64).reshape(-1, 4, 4)
-    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses))
+    adopted = [] if prior is None else prior.keyframes
+    own = slam.graph.keyframes[len(adopted) :]
+    indices = np.array([keyframe.index for keyframe in own], np.int64)
+    poses = np.array([np.asarray(keyframe.T_wk) for keyframe in own], np.float64).reshape(-1, 4, 4)
+    earlier = [replace(k.record, T_wk=np.asarray(stored.T_wk)) for k, stored in zip(adopted, slam.graph.keyframes)]
+    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses, earlier))
     results.write_config(folder, config, source)
     _draw(folder, slam, recording, indices)
     return {results.TRAJECTORY, results.KEYFRAMES, results.CONFIG, results.PICTURE}
 
 
-def _draw(folder: Path, slam: Slam, recording: Dataset, keyframes: NDArray[np.int64]) -> None:
+def _draw(folder: Path, slam: Slam, recording: FrameSource, keyframes: NDArray[np.int64]) -> None:
     """The trajectory's picture, beside the true one where there is one."""
     errors, poses = evaluation(slam, recording), slam.trajectory()
     truth = None if errors is None or recording.ground_truth is None else recording.ground_truth[: len(poses)]
     T_gt_est = None if errors is None or errors.ate is None else errors.ate.T_gt_est
     with results.replacing(folder / results.PICTURE) as part:
-        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes)
+        before = slam.live_trajectory() if slam.connections()["loops"] else None
+        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes, before=before)
 
 
 def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:

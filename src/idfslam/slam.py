@@ -1,11 +1,14 @@
 """iDF-SLAM (Fig. 2): the neural tracker in front, the neural implicit mapper behind, keyframes between them."""
 
 import logging
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -15,17 +18,21 @@ from torch import Tensor
 
 from idfslam.config import FAST, Config
 from idfslam.frame import Frame, FrameResult, Status
+from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.loops import Loop, Loops
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
-from idfslam.mapping.saved_map import mesh_of, save_map
+from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.tracking.alignment import Aligner, Alignment
+from idfslam.tracking.localisation import Localiser, unambiguous
 from idfslam.tracking.motion import Information, MotionModel, change_between, moved
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
 
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
+_MOVED = 0.005  # [m] a keyframe must be moved by a loop for the map to learn it anew
 
 
 class Slam:
@@ -42,18 +49,38 @@ class Slam:
         self.tracker = Tracker(config.tracker, config.finetune, self.device, config.seed)
         self.mapper = Mapper(config.mapper, config.field, self.device, torch.Generator(self.device).manual_seed(config.seed))
         self.aligner = Aligner(config.alignment, self.mapper.field, host)
-        self.graph = KeyframeGraph(config.keyframes, host)
+        self.localiser = Localiser(self.tracker, self.aligner)
+        self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
+        self.loops = Loops(config.loops)
+        self.relocalisations = 0
+        self._stale: dict[int, int] = {}  # keyframes that a loop has moved, and how often the map has yet to learn them anew
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
         self._unmapped: Keyframe | None = None  # the last frame, if it is no keyframe
         self.motion = MotionModel()
+        self._live: list[NDArray[np.float64]] = []  # each frame's pose as it was first told
         self._in_view = 1.0  # share of the references' landmarks that the last frame saw
+
+    def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
+        """Before the first frame: a saved map, whose field is of this config, and its keyframes with poses T_wk (4, 4).
+
+        The camera counts as lost until it is found there; from then on the map is extended.
+        """
+        self.mapper.take_over(saved.field)
+        for frame, T_wk in keyframes:
+            view = self._view(frame)
+            view.T_wk = T_wk
+            self.graph.adopt(view)
+        self.graph.cover_with(saved.views)
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
         current = self._view(frame)
         status = self._track(current)
+        found_again = self._lost and status is not Status.LOST
         self.graph.append(frame.timestamp, current.T_wk, status)
+        if found_again and self._relocalises:
+            self.graph.bridge()
         chosen = self._chosen(current, status)
         self._unmapped = None if chosen or status is Status.LOST else current
         if chosen:
@@ -62,23 +89,36 @@ class Slam:
             losses = self._refresh(current)
         else:
             losses = self._finetune()
-        return FrameResult(frame.index, frame.timestamp, self.graph.T_wc(-1).numpy(), status, chosen, losses)
+        self._relearn(current, status)
+        self._live.append(self.graph.T_wc(-1).numpy())
+        return FrameResult(frame.index, frame.timestamp, self._live[-1], status, chosen, losses)
 
     def finish(self) -> None:
-        """The end of a run: the last frame is kept too, and the keyframes' poses and the map get a last polish over all of them."""
+        """The end of a run: the last frame is kept too, and all keyframes' poses and the map get a last polish."""
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
-        if self._unmapped is not None and self.config.mapper.final_updates:
+        if not self.config.refine:
+            return
+        if self._unmapped is not None:
             self._map(self._unmapped)  # or what came into view in the last frames would be in no keyframe
         with self._timed("finish"):
-            updates = self.config.mapper.final_updates
-            for i in range(updates):
-                self.mapper.optimiser.anneal = 1 - i / updates
-                keyframes = self.graph.sample(self.config.mapper.final_keyframes)
-                self._refine(keyframes[: self.config.mapper.final_keyframes // 2])
-                self.mapper.optimise_map(keyframes, self.config.mapper.iterations)
-            self.mapper.optimiser.anneal = 1.0
+            self._polish()
+
+    def _polish(self) -> None:
+        """Bundle adjustment in turns over all keyframes, in steps that shrink to nothing, within the budget of time."""
+        c, start = self.config.mapper, perf_counter()
+        refined = max(1, c.final_keyframes // 2)
+        updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
+        for i in range(updates):
+            done = max(i / updates, (perf_counter() - start) / c.final_seconds)
+            if done >= 1:
+                break
+            self.mapper.optimiser.anneal = 1 - done
+            keyframes = self.graph.sample(c.final_keyframes)
+            self._refine(keyframes[:refined])
+            self.mapper.optimise_map(keyframes, c.iterations)
+        self.mapper.optimiser.anneal = 1.0
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
@@ -91,6 +131,14 @@ class Slam:
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) camera-to-world poses of all frames processed; frames follow their keyframes."""
         return self.graph.trajectory()
+
+    def live_trajectory(self) -> NDArray[np.float64]:
+        """(N, 4, 4) the poses as they were told while the camera moved: before later frames, loops and the last polish improved them."""
+        return np.stack(self._live) if self._live else np.zeros((0, 4, 4))
+
+    def connections(self) -> dict[str, Any]:
+        """What holds the keyframes together: links, loops (pairs of frames), loops refused, and how often a lost camera was found again."""
+        return self.loops.summary(self.graph) | {"relocalisations": self.relocalisations}
 
     def statuses(self) -> list[Status]:
         """How the pose of each processed frame was found."""
@@ -108,7 +156,7 @@ class Slam:
         """
         if not self.graph.keyframes:
             return Status.OK if bool((current.depth > 0).any()) else Status.LOST
-        last, information = self.graph.T_wc(-1), None
+        last, information = self._last_pose(current), None
         if self.config.alignment.enabled:
             current.T_wk, status, information = self._align(current)
         else:
@@ -130,12 +178,24 @@ class Slam:
         return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
 
     def _align(self, current: Keyframe) -> tuple[Tensor, Status, Information | None]:
-        """Align to the map from the predicted pose; in doubt also from the tracker's and from the last pose: one that is better stands."""
+        """Align to the map, from wherever that goes best; a lost camera is looked for among all keyframes."""
+        best, tracked = self._aligned(current)
+        accidental = best.status is Status.LOST or (self._lost and not self.localiser.convincing(best))
+        if accidental and self._relocalises:
+            best, tracked = self._relocalised(current) or replace(best, status=Status.LOST), None if self._lost else tracked
+        if best.status is not Status.LOST:
+            self.aligner.accept(best)
+            self._in_view = best.in_view
+            return best.T_wc, best.status, best.information
+        return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
+
+    def _aligned(self, current: Keyframe) -> tuple[Alignment, Tensor | None]:
+        """From the predicted pose; in doubt also from the tracker's and the last pose: one that is better stands. And the tracker's."""
         references = self.graph.references(self.config.alignment.references)
         best: Alignment | None = None
         tracked: Tensor | None = None
         for guess in ("motion", "tracker", "last"):
-            T_guess = current.T_wk if guess == "motion" else self.graph.T_wc(-1)
+            T_guess = current.T_wk if guess == "motion" else self._last_pose(current)
             if guess == "tracker":
                 T_guess, status = self._register(current)
                 if status is Status.LOST:
@@ -148,14 +208,34 @@ class Slam:
             if not self.aligner.doubtful(best):
                 break
         assert best is not None
-        if best.status is not Status.LOST:
-            self.aligner.accept(best)
-            self._in_view = best.in_view
-            return best.T_wc, best.status, best.information
-        return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
+        return best, tracked
+
+    def _relocalised(self, current: Keyframe) -> Alignment | None:
+        """The view's pose by the keyframes that look most like it, which it is then held against; None if none is convincing."""
+        if not bool((current.depth > 0).any()):
+            return None
+        keyframes, answers = self.graph.keyframes, []
+        with self._timed("relocalise"):
+            for i in self.localiser.most_alike(current, keyframes, self.config.loops.relocalisation_tries):
+                if found := self._located(current, i):
+                    answers.append((i, found))
+        if (answer := unambiguous(answers)) is None:
+            return None
+        self.graph.settle(current, keyframes[answer[0]])
+        self.motion.stop()
+        self.relocalisations += 1
+        return answer[1]
+
+    def _located(self, view: Keyframe, i: int) -> Alignment | None:
+        """The view's pose as it follows from stored keyframe i."""
+        keyframe = self.graph.keyframes[i]
+        references = [keyframe, *self.graph.earlier(keyframe, self.config.alignment.references - 1)]
+        return self.localiser.locate(view, keyframe, references)
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
-        """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III); never one without depth."""
+        """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
+        if status is Status.LOST and self._relocalises:
+            return False
         return bool((current.depth > 0).any()) and self.graph.asks_for_keyframe(current.T_wk, status, self._in_view)
 
     def _map(self, keyframe: Keyframe) -> dict[str, float]:
@@ -167,8 +247,9 @@ class Slam:
                 losses |= self.mapper.optimise_pose(keyframe)
         if self.graph.promote(keyframe):
             self.mapper.optimiser.grow()
-        self.graph.cover(keyframe)
         self._described(keyframe)
+        self._close_loops(keyframe)
+        self.graph.cover(keyframe)
         if first:
             with self._timed("map"):
                 return self.mapper.initialise(keyframe)
@@ -201,24 +282,92 @@ class Slam:
                 keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
             keyframe.appearance = None
 
+    def _close_loops(self, keyframe: Keyframe) -> None:
+        """Has the new keyframe's place been seen before, from a pose that it was not measured against? Then drift is undone."""
+        if not self.graph.verify:
+            return
+        with self._timed("loops"):
+            for i in keyframe.unlinked[: self.config.loops.tries]:
+                if self.localiser.agrees(keyframe, self.graph.keyframes[i]):  # no drift: the pose is right already
+                    self.graph.link(keyframe, i)
+            for i in self._loop_candidates(keyframe):
+                if found := self._located(keyframe, i):
+                    T_wb = self.graph.keyframes[keyframe.anchor].T_wk
+                    T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ found.T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
+                    moved = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab))
+                    if moved is not None:
+                        self._stale |= {k: self.config.loops.relearnt for k, change in enumerate(moved) if change > _MOVED}
+                    break
+
+    def _loop_candidates(self, keyframe: Keyframe) -> list[int]:
+        """Stored keyframes that should see the same by their pose, or that look alike, and that are not linked with this one."""
+        apart = self.loops.within_reach(self.graph, keyframe)
+        overlapping = [i for i in keyframe.unlinked if i in apart][:1]
+        alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.loops.tries)]
+        return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.loops.tries]
+
+    def _relearn(self, current: Keyframe, status: Status) -> None:
+        """The map follows keyframes that a loop has moved: a few of them, with each of the frames to come."""
+        if not self._stale or status is Status.LOST:
+            return
+        near = sorted(self._stale, key=lambda i: float((self.graph.keyframes[i].T_wk - current.T_wk)[:3, 3].norm()))
+        chosen = near[: self.config.loops.relearnt_at_once]  # the camera's surroundings first
+        with self._timed("relearn"):
+            self.mapper.optimise_map([current, *(self.graph.keyframes[i] for i in chosen)], self.config.mapper.iterations)
+        for i in chosen:
+            self._stale[i] -= 1
+            if self._stale[i] <= 0:
+                del self._stale[i]
+
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""
         config = self.config.finetune
         if not config.enabled or len(self.graph.keyframes) < config.keyframes or len(self.graph) % config.every:
             return {}
         with self._timed("finetune"):
-            described = [self._described(k) for k in self.graph.keyframes]
+            described = _Descriptions(self.localiser, self.graph.keyframes)
             T_wk = np.stack([k.T_wk.numpy() for k in self.graph.keyframes])
             losses = self.tracker.finetune(described, T_wk, self.mapper.renderer(self.graph.keyframes))
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
 
+    def _last_pose(self, current: Keyframe) -> Tensor:
+        return self.graph.T_wc(-1) if len(self.graph) else current.T_wk
+
     def _described(self, keyframe: Keyframe) -> Described:
-        if keyframe.described is None:
-            keyframe.described = self.tracker.describe(keyframe.frame)
-        return keyframe.described
+        return self.localiser.described(keyframe)
+
+    @property
+    def _lost(self) -> bool:
+        """Whether the last frame was; at the start, whether there is a map to be found in."""
+        return self.graph.status() is Status.LOST if len(self.graph) else bool(self.graph.keyframes)
+
+    @property
+    def _relocalises(self) -> bool:
+        """Whether a lost camera is looked for; otherwise frames are mapped where the last motion leads (Sec. III)."""
+        return self.config.loops.relocalise and self.config.alignment.enabled
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
         start = perf_counter()
         yield
         self.timings[stage].append((perf_counter() - start) * 1e3)
+
+
+class _Descriptions(Sequence[Described]):
+    """What the tracker keeps of keyframes, worked out for those that are asked for."""
+
+    def __init__(self, localiser: Localiser, keyframes: Sequence[Keyframe]) -> None:
+        self._localiser, self._keyframes = localiser, keyframes
+
+    def __len__(self) -> int:
+        return len(self._keyframes)
+
+    @overload
+    def __getitem__(self, i: int) -> Described: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> Sequence[Described]: ...
+
+    def __getitem__(self, i: int | slice) -> Described | Sequence[Described]:
+        chosen = self._keyframes[i]
+        return self._localiser.described(chosen) if isinstance(chosen, Keyframe) else _Descriptions(self._localiser, chosen)

@@ -4,8 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Table
 
 from idfslam import results
+from idfslam.downloads.catalogue import Sequence
 from idfslam.evaluation.report import Evaluation, table
 from idfslam.run import Run
 
@@ -33,3 +35,15 @@ def print_files(folder: Path, names: Iterable[str], console: Console) -> None:
     """A path a line, whole, so that it can be copied."""
     for name in names:
         console.print(str(folder / name), highlight=False, soft_wrap=True, markup=False)
+
+
+def print_catalogue(sequences: Iterable[Sequence], console: Console) -> None:
+    """Names, sizes and folders of what can be downloaded, under the terms it is published on."""
+    by_licence: dict[str, Table] = {}
+    for sequence in sequences:
+        table = by_licence.setdefault(sequence.licence, Table(box=None, show_header=False, pad_edge=True))
+        size = "" if sequence.size_mb is None else f"{sequence.size_mb / 1000:.1f} GB"
+        table.add_row(sequence.name, size, sequence.folder)
+    for licence, table in by_licence.items():
+        console.print(licence, highlight=False, soft_wrap=True, markup=False)
+        console.print(table, highlight=False)

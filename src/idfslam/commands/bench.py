@@ -19,12 +19,12 @@ class Bench:
     """SLAM on a list of recordings with several seeds each: mean and spread of errors, speed, memory and stage times."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES. gt_mesh.ply in one is its true surface."""
+    """Recordings as `run` takes them; PATH@FRAMES: the first FRAMES. gt_mesh.ply in one is its true surface."""
     values: Values = FAST
     seeds: int = 3
     """How many seeds, from --seed on."""
     frames: int | None = None
-    """How many frames of each; none given: all of a recording, one tour of a synthetic room."""
+    """How many frames of each; none given: all of a recording, one tour of a generated one."""
     against: Literal["open3d"] | None = None
     """A baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
     out: Path = Path("results/bench")

@@ -19,7 +19,7 @@ class BenchPairs:
     """Relative poses of frames some frames apart: the tracker against SIFT, ORB, ICP, GICP and untrained features."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES."""
+    """Recordings with ground truth, as `run` takes them; PATH@FRAMES: the first FRAMES."""
     values: Values = FAST
     gap: tuple[int, ...] = (5, 10, 20, 40)
     """How many frames apart; several give a block of rows each."""

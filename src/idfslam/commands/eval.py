@@ -21,7 +21,7 @@ class Eval:
     gt: Path | None = None
     """True trajectory in TUM format, camera-to-world; none given: the recording's own."""
     gt_mesh: Path | None = None
-    """True mesh [m], in the frame of the true trajectory; none given: a synthetic room's own, else the mesh is not evaluated."""
+    """True mesh [m], in the frame of the true trajectory; none given: a generated recording's own, else the mesh is not evaluated."""
     protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] = "seen"
     """What counts as surface."""
 

@@ -19,7 +19,7 @@ class Pretrain:
     """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
 
     recordings: Positional[tuple[Path, ...]]
-    """Recordings of any layout, or synthetic[:SEED][:kinect]."""
+    """Recordings as `run` takes them."""
     values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
     out: Path = Path("weights.safetensors")
     """The weights (safetensors), for `run --tracker.weights`; beside them the checkpoint."""

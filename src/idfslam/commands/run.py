@@ -28,6 +28,10 @@ class CameraFlags:
     depth_scale: float | None = None
     """Units of the depth images per metre: 1000 for millimetres."""
 
+    def given(self) -> dict[str, float]:
+        """Those that are given."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
 
 @dataclass(frozen=True)
 class TopicFlags:
@@ -45,10 +49,13 @@ class TopicFlags:
 
 @dataclass(frozen=True)
 class Run:
-    """SLAM on a recording: trajectory, mesh, map and figures into a folder."""
+    """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
 
     path: Positional[Path]
-    """The recording, in any layout that is known; which one is seen from what lies in it."""
+    """The recording, in any layout that is known; which one is seen from what lies in it. Or a generated one: synthetic[:SEED][:kinect],
+    corridor[:SEED][:kinect][:Nlaps]; kidnap: before any of these carries the camera off, five times. Or a live camera:
+    realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER], orbbec[:NUMBER];
+    replay[@SPEED]:PATH plays a recording as if it were one. What comes faster than it can be used is dropped."""
     values: Values = FAST
     out: Path | None = None
     """The result folder; none given: results/ and the recording's name."""
@@ -62,20 +69,24 @@ class Run:
     """The recording's layout, where it is not to be seen from its files."""
     camera: CameraFlags = CameraFlags()
     topics: TopicFlags = TopicFlags()
+    map: Path | None = None
+    """The result folder of an earlier run: the camera is found in its map, which is extended. Its recording must still be there."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
+        from idfslam.live import located
+        from idfslam.prior_map import load_prior
         from idfslam.results import Source
-        from idfslam.run import open_source, run
+        from idfslam.run import open_feed, run
         from idfslam.tables import print_run
 
-        camera = {key: value for key, value in asdict(self.camera).items() if value is not None}
+        camera = self.camera.given()
         scale = camera.pop("depth_scale", None)
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
-        place = self.path.absolute() if self.path.exists() else self.path  # found again from anywhere; `synthetic` is no file
-        source = Source(str(place), self.format, camera or None, scale, topics or None, self.start, self.frames, self.stride)
-        recording = open_source(source)
+        source = Source(located(str(self.path)), self.format, camera or None, scale, topics or None, self.start, self.frames, self.stride)
+        recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
-        print_run(run(recording, values, folder, source=source, console=console), output())
+        prior = None if self.map is None else load_prior(self.map)
+        print_run(run(recording, values, folder, source=source, prior=prior, console=console), output())

@@ -1,20 +1,31 @@
 """Recordings in the layouts of the field, opened lazily. A layout is one file beside this one and one line in READERS."""
 
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from idfslam.datasets import azure_kinect, folder, icl_nuim, record3d, replica, ros, scannet, seven_scenes, stray_scanner, tum, video_folder
+from idfslam.datasets import (
+    azure_kinect,
+    folder,
+    generated,
+    icl_nuim,
+    record3d,
+    replica,
+    ros,
+    scannet,
+    seven_scenes,
+    stray_scanner,
+    tum,
+    video_folder,
+)
 from idfslam.datasets.calibration import Calibration, override
+from idfslam.datasets.kidnapped import Kidnapped
 from idfslam.datasets.prefetch import Prefetch
-from idfslam.datasets.recording import Dataset, Reader, Recording, Selection
+from idfslam.datasets.recording import Dataset, FrameSource, Reader, Recording, Selection
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, RecordingError
 
-__all__ = ["FORMATS", "Dataset", "Prefetch", "Recording", "Selection", "open_recording"]
-
-_SYNTHETIC = re.compile(r"synthetic(?::(?P<seed>\d+))?(?P<noise>:kinect)?")
+__all__ = ["FORMATS", "Dataset", "FrameSource", "Kidnapped", "Prefetch", "Recording", "Selection", "open_recording"]
 
 READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     scannet.READER,
@@ -29,7 +40,7 @@ READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     folder.READER,
     ros.READER,
 )
-FORMATS = (*(reader.name for reader in READERS), "synthetic")
+FORMATS = (*(reader.name for reader in READERS), *generated.NAMES)
 
 
 def open_recording(
@@ -43,9 +54,10 @@ def open_recording(
     frames: int | None = None,
     stride: int = 1,
 ) -> Dataset:
-    """Opens a recording, recognised by what lies in it, or generates one: `synthetic[:SEED][:kinect]`.
+    """Opens a recording, recognised by what lies in it, or generates one: `synthetic[:SEED][:kinect]`, `corridor[:SEED][:kinect][:Nlaps]`.
 
-    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), or the name of a synthetic room.
+    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), the name of a generated recording, or `kidnap:` and one of these (see
+        `kidnapped`).
     format: one of FORMATS, where the layout is not recognised or is mistaken for another.
     camera: any of fx, fy, cx, cy [px] (and depth_scale), over what the recording says. All four together state the pinhole
         camera of the images as they are, without distortion.
@@ -58,8 +70,13 @@ def open_recording(
     given, named = override(camera, depth_scale), Topics.of(topics)
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
-    if format == "synthetic" or (format is None and _SYNTHETIC.fullmatch(str(path)) and not Path(path).exists()):
-        dataset = _open_synthetic(str(path), given, length=0 if frames is None else start + (frames - 1) * stride + 1)
+    inner = generated.kidnapped_path(str(path))
+    kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
+    dataset: Dataset
+    if inner is not None:
+        dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics))
+    elif kind is not None:
+        dataset = generated.open_generated(str(path), kind, given, length=0 if frames is None else start + (frames - 1) * stride + 1)
     else:
         place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
         try:
@@ -79,7 +96,7 @@ def _open(reader: Reader, path: Path, given: Calibration, named: Topics) -> Data
 
 def _reader(path: Path, format: str | None) -> Reader:
     if not path.exists():
-        raise RecordingError(f"{path}: no such file or folder, expected a recording or synthetic[:SEED][:kinect]")
+        raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}")
     if format is not None:
         return next(reader for reader in READERS if reader.name == format)
     for reader in READERS:
@@ -88,15 +105,3 @@ def _reader(path: Path, format: str | None) -> Reader:
     content = ", ".join(sorted(entry.name for entry in path.iterdir())[:6]) if path.is_dir() else "a file"
     layouts = "; ".join(f"{reader.name} ({reader.layout})" for reader in READERS)
     raise RecordingError(f"{path}: not a known recording: found {content or 'an empty folder'}, expected one of {layouts}")
-
-
-def _open_synthetic(path: str, given: Calibration, length: int) -> Dataset:
-    """One tour of the room, or as many frames as are asked for where that is longer."""
-    from idfslam.datasets.synthetic import TOUR, SyntheticRoom  # compiles its ray caster: only where it is asked for
-
-    name = _SYNTHETIC.fullmatch(path)
-    if name is None:
-        raise RecordingError(f"{path}: not a synthetic room, expected synthetic[:SEED][:kinect]")
-    if given != Calibration():
-        raise ConfigError(f"{path}: a synthetic room has its own camera and depth, expected no override: leave the camera's values out")
-    return SyntheticRoom(seed=int(name["seed"] or 0), frames=max(TOUR, length), noise=name["noise"] is not None)

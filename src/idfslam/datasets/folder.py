@@ -1,4 +1,8 @@
-"""A plain folder: rgb/ or color/ and depth/ with equal numbers, the camera in intrinsics.txt, optional poses; depth in millimetres."""
+"""A plain folder: rgb/ or color/ and depth/ with equal numbers, the camera in intrinsics.txt; depth in millimetres.
+
+Optional are poses, and timestamps.txt. Frames whose numbers that does not name are not there: it is what `idf-slam record` writes last, so
+that a recording that was cut off at any moment can be read.
+"""
 
 from pathlib import Path
 
@@ -9,6 +13,7 @@ from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, DepthCamera, read_cam_params, read_camera_file, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
+from idfslam.datasets.stamps import STAMPS, read_stamps
 from idfslam.errors import RecordingError
 
 COLOUR_FOLDERS = ("rgb", "color", "colour")
@@ -29,13 +34,16 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     colour = colour_folder(path)
     if colour is None or not (path / "depth").is_dir():
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/")
-    images = numbered(colour)
-    pairs = paired(images, numbered(path / "depth"), path)
+    images, depths = numbered(colour), numbered(path / "depth")
+    stamps = read_stamps(path / STAMPS, list(images))
+    if stamps is not None:
+        images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
+    pairs = paired(images, depths, path)
     calibration, beside = calibrated(path, override)
     return Recording(
         path.name,
         ImageFiles(pairs),
-        timestamps=regular_stamps(len(pairs)),
+        timestamps=regular_stamps(len(pairs)) if stamps is None else np.array([stamps[number] for number in images]),
         ground_truth=read_poses(path, list(images)),
         calibration=calibration,
         depth_camera=beside,

@@ -43,10 +43,14 @@ class Scene:
     lights: list[Array] = field(default_factory=list)
 
     def material(
-        self, kind: int, a: Rgb, b: Rgb | None = None, c: Rgb | None = None, *, scale: float = 0.1, contrast: float = 1.0, glow: float = 0.0
-    ) -> int:
-        """A new material of a pattern of `procedural_textures`, its colours in linear RGB; returns its number."""
-        self.materials.append(np.array([kind, scale, contrast, glow, *a, *(b or a), *(c or b or a)]))
+        self, kind: int, a: Rgb, b: Rgb | None = None, c: Rgb | None = None,
+        *, scale: float = 0.1, contrast: float = 1.0, glow: float = 0.0, seed: int = -1,
+    ) -> int:  # fmt: skip
+        """A new material of a pattern of `procedural_textures`, its colours in linear RGB; returns its number.
+
+        With a `seed` >= 0 every shape of it looks the same; without, each has a texture of its own.
+        """
+        self.materials.append(np.array([kind, scale, contrast, glow, *a, *(b or a), *(c or b or a), seed]))
         return len(self.materials) - 1
 
     def add(self, kind: int, T: Array, centre: tuple[float, float, float], sizes: tuple[float, float, float], material: int) -> None:
@@ -378,10 +382,11 @@ def window(scene: Scene, T: Array, width: float, low: float, high: float) -> Non
             scene.lights.append(np.concatenate([point[:3], n, np.array([4.6, 5.2, 6.0]) * width * (high - low) / 16]))
 
 
-def door(scene: Scene, T: Array) -> None:
-    """A panelled door in its frame, with a handle."""
-    rng = scene.rng
-    timber = wood(scene) if rng.random() < 0.5 else scene.material(pattern.PAINT, (0.7, 0.68, 0.62), contrast=0.2)
+def door(scene: Scene, T: Array, timber: int | None = None) -> None:
+    """A panelled door in its frame, with a handle; of a given material, or of wood or painted."""
+    seed = -1 if timber is None else 0
+    if timber is None:
+        timber = wood(scene) if scene.rng.random() < 0.5 else scene.material(pattern.PAINT, (0.7, 0.68, 0.62), contrast=0.2)
     scene.box(T, (-0.42, 0, 0), (0.42, 0.02, 2.03), timber)
     for x in (-0.5, 0.42):
         scene.box(T, (x, 0, 0), (x + 0.08, 0.04, 2.1), timber)
@@ -389,7 +394,7 @@ def door(scene: Scene, T: Array) -> None:
     for low, high in ((0.15, 0.9), (1.02, 1.88)):
         for left in (-0.34, 0.04):
             scene.box(T, (left, 0.02, low), (left + 0.3, 0.032, high), timber)
-    brass = scene.material(pattern.PAINT, (0.55, 0.42, 0.18), contrast=0.2)
+    brass = scene.material(pattern.PAINT, (0.55, 0.42, 0.18), contrast=0.2, seed=seed)
     scene.box(T, (0.33, 0.02, 0.93), (0.37, 0.028, 1.1), brass)
     scene.box(T, (0.24, 0.05, 1.02), (0.36, 0.065, 1.035), brass)
     scene.ball(T, (0.35, 0.045, 1.03), (0.014, 0.03, 0.014), brass)

@@ -120,7 +120,8 @@ def numbered(folder: Path, pattern: str = "*", *, suffixes: frozenset[str] = SUF
     """The files (images, unless told otherwise) of a folder by the last number in their names, in its order."""
     found: dict[float, Path] = {}
     for path in folder.glob(pattern):
-        if path.suffix.lower() in suffixes and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
+        hidden = path.name.startswith(".")  # half-written, or of a file manager
+        if not hidden and path.suffix.lower() in suffixes and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
             number = float(numbers[-1])
             if number in found:
                 raise RecordingError(f"{folder}: {found[number].name} and {path.name} have the same number: remove one")

@@ -1,8 +1,8 @@
 """Procedural textures, compiled with Numba: colour as a function of the place on a surface.
 
-A material is a row of 13 numbers: pattern, scale [m], contrast, glow, and three colours A, B, C (linear RGB). Every
-pattern is band-limited: `w` is the width [m] that a pixel covers, edges are that wide, and detail finer than it fades into
-its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
+A material is a row of 14 numbers: pattern, scale [m], contrast, glow, three colours A, B, C (linear RGB), and the seed of
+what is random in it (-1: every surface of every shape has its own). Every pattern is band-limited: `w` is the width [m] that
+a pixel covers, edges are that wide, and detail finer than it fades into its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
 """
 
 import numpy as np

@@ -25,8 +25,8 @@ _PROBES = 5  # a recording is unusable if none of so many frames spread over it 
 ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth]]  # i -> colour (H, W, 3) BGR, depth (H, W)
 
 
-class Dataset(Protocol):
-    """N frames in the order of time; `dataset[i]` raises FrameError for one bad frame."""
+class FrameSource(Protocol):
+    """What is known of where frames come from: of all N frames of a recording, or of the N that a live camera has given so far."""
 
     @property
     def name(self) -> str: ...
@@ -39,6 +39,10 @@ class Dataset(Protocol):
 
     @property
     def ground_truth(self) -> NDArray[np.float64] | None: ...  # (N, 4, 4) camera-to-world, NaN where a frame has none
+
+
+class Dataset(FrameSource, Protocol):
+    """N frames in the order of time; `dataset[i]` raises FrameError for one bad frame."""
 
     def __len__(self) -> int: ...
 

@@ -3,40 +3,27 @@
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from idfslam.datasets import furniture, lightmap
+from idfslam.datasets import furniture
 from idfslam.datasets import procedural_textures as pattern
+from idfslam.datasets.baked_scene import BakedScene, bake
 from idfslam.datasets.furniture import Rgb, Scene, place
-from idfslam.datasets.lightmap import Lightmap
-from idfslam.datasets.ray_casting import BOX, ELLIPSOID, build_hierarchy, point_on
 
 Array = NDArray[np.float64]
 
 BARE_WALL = 2  # the wall that stays bare on request: the one at y = +half_y
-_SHELL = 6  # the first shapes are floor, ceiling and walls
-_INNER_CHART = (5, 4, 3, 0, 2, 1)  # their faces that look into the room
-_CHORD = 4e-4  # [m] largest distance between a round surface and its triangles
+_INNER_CHARTS = ((5,), (4,), (3,), (0,), (2,), (1,))  # of floor, ceiling and walls
 
 
 @dataclass(frozen=True)
-class Room:
-    """A finished scene; the origin is the middle of the floor, z up."""
+class Room(BakedScene):
+    """A furnished room; the origin is the middle of the floor."""
 
     half: tuple[float, float]
     """Half the inner length and width [m]."""
     height: float
     """[m]."""
-    shapes: Array
-    """(P, 17), see `ray_casting`."""
-    materials: Array
-    """(M, 13), see `procedural_textures`."""
-    nodes: Array
-    """The bounding volumes of the shapes."""
-    lightmap: Lightmap
-    exposure: float
-    """Scale from irradiance to film."""
 
 
 def build_room(seed: int, *, bare_wall: bool = False) -> Room:
@@ -53,58 +40,13 @@ def build_room(seed: int, *, bare_wall: bool = False) -> Room:
         theme(scene, T, length, height)
         _trim(scene, T, length, height)
     _centre(scene, height)
-    shapes, materials = np.array(scene.shapes), np.array(scene.materials)
-    nodes = build_hierarchy(shapes)
-    light = lightmap.bake(shapes, materials, nodes, np.array(scene.lights))
-    return Room(half, height, shapes, materials, nodes, light, _exposure(light))
+    return Room(**vars(bake(scene, _INNER_CHARTS)), half=half, height=height)
 
 
 def wall_frame(k: int, half: tuple[float, float]) -> Array:
     """(4, 4) the frame of wall k: origin at its foot in the middle, x along it, y into the room, z up."""
     x, y = [(0, -half[1]), (half[0], 0), (0, half[1]), (-half[0], 0)][k]
     return place(x, y, turn=90 * k)
-
-
-def room_surface(room: Room) -> trimesh.Trimesh:
-    """The true surface: triangles of all shapes, the inner faces alone of floor, ceiling and walls."""
-    parts = []
-    for p, shape in enumerate(room.shapes):
-        charts = (_INNER_CHART[p],) if p < _SHELL else (range(6) if shape[0] == BOX else (range(1) if shape[0] == ELLIPSOID else range(3)))
-        parts += [_chart_mesh(room.shapes, p, chart) for chart in charts]
-    vertices = np.concatenate([v for v, _ in parts])
-    offsets = np.cumsum([0] + [len(v) for v, _ in parts[:-1]])
-    faces = np.concatenate([f + offset for (_, f), offset in zip(parts, offsets)])
-    return trimesh.Trimesh(vertices, faces, process=False)
-
-
-def _chart_mesh(shapes: Array, p: int, chart: int) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices and outward faces of one chart."""
-    shape = shapes[p]
-    kind = int(shape[0])
-    radius = max(shape[1:3].max(), shape[3] if kind == ELLIPSOID else 0)
-    segments = max(12, int(np.ceil(np.pi / np.arccos(1 - min(_CHORD / radius, 0.5)))))
-    if kind != BOX and kind != ELLIPSOID and chart > 0:
-        ring = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-        st = np.stack([np.cos(ring), np.sin(ring)], 1) / 2 + 0.5
-        faces = np.array([[0, i, i + 1] for i in range(1, segments - 1)])
-        faces = faces if chart == 2 else faces[:, ::-1]
-    else:
-        columns, rows = (1, 1) if kind == BOX else (segments, (segments + 1) // 2 if kind == ELLIPSOID else 1)
-        t, s = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
-        st = np.stack([s.ravel(), t.ravel()], 1)
-        i, j = np.meshgrid(np.arange(columns), np.arange(rows))
-        corner = (j * (columns + 1) + i).ravel()
-        up = corner + columns + 1
-        faces = np.concatenate([np.stack([corner, corner + 1, up], 1), np.stack([corner + 1, up + 1, up], 1)])
-        if kind == BOX and chart in (0, 3, 4):  # s x t points inwards there
-            faces = faces[:, ::-1]
-    return np.array([point_on(shapes, p, chart, s, t) for s, t in st]), faces
-
-
-def _exposure(light: Lightmap) -> float:
-    """Brings the median light on floor, ceiling and walls, inside, to a middle brightness."""
-    brightness = light.light[: light.layout[_SHELL, 0, 0]].mean(1)
-    return 1.0 / float(np.median(brightness[brightness > 0]))
 
 
 def _shell(scene: Scene, half: tuple[float, float], height: float, bare_wall: bool) -> None:

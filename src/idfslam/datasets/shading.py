@@ -93,7 +93,8 @@ def _shade(
     cosine = max(cosine, 0.1)
     width = t * pixel / np.sqrt(cosine * np.sqrt(cosine))  # between the pixel's short and long side on the surface
     m = int(shapes[shape, 16])
-    a = albedo(materials, m, chart, s, r, su, sv, 8.0 * shape + chart, width)
+    seed = materials[m, 13] if materials[m, 13] >= 0 else 8.0 * shape + chart
+    a = albedo(materials, m, chart, s, r, su, sv, seed, width)
     e = irradiance(layout, light, shape, chart, s, r)
     red, green, blue = (
         a[0] * (e[0] * exposure + materials[m, 3]),

@@ -5,24 +5,18 @@ sway. Fewer frames are a shorter piece of the same tour; more go round again.
 """
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from idfslam.datasets.room import BARE_WALL, build_room, room_surface, wall_frame
-from idfslam.datasets.sensor_noise import noisy_colour, noisy_depth
-from idfslam.datasets.shading import Rendering, render
-from idfslam.errors import ConfigError, FrameError
-from idfslam.frame import Frame
-from idfslam.geometry.camera import Camera
+from idfslam.datasets.rendered import RenderedRecording, looking
+from idfslam.datasets.room import BARE_WALL, build_room, wall_frame
+from idfslam.errors import ConfigError
 
-FPS = 30.0
 TOUR = 600  # frames once round
 BARE_PASSAGE = (104, 128)  # frames that face the bare wall
 _APPROACH, _LEAVE = 95, 200  # frames of turning towards it and away
-_FOCAL = 577.0  # [px] at a width of 640
 
 
-class SyntheticRoom:
+class SyntheticRoom(RenderedRecording):
     """A recording in a room: `len(room)`, `room[i]`, `camera`, `timestamps`, `ground_truth`, `surface()`.
 
     `seed` draws the room (size, furniture, colours, textures) and the sway; `frames` is the length of the piece of the
@@ -38,36 +32,9 @@ class SyntheticRoom:
             raise ConfigError(
                 f"synthetic room {seed} of {frames} frames, {width}x{height} px; expected a seed >= 0 and at least 1 frame of 8x8 px"
             )
-        self.name = f"synthetic-{seed}{'-noise' if noise else ''}{'-bare' if bare_wall else ''}"
-        self.camera = Camera(width, height, _FOCAL * width / 640, _FOCAL * width / 640, (width - 1) / 2, (height - 1) / 2)
-        self.timestamps: NDArray[np.float64] = np.arange(frames) / FPS
         self.room = build_room(seed, bare_wall=bare_wall)
-        self.ground_truth: NDArray[np.float64] = tour(seed, frames, self.room.half, bare_wall=bare_wall)
-        self._seed, self._noise = seed, noise
-
-    def __len__(self) -> int:
-        return len(self.timestamps)
-
-    def __getitem__(self, index: int) -> Frame:
-        """Frame `index`, rendered now; the same at every call. Raises FrameError outside the recording."""
-        if not 0 <= index < len(self):
-            raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
-        view = self.render(self.ground_truth[index])
-        colour, depth = view.colour, view.depth
-        if self._noise:
-            rng = np.random.default_rng([self._seed, index])
-            depth = noisy_depth(depth, view.normals, self.camera, rng)
-            colour = noisy_colour(colour, self.timestamps[index], rng)
-        return Frame(index, float(self.timestamps[index]), colour, depth, self.camera)
-
-    def render(self, T_wc: NDArray[np.float64], camera: Camera | None = None) -> Rendering:
-        """Exact colour, depth and normals from any camera-to-world pose (4, 4)."""
-        room = self.room
-        return render(room.shapes, room.materials, room.nodes, room.lightmap, room.exposure, camera or self.camera, T_wc)
-
-    def surface(self) -> trimesh.Trimesh:
-        """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
-        return room_surface(self.room)
+        name = f"synthetic-{seed}{'-noise' if noise else ''}{'-bare' if bare_wall else ''}"
+        super().__init__(name, self.room, tour(seed, frames, self.room.half, bare_wall=bare_wall), (width, height), seed=seed, noise=noise)
 
 
 def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool = False) -> NDArray[np.float64]:
@@ -86,7 +53,7 @@ def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool =
     if bare_wall:
         yaw, pitch = _face_wall(yaw, pitch, frames)
     shake = _sway(x, rng, np.deg2rad(0.45))
-    return _look(position, yaw + shake[:, 0], pitch + shake[:, 1], shake[:, 2] * 2)
+    return looking(position, yaw + shake[:, 0], pitch + shake[:, 1], shake[:, 2] * 2)
 
 
 def _face_wall(yaw: NDArray[np.float64], pitch: NDArray[np.float64], frames: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -105,17 +72,3 @@ def _sway(x: NDArray[np.float64], rng: np.random.Generator, size: float) -> NDAr
     for cycles, share in ((7, 1.0), (13, 0.7), (31, 0.3)):
         out += share * size * np.sin(cycles * x[:, None] + rng.uniform(0, 2 * np.pi, 3))
     return out
-
-
-def _look(
-    position: NDArray[np.float64], yaw: NDArray[np.float64], pitch: NDArray[np.float64], roll: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Poses at `position` (N, 3) that look along yaw (about z, from x) and pitch (up) [rad]."""
-    forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
-    right = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros_like(yaw)], 1)
-    down = np.cross(forward, right)
-    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
-    poses = np.tile(np.eye(4), (len(yaw), 1, 1))
-    poses[:, :3, 0], poses[:, :3, 1], poses[:, :3, 2] = c * right + s * down, c * down - s * right, forward
-    poses[:, :3, 3] = position
-    return poses

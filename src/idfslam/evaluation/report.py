@@ -85,11 +85,18 @@ def _finite(value: Any) -> Any:
 
 
 def plot_trajectory(
-    path: Path, estimate: Floats, truth: Floats | None = None, *, T_gt_est: Floats | None = None, keyframes: NDArray[np.int64] | None = None
+    path: Path,
+    estimate: Floats,
+    truth: Floats | None = None,
+    *,
+    T_gt_est: Floats | None = None,
+    keyframes: NDArray[np.int64] | None = None,
+    before: Floats | None = None,
 ) -> None:
     """PNG of the path from above and from the side: along the two largest extents, and along the first and the third, equal axes.
 
     Poses (N, 4, 4); the truth has NaN where a frame has none; `T_gt_est` moves the estimate beside it; `keyframes` (K,) are marked.
+    before (N, 4, 4): the estimate before its loops were closed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -103,6 +110,9 @@ def plot_trajectory(
     for plot, (a, b), title in zip(figure.subplots(1, 2), (axes[:2], axes[[0, 2]]), ("top view", "side view")):
         if truth is not None:
             plot.plot(reference[:, a], reference[:, b], color=_TRUTH, linewidth=2.2, alpha=0.75, label="ground truth")
+        if before is not None:
+            tracked = before[:, :3, 3] @ T[:3, :3].T + T[:3, 3]
+            plot.plot(tracked[:, a], tracked[:, b], color=_ESTIMATE, linewidth=0.9, linestyle=":", label="before closing loops")
         plot.plot(moved[:, a], moved[:, b], color=_ESTIMATE, linewidth=1.3, label="estimate")
         if keyframes is not None and len(keyframes):
             plot.scatter(moved[keyframes, a], moved[keyframes, b], s=14, color=_KEYFRAME, zorder=3, label=f"{len(keyframes)} keyframes")

@@ -1,7 +1,9 @@
 """Keyframes and what connects them (Sec. IV-C): covisibility, culling, replay; every frame hangs on a keyframe."""
 
+import bisect
 import math
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,8 @@ from torch import Tensor
 from idfslam.config import KeyframeConfig
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.mapping.meshing import View, reduced_view
 from idfslam.mapping.sampling import CellPixels
@@ -20,26 +24,66 @@ _COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt fr
 _COVERAGE_MOST = 1000
 
 
-@dataclass(eq=False)
 class Keyframe:
-    """A frame that is kept, its pose, and what components remember of it."""
+    """A frame that is kept, its pose, and what components remember of it.
 
-    frame: Frame
-    T_wk: Tensor  # (4, 4) float64
-    depth: Tensor  # (H, W) [m] on the map's device
-    colour: Tensor  # (H, W, 3) in [0, 1] on the map's device
-    described: Any = None  # the tracker's features of it
-    cell_losses: Tensor | None = None  # (8, 8) for active sampling
-    pixels: CellPixels | None = None  # its pixels with depth, by cell
-    appearance: Any = None  # the aligner's image pyramid of it
-    landmarks: Any = None  # the aligner's landmarks in it
-    neighbours: set[int] = field(default_factory=set)  # stored keyframes it is connected with
-    earlier: list[int] = field(default_factory=list)  # stored keyframes that see most of what it sees, oldest first
+    Its images may be put away into an archive; whoever asks for them has them again.
+    """
+
+    def __init__(self, frame: Frame, T_wk: Tensor, depth: Tensor, colour: Tensor) -> None:
+        """T_wk (4, 4) float64; depth (H, W) [m] and colour (H, W, 3) in [0, 1] on the map's device."""
+        self.T_wk = T_wk
+        self.index, self.timestamp = frame.index, frame.timestamp
+        self.camera: Camera = frame.camera
+        self.farthest = float(depth.max())  # reading [m]
+        self._images: tuple[Frame, Tensor, Tensor] | None = (frame, depth, colour)
+        self._device = depth.device
+        self._archive: Archive | None = None
+        self.described: Any = None  # the tracker's features of it
+        self.pixels: CellPixels | None = None  # those with depth, by cell
+        self.appearance: Any = None  # the aligner's image pyramid of it
+        self.cell_losses: Tensor | None = None  # (8, 8) for active sampling
+        self.landmarks: Any = None  # the aligner's landmarks in it
+        self.place: Tensor | None = None  # what the place looks like (tracking/place.py)
+        self.anchor = 0  # the stored keyframe that it is, or that it hangs on
+        self.neighbours: set[int] = set()  # stored keyframes it is connected with, by its pose
+        self.linked: set[int] = set()  # of these, those whose pose relative to it was measured, not merely carried on
+        self.unlinked: list[int] = []  # the others, most covisible first
+        self.alike: list[int] = []  # neighbours that see most of what it sees, oldest first
 
     @property
-    def index(self) -> int:
-        """Index of its frame in the recording."""
-        return self.frame.index
+    def frame(self) -> Frame:
+        return self._loaded()[0]
+
+    @property
+    def depth(self) -> Tensor:
+        return self._loaded()[1]
+
+    @property
+    def colour(self) -> Tensor:
+        return self._loaded()[2]
+
+    def _loaded(self) -> tuple[Frame, Tensor, Tensor]:
+        if self._images is None:
+            assert self._archive is not None
+            frame = self._archive.load(self.anchor)
+            self._images = frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device)
+        images = self._images
+        if self._archive is not None:
+            self._archive.used(self.anchor, self)
+        return images
+
+    def keep_in(self, archive: Archive) -> None:
+        """From now on the archive says how long the images stay in memory."""
+        self._archive = archive
+        archive.used(self.anchor, self)
+
+    def put_away(self) -> Frame:
+        """Lets go of the images and of all that can be worked out from them again."""
+        assert self._images is not None
+        frame = self._images[0]
+        self._images = self.described = self.pixels = self.appearance = None
+        return frame
 
 
 @dataclass(frozen=True)
@@ -55,8 +99,10 @@ class _Link:
 class KeyframeGraph:
     """Stored keyframes, the covisibility between them, and all frames relative to them."""
 
-    def __init__(self, config: KeyframeConfig, generator: torch.Generator) -> None:
-        self.config, self._generator = config, generator
+    def __init__(self, config: KeyframeConfig, generator: torch.Generator, *, verify: bool = False) -> None:
+        """verify: covisible keyframes count as linked only where measurements lead to them; off: all of them, as in the paper."""
+        self.config, self._generator, self.verify = config, generator, verify
+        self.archive = Archive(config.in_memory)
         self.keyframes: list[Keyframe] = []
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
         self._chosen_at = 0  # frames processed when that was
@@ -67,10 +113,10 @@ class KeyframeGraph:
         return len(self._links)
 
     def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
-        """A tracked frame, to be remembered relative to the newest stored keyframe."""
-        k = len(self.keyframes) - 1
-        T_kc = se3.inverse(self.keyframes[k].T_wk) @ T_wc if k >= 0 else T_wc
-        self._links.append(_Link(max(k, 0), T_kc, status, timestamp))
+        """A tracked frame, to be remembered relative to the stored keyframe that the last chosen one hangs on."""
+        k = self.reference.anchor if self.reference else 0
+        T_kc = se3.inverse(self.keyframes[k].T_wk) @ T_wc if self.keyframes else T_wc
+        self._links.append(_Link(k, T_kc, status, timestamp))
 
     def asks_for_keyframe(self, T_wc: Tensor, status: Status, in_view: float = 1.0) -> bool:
         """Enough motion since the last keyframe, or lost (Sec. III); or too little is left `in_view` of what frames are held against."""
@@ -87,24 +133,115 @@ class KeyframeGraph:
 
         Its frame is the one appended last; either way it becomes the reference of the frames to come.
         """
+        scores, reach = self._covisibility(keyframe), self._reach()
+        covisible = torch.nonzero(scores > self.config.covisible).flatten().tolist()
+        keyframe.neighbours.update(covisible)
+        keyframe.linked = {i for i in covisible if i in reach}
+        if self.reference is not None:
+            keyframe.linked.add(self.reference.anchor)
+        keyframe.unlinked = sorted(keyframe.neighbours - keyframe.linked, key=lambda i: -float(scores[i]))
+        keyframe.alike = torch.nonzero(scores > self.config.shared).flatten().tolist()
         self.reference, self._chosen_at = keyframe, len(self)
-        scores = self._covisibility(keyframe)
-        keyframe.earlier = torch.nonzero(scores > self.config.shared).flatten().tolist()
-        keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
-        if self.config.culling and len(scores) and float(scores.max()) > self.config.cull:
-            self._link_last(len(self.keyframes) - 1, keyframe.T_wk)
-            return False
-        new = len(self.keyframes)
-        for i in keyframe.neighbours:
-            self.keyframes[i].neighbours.add(new)
-        self.keyframes.append(keyframe)
-        self._link_last(new, keyframe.T_wk)
-        return True
-
-    def _link_last(self, k: int, T_wc: Tensor) -> None:
-        """Hang the newest frame, its pose refined, on stored keyframe k."""
+        cover = self._cover(keyframe, scores)
+        stored = cover is None
+        keyframe.anchor = len(self.keyframes) if cover is None else cover
+        if stored:
+            self._store(keyframe)
         last = self._links[-1]
-        self._links[-1] = _Link(k, se3.inverse(self.keyframes[k].T_wk) @ T_wc, last.status, last.timestamp)
+        self._links[-1] = _Link(keyframe.anchor, self._relative(keyframe), last.status, last.timestamp)
+        return stored
+
+    def _cover(self, keyframe: Keyframe, scores: Tensor) -> int | None:
+        """The linked stored keyframe that makes the new one superfluous: it sees the same, from hardly farther off; None if none does."""
+        if not self.config.culling:
+            return None
+        near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
+        covers = [i for i in keyframe.linked if float(scores[i]) > self.config.cull]
+        if self.config.cull_reach:
+            covers = [i for i in covers if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
+        return max(covers, key=lambda i: float(scores[i]), default=None)
+
+    def adopt(self, keyframe: Keyframe) -> None:
+        """Store a keyframe of an earlier run, before this one's first frame: its pose is known beside all others'."""
+        scores = self._covisibility(keyframe)
+        keyframe.anchor = len(self.keyframes)
+        keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
+        keyframe.linked = set(keyframe.neighbours) | ({keyframe.anchor - 1} if self.keyframes else set())
+        keyframe.alike = torch.nonzero(scores > self.config.shared).flatten().tolist()
+        self._store(keyframe)
+        self.reference = keyframe
+
+    def _store(self, keyframe: Keyframe) -> None:
+        self.keyframes.append(keyframe)
+        keyframe.keep_in(self.archive)
+        for i in keyframe.neighbours:
+            self.keyframes[i].neighbours.add(keyframe.anchor)
+        for i in keyframe.linked:
+            self.keyframes[i].linked.add(keyframe.anchor)
+
+    def _reach(self) -> Collection[int]:
+        """Stored keyframes whose pose relative to the last chosen one was measured, in no more than three steps."""
+        if not self.verify or self.reference is None:
+            return range(len(self.keyframes))
+        near = {self.reference.anchor, *self.reference.linked}
+        return near.union(*(self.keyframes[i].linked for i in near))
+
+    def link(self, keyframe: Keyframe, i: int) -> None:
+        """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
+        keyframe.linked.add(i)
+        if i not in keyframe.alike:
+            bisect.insort(keyframe.alike, i)
+        if self.keyframes[keyframe.anchor] is keyframe:
+            self.keyframes[i].linked.add(keyframe.anchor)
+
+    def apart(self, keyframe: Keyframe) -> list[int]:
+        """Stored keyframes that no chain of two measured relations connects with a chosen one."""
+        near = {keyframe.anchor, *keyframe.linked}
+        near = near.union(*(self.keyframes[i].linked for i in near))
+        return [i for i in range(len(self.keyframes)) if i not in near]
+
+    def status(self) -> Status:
+        """How the newest frame's pose was found."""
+        return self._links[-1].status
+
+    def _relative(self, view: Keyframe) -> Tensor:
+        """A view's pose in the keyframe that the last chosen one hangs on."""
+        assert self.reference is not None
+        return se3.inverse(self.keyframes[self.reference.anchor].T_wk) @ view.T_wk
+
+    def settle(self, view: Keyframe, keyframe: Keyframe) -> None:
+        """A lost view was found again beside a stored keyframe: frames to come are held against that one."""
+        self.reference = keyframe
+        view.anchor = keyframe.anchor
+
+    def bridge(self) -> int:
+        """The frame appended last was found after lost ones: these get poses between it and the last one known. How many they are."""
+        end = len(self) - 1
+        start = end - 1
+        while start >= 0 and self._links[start].status is Status.LOST:
+            start -= 1
+        if start < 0:
+            return 0
+        T_before, T_after = self.T_wc(start), self.T_wc(end)
+        t_before, span = self._links[start].timestamp, self._links[end].timestamp - self._links[start].timestamp
+        step = se3.log(se3.inverse(T_before) @ T_after)
+        for i in range(start + 1, end):
+            link = self._links[i]
+            share = (link.timestamp - t_before) / span if span > 0 else 0.5
+            T_kc = se3.inverse(self.keyframes[link.keyframe].T_wk) @ T_before @ se3.exp(share * step)
+            self._links[i] = _Link(link.keyframe, T_kc, Status.INTERPOLATED, link.timestamp)
+        return end - start - 1
+
+    def move(self, poses: Sequence[Tensor]) -> list[float]:
+        """New poses T_wk of all stored keyframes; what hangs on them follows. How far [m] each moves a point two metres ahead, at most."""
+        changes = []
+        if self.reference is not None and self.keyframes[self.reference.anchor] is not self.reference:
+            self.reference.T_wk = poses[self.reference.anchor] @ self._relative(self.reference)
+        for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
+            T = se3.inverse(keyframe.T_wk) @ T_wk
+            changes.append(float(T[:3, 3].norm() + 2 * se3.angle(T)))
+            keyframe.T_wk = T_wk
+        return changes
 
     def _covisibility(self, keyframe: Keyframe) -> Tensor:
         """Eq. 5 against all stored keyframes: (K,)."""
@@ -112,16 +249,23 @@ class KeyframeGraph:
             return torch.zeros(0)
         T_kn = torch.stack([se3.inverse(k.T_wk) @ keyframe.T_wk for k in self.keyframes]).to(keyframe.depth)
         others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
-        return covisibility(keyframe.depth, keyframe.frame.camera, T_kn, keyframe.frame.camera, others).cpu()
+        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera, others).cpu()
 
     def cover(self, view: Keyframe) -> None:
-        """Remember what a view that the map learnt from has seen: its depth, reduced, relative to the newest stored keyframe."""
-        k = len(self.keyframes) - 1
-        T_kc = se3.inverse(self.keyframes[k].T_wk) @ view.T_wk
-        small = reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
-        self._coverage.append((k, small))
+        """Remember what a view that the map learnt from has seen: its depth, reduced, relative to a stored keyframe."""
+        assert self.reference is not None
+        small = reduced_view(self._relative(view).numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
+        self._coverage.append((self.reference.anchor, small))
         if len(self._coverage) > _COVERAGE_MOST:
             del self._coverage[1::2]  # every other: what is left still spreads over the whole run
+
+    def cover_with(self, views: Sequence[View]) -> None:
+        """Remember what an earlier run has seen, each view relative to the stored keyframe that is nearest."""
+        centres = torch.stack([k.T_wk[:3, 3] for k in self.keyframes]).numpy()
+        for view in views:
+            k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
+            T_kc = se3.inverse(self.keyframes[k].T_wk).numpy() @ view.T_wc
+            self._coverage.append((k, View(T_kc, view.depth, view.camera)))
 
     def views(self) -> list[View]:
         """All that was seen, at the poses that the keyframes have now."""
@@ -132,12 +276,12 @@ class KeyframeGraph:
         return self._draw(self.keyframes, count)
 
     def references(self, count: int) -> list[Keyframe]:
-        """The last chosen frame and, up to `count` in all, those of `earlier`."""
+        """The last chosen frame and, up to `count` in all, `earlier` ones."""
         return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
 
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
-        return [self.keyframes[i] for i in keyframe.earlier[:count]]
+        return [self.keyframes[i] for i in keyframe.alike if i in keyframe.linked][:count]
 
     def replay(self, keyframe: Keyframe) -> list[Keyframe]:
         """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).

@@ -33,6 +33,11 @@ class Mapper:
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
 
+    def take_over(self, field: Field) -> None:
+        """Go on from another field of the same config."""
+        self.field.load_state_dict(field.state_dict())
+        self.optimiser.count_as_used()
+
     def initialise(self, keyframe: Keyframe) -> dict[str, float]:
         """Teach the map its first frame."""
         return self.optimise_map([keyframe], self.config.first_iterations)
@@ -84,9 +89,9 @@ class Mapper:
 
         For finetuning (Eqs. 1, 7): differentiable in the pose. Rays end behind the farthest reading of the keyframes.
         """
-        c, camera = self.config, keyframes[0].frame.camera
+        c, camera = self.config, keyframes[0].camera
         march = RayMarch(max(c.samples, _VIEW_SAMPLES), max(c.importance_samples, _VIEW_IMPORTANCE), self.truncation, c.sharpness)
-        farthest = max(float(k.depth.max()) for k in keyframes) + 2 * self.truncation
+        farthest = max(k.farthest for k in keyframes) + 2 * self.truncation
 
         def view(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
             origins, directions = world_rays(T_wc, camera, uv)

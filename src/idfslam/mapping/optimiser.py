@@ -10,6 +10,9 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import load, sparse_adam
 
+_SAYS_SOMETHING = 1e-3  # an entry's value that is not what it was initialised with
+_LITTLE = 1e-12  # squared gradient that is not zero, yet less than any that comes
+
 
 class MapOptimiser:
     """One step for all of a field's parameters, with the warm-up and the clipping of the config."""
@@ -48,6 +51,11 @@ class MapOptimiser:
         self.grid.grow()
         self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)  # the load counts anew
         return True
+
+    def count_as_used(self) -> None:
+        """Entries of the tables that say something count as filled, although they were not learnt here."""
+        if self.grid is not None:
+            self.v = torch.where(self.grid.tables.detach().abs() > _SAYS_SOMETHING, _LITTLE, self.v)
 
     @contextmanager
     def learning(self) -> Iterator[None]:

@@ -6,18 +6,22 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 
 
 class View(Protocol):
     """What the mapper needs of a keyframe or frame."""
 
-    frame: Frame
     T_wk: Tensor  # (4, 4) float64
-    depth: Tensor  # (H, W) [m]
-    colour: Tensor  # (H, W, 3)
-    cell_losses: Tensor | None  # (8, 8)
+
+    @property
+    def camera(self) -> Camera: ...
+
+    @property
+    def depth(self) -> Tensor: ...  # (H, W) [m]
+
+    @property
+    def colour(self) -> Tensor: ...  # (H, W, 3)
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
     T = (view.T_wk if T_wc is None else T_wc).to(view.depth)
     u, v = uv.unbind(-1)
-    camera = view.frame.camera
+    camera = view.camera
     directions = camera.rays(uv.to(view.depth.dtype)) @ T[:3, :3].mT
     origins = T[:3, 3].expand_as(directions)
     return Rays(origins, directions, view.depth[v, u], view.colour[v, u], facing(view.depth, uv, camera))

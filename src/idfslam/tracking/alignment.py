@@ -130,7 +130,7 @@ class Aligner:
         keep = depth > 0
         patches = torch.where(keep, keep.cumsum(0) - 1, -1).int().view(rows, columns)
         v, u, depth = v[keep], u[keep], depth[keep]
-        points = view.frame.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
+        points = view.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
         return Surface(points, noise_ratio(depth), patches)
 
     def doubtful(self, alignment: Alignment) -> bool:
@@ -138,11 +138,11 @@ class Aligner:
         return (
             alignment.status is Status.LOST
             or alignment.overlap < self.config.doubtful_overlap
-            or alignment.brightness > self._doubtful_brightness
+            or alignment.brightness > self.doubtful_brightness
         )
 
     @property
-    def _doubtful_brightness(self) -> float:
+    def doubtful_brightness(self) -> float:
         """Colours that differ more than this are not noise: the images do not lie on each other."""
         return self.config.doubtful_brightness * max(self._usual_brightness, self.config.colour_noise)
 
@@ -186,11 +186,17 @@ class Aligner:
             brightness, seen = brightness + term.seen * term.noise, seen + term.seen
         return H, b, brightness / max(seen, 1), in_view / count if count else 1.0
 
+    def compare(self, view: Keyframe, reference: Keyframe) -> tuple[float, float]:
+        """The share of a reference's landmarks that a view sees at its pose, and the typical difference of their brightness."""
+        marks, noise, widest = self.landmarks(reference), self.config.colour_noise, self.config.colour_robust
+        term = photometric_term(self.appearance(view), marks, reference.T_wk, view.T_wk, 0, floor=noise, widest=widest)
+        return term.seen / max(len(marks.points), 1), term.noise
+
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, worked out once."""
         if view.appearance is None:
-            levels = pyramid(view.colour, view.frame.camera, height=self.config.image_height, levels=self.config.image_levels)
-            view.appearance = Appearance(levels, view.depth, view.frame.camera)
+            levels = pyramid(view.colour, view.camera, height=self.config.image_height, levels=self.config.image_levels)
+            view.appearance = Appearance(levels, view.depth, view.camera)
         return view.appearance
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:
@@ -210,7 +216,7 @@ class Aligner:
             status = Status.LOST
         elif stiffness < self.config.min_stiffness:
             status = Status.DEGENERATE
-        believed = of_depth if brightness > self._doubtful_brightness else information  # images that do not fit know nothing of the motion
+        believed = of_depth if brightness > self.doubtful_brightness else information  # images that do not fit know nothing of the motion
         return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, in_view, believed, iterations)
 
 

@@ -1,0 +1,95 @@
+"""A public sequence into a folder of downloads: fetched, held to its hash, unpacked beside its place, and then moved there."""
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from idfslam import results
+from idfslam.downloads.catalogue import Sequence
+from idfslam.downloads.fetch import Report, fetch, forget
+from idfslam.downloads.unpack import unpack
+from idfslam.errors import DownloadError
+
+LEDGER = "downloads.json"  # in the folder of downloads: what was fetched when, and the hash of its archive
+
+
+def download(sequence: Sequence, out: Path, *, report: Report = lambda done, total: None) -> Path:
+    """The sequence's folder in `out`, fetched unless it is there already from an earlier call.
+
+    Without a published hash the archive is held to the hash of its first download. Raises DownloadError; what was fetched so far of a
+    download that was cut off is gone on with by the next call.
+    """
+    folder, ledger = out / sequence.folder, read_ledger(out)
+    if folder.exists():
+        if sequence.name in ledger:
+            return folder
+        raise DownloadError(f"{folder}: is there already, and not from this command: move it away, or choose another folder with --out")
+    results.prepare(out)
+    archive = out / f".part-{sequence.name}"
+    fetch(sequence.url, archive, report=report)
+    digest = _sha256(archive)
+    _check(sequence, digest, ledger, archive, out)
+    staging = out / f".part-{sequence.name}-unpacked"
+    shutil.rmtree(staging, ignore_errors=True)
+    try:
+        unpack(archive, staging)
+        ledger[sequence.name] = {
+            "url": sequence.url,
+            "bytes": archive.stat().st_size,
+            "sha256": digest,
+            "date": time.strftime("%Y-%m-%d"),
+            "licence": sequence.licence,
+        }
+        results.write_json(out / LEDGER, ledger)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(_root(staging), folder)
+    except DownloadError as error:
+        if "damaged" in str(error):
+            forget(archive)
+        raise
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    forget(archive)
+    return folder
+
+
+def read_ledger(out: Path) -> dict[str, Any]:
+    """What was downloaded into the folder so far, by name. Raises DownloadError for a damaged file."""
+    path = out / LEDGER
+    if not path.is_file():
+        return {}
+    try:
+        ledger: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        {entry["sha256"] for entry in ledger.values()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DownloadError(f"{path}: not as `idf-slam download` writes it ({error}): remove it") from error
+    return ledger
+
+
+def _check(sequence: Sequence, digest: str, ledger: dict[str, Any], archive: Path, out: Path) -> None:
+    """Raises DownloadError, and throws the archive away, where its hash is not the one it should have."""
+    expected = sequence.sha256 or ledger.get(sequence.name, {}).get("sha256", digest)
+    if digest == expected:
+        return
+    forget(archive)
+    whose = "published" if sequence.sha256 else "of the first download"
+    advice = "try again" if sequence.sha256 else f"if it was published anew, remove it from {out / LEDGER} and try again"
+    raise DownloadError(f"{sequence.url}: sha256 {digest}, expected {expected} ({whose}): {advice}")
+
+
+def _root(staging: Path) -> Path:
+    """The one folder that the archive holds, or all of it."""
+    entries = list(staging.iterdir())
+    return entries[0] if len(entries) == 1 and entries[0].is_dir() else staging
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

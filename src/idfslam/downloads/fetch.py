@@ -1,0 +1,119 @@
+"""A file over HTTP that goes on where it was cut off (RFC 9110, Sec. 14: Range, If-Range)."""
+
+import http.client
+import json
+import logging
+import re
+import ssl
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.request import Request, urlopen
+
+from idfslam import __version__
+from idfslam.errors import DownloadError
+
+log = logging.getLogger(__name__)
+
+Report = Callable[[int, int | None], None]  # bytes so far, bytes in all where they are known
+
+_TIMEOUT = 30.0  # [s] without a byte
+_FRUITLESS = 3  # tries in a row that brought nothing, after which it is given up
+_PAUSE = 1.0  # [s] before the next try, growing with each
+_BLOCK = 1 << 18  # [bytes]
+
+
+def fetch(url: str, path: Path, *, report: Report = lambda done, total: None, pause: float = _PAUSE) -> None:
+    """The file at `url` into `path`, which may hold the beginning of it from an earlier call; `path`.json says which file that was.
+
+    A connection that is cut off is taken up again. Raises DownloadError where the server refuses, nothing comes any more or the disk is
+    full: then `path` keeps what there is, and the next call goes on from it.
+    """
+    fruitless = 0
+    while True:
+        before = _size(path)
+        try:
+            _continue(url, path, report)
+        except HTTPError as error:
+            if error.code < 500:
+                raise DownloadError(f"{url}: the server says {error.code} {error.reason}: has it moved?") from error
+            why = f"{error.code} {error.reason}"
+        except (URLError, ConnectionError, TimeoutError, ssl.SSLError, http.client.HTTPException) as error:
+            why = str(getattr(error, "reason", error) or type(error).__name__)
+        except OSError as error:
+            raise DownloadError(
+                f"{path}: {error.strerror}; what was fetched so far is kept, the same command goes on from there"
+            ) from error
+        else:
+            return
+        fruitless = 0 if _size(path) > before else fruitless + 1
+        if fruitless == _FRUITLESS:
+            raise DownloadError(f"{url}: {why}; what was fetched so far is kept, the same command goes on from there")
+        log.warning("%s: %s; trying again", url, why)
+        time.sleep(pause * (fruitless + 1))
+
+
+def forget(path: Path) -> None:
+    """Removes what `fetch` keeps."""
+    path.unlink(missing_ok=True)
+    _state_file(path).unlink(missing_ok=True)
+
+
+def _continue(url: str, path: Path, report: Report) -> None:
+    """One try. Raises ConnectionError where fewer bytes came than were promised."""
+    state, start = _read_state(path, url), _size(path)
+    if start and start == state.get("total"):
+        return
+    headers = {"User-Agent": f"idf-slam/{__version__}", "Accept-Encoding": "identity"}
+    if start and state.get("version"):
+        headers |= {"Range": f"bytes={start}-", "If-Range": state["version"]}
+    with urlopen(Request(url, headers=headers), timeout=_TIMEOUT) as response:
+        resumed = response.status == 206 and (response.headers["Content-Range"] or "").startswith(f"bytes {start}-")
+        if response.status == 206 and not resumed:
+            forget(path)
+            raise ConnectionError(f"asked for bytes from {start} on, got {response.headers['Content-Range']}")
+        done, total = (start if resumed else 0), _total(response, resumed)
+        if not resumed:
+            path.unlink(missing_ok=True)  # before its state changes: bytes of two versions must never meet
+            _state_file(path).write_text(json.dumps({"url": url, "version": _version(response), "total": total}), encoding="utf-8")
+        with path.open("ab") as file:
+            while block := response.read(_BLOCK):
+                file.write(block)
+                done += len(block)
+                report(done, total)
+    if total is not None and done != total:
+        raise ConnectionError(f"cut off after {done} of {total} bytes")
+
+
+def _total(response: Any, resumed: bool) -> int | None:
+    """Bytes of the whole file, where the server says."""
+    said = (
+        re.search(r"/(\d+)$", response.headers["Content-Range"])
+        if resumed
+        else re.fullmatch(r"(\d+)", response.headers["Content-Length"] or "")
+    )
+    return int(said[1]) if said else None
+
+
+def _version(response: Any) -> str | None:
+    """What tells one version of the file from another: a strong ETag, or else the date."""
+    tag: str | None = response.headers["ETag"]
+    return tag if tag and not tag.startswith("W/") else response.headers["Last-Modified"]
+
+
+def _read_state(path: Path, url: str) -> dict[str, Any]:
+    try:
+        state = json.loads(_state_file(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return state if isinstance(state, dict) and state.get("url") == url else {}
+
+
+def _state_file(path: Path) -> Path:
+    return path.with_name(path.name + ".json")
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0

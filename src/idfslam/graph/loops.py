@@ -1,0 +1,154 @@
+"""Loops: keyframes that turn out to show a place seen before, although the chain of measurements between them has drifted.
+
+A loop is believed if it corrects no more than the way between its keyframes may have drifted (places that look alike lie farther off),
+if the next loop says the same, and if the pose graph can be reconciled with it.
+"""
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
+
+from idfslam.config import LoopConfig
+from idfslam.geometry import se3
+from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.pose_graph import Edge, optimise
+
+log = logging.getLogger(__name__)
+
+_LINK = (0.01, 0.02), (0.004, 0.02)  # standard deviation of a link: [m] and per metre, [rad] and per radian
+_LOOP = 0.005, 0.002  # of a loop [m], [rad]: it comes from an alignment, too, and has crossed no distance
+_SETTLED = 0.01, math.radians(0.3)  # a smaller disagreement is no drift, and the two keyframes are simply linked
+_OVERLAP = 1.5, math.radians(40)  # [m], [rad] between two views of one place that the tracker can register
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Keyframe b, seen again from where keyframe a was."""
+
+    a: int
+    b: int
+    T_ab: Tensor  # (4, 4) float64, measured
+
+    def disagreement(self, graph: KeyframeGraph) -> Tensor:
+        """(4, 4) what the loop would turn the present pose of b into, in b's own frame."""
+        return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
+
+
+class Loops:
+    """The loops of a run: those believed, one that waits to be confirmed, and how many were refused."""
+
+    def __init__(self, config: LoopConfig) -> None:
+        self.config = config
+        self.closed: list[Loop] = []
+        self.refused = 0
+        self.waiting: Loop | None = None
+
+    def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
+        """Stored keyframes not linked with a chosen one that may yet see the same, whatever drift there may be between the two."""
+        apart = graph.apart(keyframe)
+        if not apart:
+            return []
+        T = torch.stack([graph.keyframes[i].T_wk for i in apart])
+        change = se3.inverse(keyframe.T_wk) @ T
+        shift, turn = change[:, :3, 3].norm(dim=1).numpy(), se3.angle(change).numpy()
+        allowed, turn_allowed = self._allowed(ways_from(graph, keyframe.anchor)[apart])
+        near = (shift < allowed + _OVERLAP[0]) & (turn < turn_allowed + _OVERLAP[1])
+        return [i for i, reachable in zip(apart, near) if reachable]
+
+    def _allowed(self, way: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How much a loop may correct after `way` [m]: [m] and [rad]."""
+        c = self.config
+        return c.slack + c.drift * way, np.radians(c.turn_slack + c.turn_drift * way)
+
+    def offer(self, graph: KeyframeGraph, loop: Loop) -> list[float] | None:
+        """A verified loop. Where it closes, the graph's poses follow: how far [m] each keyframe moved; None where nothing moved.
+
+        Without drift to speak of there is nothing to close: the two keyframes are linked.
+        """
+        change = loop.disagreement(graph)
+        shift, turn = float(change[:3, 3].norm()), float(se3.angle(change))
+        if shift < _SETTLED[0] and turn < _SETTLED[1]:
+            graph.link(graph.keyframes[loop.b], loop.a)
+            return None
+        way = ways_from(graph, loop.a)[loop.b]
+        allowed, turn_allowed = self._allowed(way)
+        if shift > allowed or turn > turn_allowed:
+            self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
+            return None
+        if not self._confirmed(graph, loop):
+            self.waiting = loop
+            return None
+        return self._close(graph, [self.waiting, loop] if self.waiting else [loop])
+
+    def _confirmed(self, graph: KeyframeGraph, loop: Loop) -> bool:
+        """Whether the loop that waits, of another keyframe, asks for the same correction."""
+        if self.waiting is None or self.waiting.b == loop.b:
+            return False
+        other = se3.inverse(self.waiting.disagreement(graph))
+        T_between = se3.inverse(graph.keyframes[self.waiting.b].T_wk) @ graph.keyframes[loop.b].T_wk
+        difference = other @ T_between @ loop.disagreement(graph) @ se3.inverse(T_between)
+        apart = float(T_between[:3, 3].norm())
+        near = float(difference[:3, 3].norm()) < 0.02 + 0.05 * apart and float(se3.angle(difference)) < math.radians(1.0)
+        return near and apart < self.config.confirmed_within
+
+    def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float] | None:
+        """The pose graph with all loops, old and new; those that it cannot be reconciled with are dropped."""
+        self.waiting = None
+        loops = [*self.closed, *new]
+        edges = links(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP, loop=True) for loop in loops]
+        poses, believed = optimise([k.T_wk for k in graph.keyframes], edges)
+        if not any(believed[len(self.closed) :]):
+            self._refuse(new[-1], "the pose graph contradicts it")
+            return None
+        for loop, stands in zip(loops, believed, strict=True):
+            if not stands:
+                self._refuse(loop, "the pose graph contradicts it")
+        self.closed = [loop for loop, stands in zip(loops, believed, strict=True) if stands]
+        moved = graph.move(poses)
+        for loop in self.closed:
+            graph.link(graph.keyframes[loop.b], loop.a)
+        a, b = (graph.keyframes[i].index for i in (new[-1].a, new[-1].b))
+        log.info("loop closed between frames %d and %d: keyframes moved by up to %.1f cm", a, b, 100 * max(moved))
+        return moved
+
+    def summary(self, graph: KeyframeGraph) -> dict[str, Any]:
+        """Links and loops between keyframes, as metrics.json tells them; loops by the frames' indices."""
+        closed = [[graph.keyframes[loop.a].index, graph.keyframes[loop.b].index] for loop in self.closed]
+        links = sum(len(keyframe.linked) for keyframe in graph.keyframes) // 2
+        return {"links": links, "loops": closed, "loops_refused": self.refused}
+
+    def _refuse(self, loop: Loop, why: str) -> None:
+        self.refused += 1
+        log.info("loop between keyframes %d and %d refused: %s", loop.a, loop.b, why)
+
+
+def links(graph: KeyframeGraph) -> list[Edge]:
+    """The measured relations between stored keyframes, as the present poses have them."""
+    edges = []
+    for b, keyframe in enumerate(graph.keyframes):
+        for a in sorted(i for i in keyframe.linked if i < b):
+            T_ab = se3.inverse(graph.keyframes[a].T_wk) @ keyframe.T_wk
+            distance, angle = float(T_ab[:3, 3].norm()), float(se3.angle(T_ab))
+            edges.append(Edge(a, b, T_ab, _LINK[0][0] + _LINK[0][1] * distance, _LINK[1][0] + _LINK[1][1] * angle))
+    return edges
+
+
+def ways_from(graph: KeyframeGraph, a: int) -> NDArray[np.float64]:
+    """(K,) the shortest ways [m] over links from keyframe a to each; a turn counts as far as a point two metres ahead moves."""
+    pairs = [(i, j) for j, keyframe in enumerate(graph.keyframes) for i in keyframe.linked if i < j]
+    if not pairs:
+        return np.zeros(len(graph.keyframes))
+    T = torch.stack([k.T_wk for k in graph.keyframes])
+    i, j = torch.tensor(pairs).T
+    T_ij = se3.inverse(T[i]) @ T[j]
+    length = (T_ij[:, :3, 3].norm(dim=1) + 2 * se3.angle(T_ij)).clamp(min=1e-3).numpy()
+    ways = coo_array((length, (i.numpy(), j.numpy())), shape=(len(T), len(T))).tocsr()
+    return np.asarray(dijkstra(ways, directed=False, indices=a))

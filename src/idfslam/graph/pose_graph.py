@@ -1,0 +1,125 @@
+"""The pose graph: keyframe poses that fit the measured relations between them, wrong loops left out.
+
+Gauss-Newton on SE(3), sparse. The links lie at rest when a loop comes in, so what it costs to reconcile them with it is the loop's squared
+distance from what they allow (Mahalanobis). Where that is more than chance explains, the loops that cost most are left out, one after
+the other. It is the second guard against wrong loops, behind their verification.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array
+from scipy.sparse.linalg import spsolve
+from torch import Tensor
+
+from idfslam.geometry import se3
+
+_WORST = 16.81  # squared distance of a right loop, in standard deviations: 99 % of those with six degrees of freedom have less
+_SUSPECTS = 4  # loops of which each is tried to be left out
+_STEPS, _CONVERGED = 15, 1e-7  # of Gauss-Newton
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A measured relation between two keyframes."""
+
+    a: int
+    b: int
+    T_ab: Tensor  # (4, 4) float64
+    translation: float  # standard deviation [m] in each direction
+    rotation: float  # [rad] about each axis
+    loop: bool = False  # may be wrong
+
+
+def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tensor], list[bool]]:
+    """Poses T_wk (4, 4) that fit the edges, the first one fixed, and whether each of the loops among the edges is believed, in order.
+
+    The edges that are no loops must connect all poses.
+    """
+    graph, start = _Graph.of(edges), torch.stack(list(poses))
+    loops = [i for i, edge in enumerate(edges) if edge.loop]
+    kept = np.ones(len(edges), bool)
+    T, cost = graph.solve(start, kept)
+    while kept[loops].any() and cost > _WORST * kept[loops].sum():
+        errors = graph.squared_errors(T)
+        suspects = sorted((i for i in loops if kept[i]), key=lambda i: -errors[i])[:_SUSPECTS]
+        tried = [(graph.solve(start, without(kept, i)), i) for i in suspects]
+        (T, cost), wrong = min(tried, key=lambda trial: trial[0][1])
+        kept[wrong] = False
+    return list(T), kept[loops].tolist()
+
+
+def without(kept: NDArray[np.bool_], i: int) -> NDArray[np.bool_]:
+    """The same (E,), but not edge i."""
+    fewer = kept.copy()
+    fewer[i] = False
+    return fewer
+
+
+@dataclass(frozen=True)
+class _Graph:
+    """All edges at once."""
+
+    a: Tensor  # (E,)
+    b: Tensor
+    T_ba: Tensor  # (E, 4, 4) inverse of the measurements
+    scale: Tensor  # (E, 6) one over the standard deviations
+
+    @classmethod
+    def of(cls, edges: Sequence[Edge]) -> "_Graph":
+        a, b = torch.tensor([e.a for e in edges]), torch.tensor([e.b for e in edges])
+        sigmas = torch.tensor([[e.translation] * 3 + [e.rotation] * 3 for e in edges], dtype=torch.float64)
+        return cls(a, b, se3.inverse(torch.stack([e.T_ab for e in edges])), 1 / sigmas)
+
+    def errors(self, T: Tensor) -> Tensor:
+        """(E, 6) log of what the poses (K, 4, 4) make of each measurement."""
+        return se3.log(self.T_ba @ se3.inverse(T[self.a]) @ T[self.b])
+
+    def squared_errors(self, T: Tensor) -> NDArray[np.float64]:
+        """(E,) in standard deviations."""
+        return (self.errors(T) * self.scale).square().sum(1).numpy()
+
+    def solve(self, T: Tensor, kept: NDArray[np.bool_]) -> tuple[Tensor, float]:
+        """Gauss-Newton from poses (K, 4, 4) with the edges kept (E,), and their squared errors in sum.
+
+        Each pose turns and shifts in its own frame.
+        """
+        root = torch.from_numpy(kept).to(T.dtype)
+        for _ in range(_STEPS):
+            step = self._step(T, root)
+            T = torch.cat([T[:1], se3.orthonormal(T[1:] @ se3.exp(step))])
+            if float(step.abs().max()) < _CONVERGED:
+                break
+        return T, float(self.squared_errors(T)[kept].sum())
+
+    def _step(self, T: Tensor, root: Tensor) -> Tensor:
+        """(K - 1, 6) the increments of all poses but the first."""
+        scale, e = self.scale * root[:, None], self.errors(T)
+        turn = torch.eye(6, dtype=T.dtype) + 0.5 * adjoint_of_increment(e)  # inverse right Jacobian of the logarithm, to first order
+        Jb = scale[:, :, None] * turn
+        Ja = -Jb @ adjoint(se3.inverse(T[self.b]) @ T[self.a])
+        count = len(T)
+        blocks = torch.cat([Ja.mT @ Ja, Jb.mT @ Jb, Ja.mT @ Jb, Jb.mT @ Ja])
+        rows, columns = torch.cat([self.a, self.b, self.a, self.b]), torch.cat([self.a, self.b, self.b, self.a])
+        order = torch.argsort(rows, stable=True)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(rows.numpy(), minlength=count))])
+        H = bsr_array((blocks[order].numpy(), columns[order].numpy(), starts), shape=(6 * count, 6 * count)).tocsc()
+        g = torch.zeros(count, 6, dtype=T.dtype)
+        for index, J in ((self.a, Ja), (self.b, Jb)):
+            g.index_add_(0, index, (J.mT @ (scale * e)[..., None])[..., 0])
+        return torch.from_numpy(spsolve(H[6:, 6:], -g[1:].flatten().numpy())).view(-1, 6)
+
+
+def adjoint(T: Tensor) -> Tensor:
+    """(..., 6, 6) that carries increments across T (..., 4, 4): T exp(x) = exp(Ad x) T."""
+    R, zero = T[..., :3, :3], torch.zeros_like(T[..., :3, :3])
+    return torch.cat([torch.cat([R, se3.hat(T[..., :3, 3]) @ R], -1), torch.cat([zero, R], -1)], -2)
+
+
+def adjoint_of_increment(xi: Tensor) -> Tensor:
+    """(..., 6, 6) the bracket with an increment (..., 6)."""
+    V, W = se3.hat(xi[..., :3]), se3.hat(xi[..., 3:])
+    return torch.cat([torch.cat([W, V], -1), torch.cat([torch.zeros_like(W), W], -1)], -2)

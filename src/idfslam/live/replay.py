@@ -1,0 +1,34 @@
+"""A recording played at its own pace, as if it were a camera: for trying out, tests and demonstrations."""
+
+from dataclasses import replace
+from functools import partial
+from time import perf_counter, sleep
+
+from idfslam.datasets import Dataset
+from idfslam.frame import Frame
+from idfslam.live.depth_camera import Capture
+
+
+class Replay:
+    """Frame i comes (stamp i - stamp 0) / `speed` seconds after the first; it keeps its stamp and its true pose."""
+
+    def __init__(self, recording: Dataset, *, speed: float = 1.0) -> None:
+        self.name, self.camera = recording.name, recording.camera
+        self._recording, self._speed = recording, speed
+        self._next, self._start = 0, 0.0
+
+    def grab(self) -> Capture | None:
+        i, stamps, truth = self._next, self._recording.timestamps, self._recording.ground_truth
+        if i == len(self._recording):
+            return None
+        if i == 0:
+            self._start = perf_counter()
+        sleep(max(0.0, self._start + (stamps[i] - stamps[0]) / self._speed - perf_counter()))
+        self._next += 1
+        return Capture(float(stamps[i]), partial(self._retrieve, i), None if truth is None else truth[i])
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _retrieve(self, i: int, index: int) -> Frame:
+        return replace(self._recording[i], index=index)

@@ -1,0 +1,88 @@
+"""Localisation: a view's pose by a keyframe that looks alike, wherever the camera was thought to be.
+
+The place descriptor says which keyframes to try, the neural tracker registers the view with one of them, and the alignment to map and
+images there has the last word: a pose counts only if it explains what is seen, without doubt.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from idfslam.frame import Status
+from idfslam.graph.keyframes import Keyframe
+from idfslam.tracking.alignment import Aligner, Alignment
+from idfslam.tracking.description import Described
+from idfslam.tracking.motion import change_between
+from idfslam.tracking.place import place_descriptor, vocabulary
+from idfslam.tracking.tracker import Tracker
+
+_MIN_IN_VIEW = 0.3  # smaller share of a keyframe's landmarks in view: it cannot vouch for a place
+_FAR_OFF = 0.5  # [m] beyond which two answers are two places
+_RIVAL = 0.8  # of the best answer's score, from which on another place makes it ambiguous
+
+
+class Localiser:
+    """Finds views among keyframes."""
+
+    def __init__(self, tracker: Tracker, aligner: Aligner) -> None:
+        self.tracker, self.aligner = tracker, aligner
+        self._words: Tensor | None = None
+
+    def described(self, view: Keyframe) -> Described:
+        """What the tracker keeps of a view, worked out once."""
+        if view.described is None:
+            view.described = self.tracker.describe(view.frame)
+        return view.described
+
+    @torch.no_grad()
+    def place(self, view: Keyframe) -> Tensor:
+        """A view's place descriptor, worked out once; the first view asked about gives the visual words.
+
+        By the features as they came: finetuned ones would make places that were seen earlier look different.
+        """
+        if view.place is None:
+            trunk = self.described(view).trunk[None]
+            features = self.tracker.inference.head(trunk)[0].float()
+            if self._words is None:
+                self._words = vocabulary(features)
+            view.place = place_descriptor(features, self._words)
+        return view.place
+
+    def most_alike(self, view: Keyframe, keyframes: Sequence[Keyframe], count: int) -> list[int]:
+        """Indices of the `count` keyframes whose place looks most like the view's."""
+        if not keyframes:
+            return []
+        likeness = torch.stack([self.place(k) for k in keyframes]) @ self.place(view)
+        return likeness.topk(min(count, len(keyframes))).indices.tolist()
+
+    def locate(self, view: Keyframe, keyframe: Keyframe, references: Sequence[Keyframe]) -> Alignment | None:
+        """The view's pose as it follows from a keyframe, held to the map there and to the images of `references`; None if in doubt."""
+        found = self.tracker.track(self.described(view), self.described(keyframe))
+        if found.status is Status.LOST:
+            return None
+        aligned = self.aligner.align(view, keyframe.T_wk @ torch.from_numpy(found.T_kc), references)
+        return aligned if self.convincing(aligned) else None
+
+    def convincing(self, aligned: Alignment) -> bool:
+        """Whether an alignment could not well be an accident."""
+        return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.doubtful(aligned)
+
+    def agrees(self, view: Keyframe, keyframe: Keyframe) -> bool:
+        """Whether the view, at its present pose, shows the keyframe's landmarks where they are."""
+        seen, noise = self.aligner.compare(view, keyframe)
+        return seen > _MIN_IN_VIEW and 0 < noise <= self.aligner.doubtful_brightness
+
+
+def unambiguous(answers: Sequence[tuple[int, Alignment]]) -> tuple[int, Alignment] | None:
+    """The best of several answers (keyframe, alignment) to where a view is; None if there is none, or if two places serve alike."""
+    if not answers:
+        return None
+    best = max(answers, key=lambda answer: answer[1].score)
+    for _, other in answers:
+        change = change_between(best[1].T_wc, other.T_wc)
+        apart = float(change[:3].norm()) > _FAR_OFF or float(change[3:].norm()) > math.radians(20)
+        if apart and other.score > _RIVAL * best[1].score:
+            return None
+    return best

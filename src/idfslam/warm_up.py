@@ -1,0 +1,31 @@
+"""What SLAM compiles and loads at its first frames, done before a live camera's first: they would be far apart, or all that there is."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from idfslam.config import Config
+from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
+from idfslam.slam import Slam
+
+_CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+_FRAMES = 4
+
+
+def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> None:
+    """A few made-up frames through a Slam that is thrown away: the first map, the alignment, doubt and with it the tracker."""
+    slam = make_slam(config)
+    for i in range(_FRAMES):
+        slam.process(made_up(i))
+
+
+def made_up(i: int) -> Frame:
+    """The corner of a room papered with random squares; the last one has another paper and another shape, and is doubted."""
+    rng = np.random.default_rng(i == _FRAMES - 1)
+    squares = rng.random((_CAMERA.height // 8, _CAMERA.width // 8, 3), np.float32)
+    colour = squares.repeat(8, 0).repeat(8, 1)
+    v, u = np.mgrid[-1:1:120j, -1:1:160j].astype(np.float32)
+    slopes = rng.uniform(0.5, 1.0, 3)
+    depth = np.float32(2.5) - np.maximum(np.maximum(u * slopes[0], -u * slopes[1]), v * slopes[2]).astype(np.float32)
+    return Frame(i, i / 30, colour, depth, _CAMERA)

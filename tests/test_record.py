@@ -1,0 +1,145 @@
+"""Recording: what comes back is what was seen, and at whatever moment it ends, what was stored can be read."""
+
+import errno
+import os
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from box_room import BOX_FRAMES
+from live_cameras import HandFed, capture
+from recordings import write_folder
+
+from idfslam import cli
+from idfslam.datasets import open_recording
+from idfslam.errors import RecordingError, ResultError
+from idfslam.frame import Frame
+from idfslam.live import LiveStream, open_live
+from idfslam.record import bgr, millimetres, record
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_recording_comes_back(box_recording: Path, tmp_path: Path) -> None:
+    reports: list[tuple[int, int]] = []
+    done = record(open_live(f"replay@0.5:{box_recording}"), tmp_path / "a", png=True, report=lambda *counts: reports.append(counts))
+    source, copy = open_recording(box_recording), open_recording(tmp_path / "a")
+    assert (done.frames, done.dropped) == (BOX_FRAMES, 0)
+    assert reports[-1] == (BOX_FRAMES, 0)
+    assert names(tmp_path / "a") == ["depth", "intrinsics.txt", "rgb", "timestamps.txt"]
+    assert len(copy) == BOX_FRAMES
+    assert copy.camera == source.camera
+    assert np.allclose(copy.timestamps, source.timestamps, atol=1e-6)
+    for i in (0, 7, 13):
+        assert np.array_equal(copy[i].colour, source[i].colour)
+        assert np.array_equal(copy[i].depth, source[i].depth)
+
+
+def test_jpeg_is_near_and_small(box_recording: Path, tmp_path: Path) -> None:
+    record(open_live(f"replay@0.5:{box_recording}", frames=2), tmp_path)
+    assert names(tmp_path / "rgb") == ["000000.jpg", "000001.jpg"]
+    difference = open_recording(tmp_path)[1].colour - open_recording(box_recording)[1].colour
+    assert np.abs(difference).mean() < 0.01
+
+
+def test_what_images_cannot_hold_is_no_reading() -> None:
+    frame = Frame(
+        0, 0.0, np.zeros((1, 4, 3), np.float32), np.array([[1.2344, 65.534, 65.535, 80.0]], np.float32), capture(0).retrieve(0).camera
+    )
+    assert millimetres(frame).tolist() == [[1234, 65534, 0, 0]]
+    assert bgr(Frame(0, 0.0, np.array([[[1.0, 0.5, 0.0]]], np.float32), frame.depth, frame.camera)).tolist() == [[[0, 128, 255]]]
+
+
+def test_stops_after_seconds(box_recording: Path, tmp_path: Path) -> None:
+    done = record(open_live(f"replay@0.2:{box_recording}"), tmp_path, seconds=0.5)  # 2.2 s in all
+    assert 1 <= done.frames <= 8
+    assert len(open_recording(tmp_path)) == done.frames
+
+
+def test_ctrl_c_ends_it_and_all_that_was_stored_is_whole(tmp_path: Path) -> None:
+    device = HandFed()
+
+    def feed() -> None:
+        for stamp in range(100):
+            if stamp == 5:
+                os.kill(os.getpid(), signal.SIGINT)
+            device.give(capture(1 + stamp))
+
+    threading.Thread(target=feed, daemon=True).start()
+    done = record(LiveStream(device), tmp_path)
+    copy = open_recording(tmp_path)
+    assert 1 <= len(copy) == done.frames < 100
+    assert all(np.isfinite(copy[i].depth).all() for i in range(len(copy)))
+
+
+def test_a_full_disk_is_one_clear_line_and_loses_nothing(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if "000004" in path.name and path.parent.name == "depth":
+            write(path, data[:10])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ResultError, match=r"cannot be written \(No space left on device\); the \d+ frames stored before can be read"):
+        record(open_live(f"replay@0.5:{box_recording}"), tmp_path)
+    copy = open_recording(tmp_path)
+    assert 3 <= len(copy) <= 5  # 0 to 3, but for one that another thread was at
+    assert all(copy[i].depth.any() for i in range(len(copy)))
+    assert not [name for folder in ("rgb", "depth") for name in names(tmp_path / folder) if name.startswith(".")]
+
+
+def test_a_recording_that_was_killed_can_be_read(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "a", frames=5)
+    for pose in (folder / "pose").iterdir():
+        pose.unlink()
+    (folder / "timestamps.txt").write_text("000001 10.5\n000000 10.25\n000002 11.0\n000003 11.")  # cut off in the last line
+    (folder / "depth" / "000004.png").unlink()
+    (folder / "depth" / ".part-000004.png").write_bytes(b"half")
+    recording = open_recording(folder)
+    assert recording.timestamps.tolist() == [10.25, 10.5, 11.0]
+    assert recording[2].timestamp == 11.0
+
+
+def test_stamps_of_other_forms(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "a", frames=3)
+    stamps = folder / "timestamps.txt"
+    stamps.write_text("# seconds\n5.0\n5.5\n6.25")
+    assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.25]
+    for text, message in (
+        ("5.0\n5.5\n", "2 stamps for 3 images"),
+        ("0 5.0\n1\n2 6.0\n", "stands alone"),
+        ("0 5.0\n1 x\n", "line 2 is '1 x', expected a stamp"),
+        ("0 5.0 rgb/0.png\n", "line 1 is"),
+        ("0 5.0\n1 4.0\n2 6.0\n", "frame 1 is not later"),
+        ("0 5.0\n1 5.5\n2 6.0\n7 7.0\n", None),
+    ):
+        stamps.write_text(text)
+        if message is not None:
+            with pytest.raises(RecordingError, match=message):
+                open_recording(folder)
+    assert len(open_recording(folder)) == 3  # number 7 has no images
+
+
+def test_a_folder_with_a_recording_is_refused(box_recording: Path, tmp_path: Path) -> None:
+    write_folder(tmp_path / "a")
+    before = names(tmp_path / "a" / "rgb")
+    with pytest.raises(ResultError, match="holds a recording already"):
+        record(open_live(f"replay:{box_recording}"), tmp_path / "a")
+    assert names(tmp_path / "a" / "rgb") == before
+
+
+def test_the_command(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["record", f"replay@0.5:{box_recording}", "--out", str(tmp_path / "a"), "--frames", "3"])
+    assert "3 frames in " in capsys.readouterr().out
+    assert len(open_recording(tmp_path / "a")) == 3
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["record", "replay:nowhere", "--out", str(tmp_path / "b")])
+    assert caught.value.code == 1
+    assert "nowhere: no such file or folder" in capsys.readouterr().err
+    assert not (tmp_path / "b").exists()

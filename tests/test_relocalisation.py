@@ -1,0 +1,81 @@
+"""A camera that is lost is found again where it has been before, and nowhere else."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from idfslam.config import FAST
+from idfslam.datasets import Selection
+from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.frame import Frame, FrameResult, Status
+from idfslam.slam import Slam
+
+DARK = range(40, 44)
+ORDER = [*range(40), *(-1 for _ in DARK), *range(2, 12)]  # half a tour, darkness, and near the start again
+
+
+@pytest.fixture(scope="module")
+def room() -> Selection:
+    return Selection(SyntheticRoom(seed=0, frames=240, width=320, height=240), frames=40, stride=3)
+
+
+@pytest.fixture(scope="module")
+def kidnapped(room: Selection) -> tuple[Slam, list[FrameResult]]:
+    slam = Slam(FAST)
+    blank = Frame.blank(0, 0.0, room.camera)
+    return slam, [slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30)) for i, j in enumerate(ORDER)]
+
+
+def test_the_camera_is_found_at_once(kidnapped: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+    slam, results = kidnapped
+    assert [r.index for r in results if r.status is Status.LOST] == list(DARK)
+    assert room.ground_truth is not None
+    seen = np.delete(np.arange(len(ORDER)), DARK)
+    truth = (np.linalg.inv(room.ground_truth[0]) @ room.ground_truth)[np.delete(ORDER, DARK)]
+    assert np.linalg.norm(truth[40, :3, 3] - truth[39, :3, 3]) > 1.0
+    np.testing.assert_allclose(slam.trajectory()[seen, :3, 3], truth[:, :3, 3], atol=0.02)
+
+
+def test_the_gap_is_filled_and_marked(kidnapped: tuple[Slam, list[FrameResult]]) -> None:
+    slam, _ = kidnapped
+    assert [i for i, status in enumerate(slam.statuses()) if status is Status.INTERPOLATED] == list(DARK)
+    before, *gap, after = slam.trajectory()[DARK[0] - 1 : DARK[-1] + 2, :3, 3]
+    along = [np.dot(p - before, after - before) / np.dot(after - before, after - before) for p in gap]
+    assert np.all(np.diff([0, *along, 1]) > 0)
+
+
+def test_a_view_is_found_by_its_looks_alone(kidnapped: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+    slam, _ = kidnapped
+    assert room.ground_truth is not None
+    truth = np.linalg.inv(room.ground_truth[0]) @ room.ground_truth
+    for j in (5, 20, 35):
+        view = slam._view(room[j])
+        view.T_wk = torch.eye(4, dtype=torch.float64)  # what was thought of its pose does not matter
+        found = slam._relocalised(view)
+        assert found is not None
+        np.testing.assert_allclose(found.T_wc[:3, 3], truth[j, :3, 3], atol=0.02)
+        assert slam.graph.reference in slam.graph.keyframes
+    assert slam.relocalisations == 3
+
+
+def elsewhere(first: int, count: int) -> Iterator[Frame]:
+    other = SyntheticRoom(seed=5, frames=240, width=320, height=240)
+    for i in range(count):
+        yield replace(other[10 * i], index=first + i, timestamp=(first + i) / 30)
+
+
+def test_a_place_never_seen_is_not_taken_for_one_that_was(room: Selection) -> None:
+    slam = Slam(FAST)
+    for i in range(30):
+        slam.process(room[i])
+    known = [k.index for k in slam.graph.keyframes]
+    slam.process(Frame.blank(30, 1.0, room.camera))
+    strange = [slam.process(frame) for frame in elsewhere(31, 10)]
+    assert [r.status for r in strange] == [Status.LOST] * 10
+    assert [k.index for k in slam.graph.keyframes] == known  # nothing of it is mapped
+    back = slam.process(replace(room[20], index=41, timestamp=41 / 30))
+    assert back.status is Status.OK
+    np.testing.assert_allclose(back.T_wc[:3, 3], slam.trajectory()[20, :3, 3], atol=0.01)
