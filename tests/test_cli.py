@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from idfslam import cli
-from idfslam.commands.run import CameraFlags
+from idfslam.commands.run import CameraFlags, TopicFlags
 from idfslam.config import FAST, PAPER
 
 
@@ -65,6 +65,8 @@ def test_flags_of_run() -> None:
     assert (command.start, command.frames, command.stride, command.format, command.out) == (3, 20, 2, "tum", Path("there"))
     assert (command.values.device, command.values.seed) == ("cpu", 9)
     assert command.camera == CameraFlags(fx=500, depth_scale=5000)
+    topics = run_values("--topics.colour", "/a", "--topics.depth", "/b", "--topics.camera-info", "/c", "--topics.poses", "/d").topics
+    assert topics == TopicFlags("/a", "/b", "/c", "/d")
     assert command.values.mapper.active_sampling is False
     assert command.values.field.encoding == "positional"
 

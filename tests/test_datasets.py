@@ -27,7 +27,8 @@ from recordings import (
     write_tum,
 )
 
-from idfslam.datasets import FORMATS, Prefetch, open_recording, tum
+from idfslam.datasets import FORMATS, Prefetch, open_recording
+from idfslam.datasets.association import associate
 from idfslam.datasets.images import Undistortion
 from idfslam.datasets.recording import Selection
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -168,15 +169,15 @@ def test_association_takes_the_closest_first_and_each_image_once() -> None:
     colour = np.array([0.000, 0.030, 0.060, 0.200])
     depth = np.array([0.012, 0.028, 0.075, 0.221])
     # 30-28 ms (2 ms) comes first; then 0-12 (12); then 60-75 (15); 200-221 is 21 ms apart: too far
-    assert tum.associate(colour, depth, 0.02) == [(0, 0), (1, 1), (2, 2)]
+    assert associate(colour, depth, 0.02) == [(0, 0), (1, 1), (2, 2)]
     # both colour images are within 20 ms of the one depth image: only the nearer gets it
-    assert tum.associate(np.array([0.0, 0.010]), np.array([0.009]), 0.02) == [(1, 0)]
+    assert associate(np.array([0.0, 0.010]), np.array([0.009]), 0.02) == [(1, 0)]
 
 
 @given(st.lists(st.floats(0, 1), max_size=20), st.lists(st.floats(0, 1), max_size=20))
 def test_association_is_one_to_one_within_the_tolerance(a: list[float], b: list[float]) -> None:
     x, y = np.sort(np.array(a, float)), np.sort(np.array(b, float))
-    pairs = tum.associate(x, y, 0.02)
+    pairs = associate(x, y, 0.02)
     assert len({i for i, _ in pairs}) == len({k for _, k in pairs}) == len(pairs)
     assert all(abs(x[i] - y[k]) <= 0.02 for i, k in pairs)
 
@@ -215,7 +216,8 @@ def test_distortion_is_undone() -> None:
     bgr, raw = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 1000, np.uint16)
     patch = np.s_[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3]
     bgr[patch], raw[patch] = 255, 2000
-    colour, depth = Undistortion(camera, k)(bgr, raw)
+    undistort = Undistortion(camera, k)
+    colour, depth = undistort.colour(bgr), undistort.depth(raw)
     at = round(camera.fy * y + camera.cy), round(camera.fx * x + camera.cx)
     assert np.hypot(at[0] - v, at[1] - u) > 3  # the lens moves it by more than the patch is wide
     assert (colour[at] == 255).all() and depth[at] == 2000

@@ -35,6 +35,7 @@ class Source:
     format: str | None = None
     camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that win over the recording's own
     depth_scale: float | None = None  # units of the depth images per metre
+    topics: dict[str, str] | None = None  # of a ROS recording, where they are named
     start: int = 0
     frames: int | None = None
     stride: int = 1

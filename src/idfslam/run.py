@@ -117,6 +117,7 @@ def open_source(source: results.Source) -> Dataset:
         format=source.format,
         camera=source.camera,
         depth_scale=source.depth_scale,
+        topics=source.topics,
         start=source.start,
         frames=source.frames,
         stride=source.stride,

@@ -34,6 +34,20 @@ class CameraFlags:
 
 
 @dataclass(frozen=True)
+class TopicFlags:
+    """Topics of a ROS recording, where they are not found by themselves."""
+
+    colour: str | None = None
+    """Colour images."""
+    depth: str | None = None
+    """Depth images; named, they are taken to be registered to colour where nothing says otherwise."""
+    camera_info: str | None = None
+    """The colour camera."""
+    poses: str | None = None
+    """The ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
+
+
+@dataclass(frozen=True)
 class Run:
     """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
 
@@ -54,6 +68,7 @@ class Run:
     format: str | None = None
     """The recording's layout, where it is not to be seen from its files."""
     camera: CameraFlags = CameraFlags()
+    topics: TopicFlags = TopicFlags()
     map: Path | None = None
     """The result folder of an earlier run: the camera is found in its map, which is extended. Its recording must still be there."""
     config: Path | None = None
@@ -69,7 +84,8 @@ class Run:
 
         camera = self.camera.given()
         scale = camera.pop("depth_scale", None)
-        source = Source(located(str(self.path)), self.format, camera or None, scale, self.start, self.frames, self.stride)
+        topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
+        source = Source(located(str(self.path)), self.format, camera or None, scale, topics or None, self.start, self.frames, self.stride)
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)

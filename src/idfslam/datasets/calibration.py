@@ -5,13 +5,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
 
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
+_FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
 CAMERA_FILES = ("intrinsics.txt", "camera-intrinsics.txt", "calibration.txt", "calib.txt", "camera.txt")
 
 
@@ -25,7 +28,7 @@ class Calibration:
     cy: float | None = None
     width: int | None = None  # [px] of the images it holds for
     height: int | None = None
-    distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3]
+    distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
     source: str = "the command line"
 
@@ -44,6 +47,13 @@ class Calibration:
             return replace(self, depth_scale=scale)
         said = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source" and getattr(self, f.name) is not None}
         return replace(other, **said)
+
+    def resized(self, size: tuple[int, int], to: tuple[int, int]) -> "Calibration":
+        """The same statement for images that were scaled from one size to another (width, height) [px], where it states a whole camera."""
+        if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
+            return self
+        camera = Camera(*size, self.fx, self.fy, self.cx, self.cy).resized(*to)
+        return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=to[0], height=to[1])
 
     def camera(self, width: int, height: int, recording: str) -> Camera:
         """The camera of images `width` x `height` [px].
@@ -83,23 +93,60 @@ def override(camera: Mapping[str, float | None] | None, depth_scale: float | Non
     return Calibration(given.get("fx"), given.get("fy"), given.get("cx"), given.get("cy"), depth_scale=scale)
 
 
+@dataclass(frozen=True)
+class DepthCamera:
+    """A depth camera that stands beside the colour camera."""
+
+    calibration: Calibration
+    T_colour_depth: NDArray[np.float64]  # (4, 4) [m]
+
+
 def read_cam_params(*folders: Path) -> Calibration:
     """cam_params.json of the first of the folders that has one: {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}."""
-    path = next((folder / "cam_params.json" for folder in folders if (folder / "cam_params.json").is_file()), None)
-    if path is None:
-        return Calibration()
+    path = _cam_params(folders)
+    return Calibration() if path is None else _camera_of(_json(path), "camera", path)
+
+
+def read_depth_camera(*folders: Path) -> DepthCamera | None:
+    """The depth camera in cam_params.json, {"depth_camera": as "camera", "T_colour_depth": 4x4}; None: depth is registered to colour."""
+    path = _cam_params(folders)
+    if path is None or "depth_camera" not in (values := _json(path)):
+        return None
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))["camera"]
+        T = np.array(values["T_colour_depth"], np.float64)
+        rigid = T.shape == (4, 4) and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2) and np.linalg.det(T) > 0
+    except (KeyError, ValueError, TypeError):
+        rigid = False
+    if not rigid or not np.array_equal(T[3], [0, 0, 0, 1]) or not np.isfinite(T).all():
+        raise RecordingError(f'{path}: expected "T_colour_depth" beside "depth_camera": a rigid 4x4 matrix, depth to colour camera, metres')
+    return DepthCamera(_camera_of(values, "depth_camera", path), T)
+
+
+def _cam_params(folders: tuple[Path, ...]) -> Path | None:
+    return next((folder / "cam_params.json" for folder in folders if (folder / "cam_params.json").is_file()), None)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
+    if not isinstance(values, dict):
+        raise RecordingError(f"{path}: {type(values).__name__}, expected {_FORM}")
+    return values
+
+
+def _camera_of(values: dict[str, Any], key: str, path: Path) -> Calibration:
+    try:
+        values = values[key]
         fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
         width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
         scale = float(values["scale"]) if "scale" in values else None
         distortion = tuple(float(value) for value in values.get("distortion", ())) or None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        found = f"{type(error).__name__} {error}"
-        raise RecordingError(
-            f'{path}: {found}, expected {{"camera": {{"w", "h", "fx", "fy", "cx", "cy", "scale"}}}} with numbers'
-        ) from error
-    _check_distortion(distortion, path)
+        raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
+    if distortion is not None and len(distortion) not in (4, 5, 8):
+        raise RecordingError(f"{path}: {len(distortion)} distortion values, expected k1 k2 p1 p2 [k3 [k4 k5 k6]]")
     return Calibration(fx, fy, cx, cy, width, height, distortion, scale, source=str(path))
 
 
@@ -124,8 +171,3 @@ def read_camera_file(folder: Path, names: tuple[str, ...] = CAMERA_FILES) -> Cal
         raise RecordingError(f"{path}: not a pinhole matrix, expected rows fx 0 cx, 0 fy cy, 0 0 1")
     fx, fy, cx, cy = (float(value) for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
     return Calibration(fx, fy, cx, cy, source=str(path))
-
-
-def _check_distortion(distortion: tuple[float, ...] | None, path: Path) -> None:
-    if distortion is not None and len(distortion) not in (4, 5):
-        raise RecordingError(f"{path}: {len(distortion)} distortion values, expected k1 k2 p1 p2 [k3]")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, DepthCamera, read_cam_params, read_camera_file, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.stamps import STAMPS, read_stamps
@@ -39,14 +39,23 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     if stamps is not None:
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
     pairs = paired(images, depths, path)
-    calibration = override.over(read_cam_params(path)).over(read_camera_file(path)).over(Calibration(depth_scale=1000))
+    calibration, beside = calibrated(path, override)
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)) if stamps is None else np.array([stamps[number] for number in images]),
         ground_truth=read_poses(path, list(images)),
         calibration=calibration,
+        depth_camera=beside,
     )
+
+
+def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCamera | None]:
+    """The colour camera, and the depth camera where it stands beside it, by the user, cam_params.json and camera files; millimetres."""
+    beside = read_depth_camera(path)
+    scale = Calibration(depth_scale=beside.calibration.depth_scale if beside else None)
+    stated = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path))
+    return stated.over(Calibration(depth_scale=1000)), beside
 
 
 def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
+
+Depth = NDArray[np.uint16] | NDArray[np.float32]
+"""(H, W) as stored: whole numbers, of which 0 and 65535 are no reading, or fractions, of which 0 and what is not finite are none."""
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"})
 SATURATED = 65535  # "invalid" in 7-Scenes, the end of the range elsewhere: no reading
@@ -25,8 +29,13 @@ class ImageFiles:
 
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         colour, depth = self.pairs[i]
-        raw = decode_depth(_read(depth), str(depth))  # first: it tells swapped folders apart
+        raw = read_depth(depth)  # first: it tells swapped folders apart
         return decode_colour(_read(colour), str(colour)), raw
+
+
+def read_depth(path: Path) -> NDArray[np.uint16]:
+    """(H, W) as stored; raises FrameError."""
+    return decode_depth(_read(path), str(path))
 
 
 def _read(path: Path) -> bytes:
@@ -74,11 +83,21 @@ def rgb(bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
     return unit
 
 
-def metres(raw: NDArray[np.uint16], scale: float) -> NDArray[np.float32]:
-    """(H, W) uint16 -> float32 [m]; 0 where there is no reading."""
+def metres(raw: Depth, scale: float) -> NDArray[np.float32]:
+    """(H, W) as stored -> float32 [m]; 0 where there is no reading."""
     depth: NDArray[np.float32] = np.multiply(raw, np.float32(1 / scale), dtype=np.float32)
-    depth[raw == SATURATED] = 0
+    depth[~readings(raw)] = 0
     return depth
+
+
+def readings(raw: Depth) -> NDArray[np.bool_]:
+    """(H, W): where a depth image as stored holds a reading."""
+    return (raw != 0) & (raw != SATURATED) if raw.dtype == np.uint16 else np.isfinite(raw) & (raw > 0)
+
+
+def has_readings(raw: Depth) -> bool:
+    """Whether any pixel of a depth image (H, W) as stored holds a reading."""
+    return bool(readings(raw).any())
 
 
 class Undistortion:
@@ -90,15 +109,11 @@ class Undistortion:
         self._linear = cv2.convertMaps(x, y, cv2.CV_16SC2)
         self._nearest = (x, y)
 
-    def __call__(self, bgr: NDArray[np.uint8], raw: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        colour = cv2.remap(bgr, *self._linear, cv2.INTER_LINEAR)
-        depth = cv2.remap(raw, *self._nearest, cv2.INTER_NEAREST)
-        return np.asarray(colour, np.uint8), np.asarray(depth, np.uint16)
+    def colour(self, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return np.asarray(cv2.remap(bgr, *self._linear, cv2.INTER_LINEAR), np.uint8)
 
-
-def has_readings(raw: NDArray[np.uint16]) -> bool:
-    """Whether any pixel of a depth image (H, W) as stored holds a reading."""
-    return bool(((raw != 0) & (raw != SATURATED)).any())
+    def depth(self, raw: Depth) -> Depth:
+        return cast(Depth, cv2.remap(raw, *self._nearest, cv2.INTER_NEAREST))
 
 
 def numbered(folder: Path, pattern: str = "*", *, suffixes: frozenset[str] = SUFFIXES) -> dict[float, Path]:

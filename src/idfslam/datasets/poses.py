@@ -39,16 +39,26 @@ def read_freiburg(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]
             raise RecordingError(f"{path}: pose {line} has {len(row)} numbers, expected stamp tx ty tz qx qy qz qw")
     table = np.array(rows).reshape(-1, 8)
     table = table[np.argsort(table[:, 0], kind="stable")]
-    poses = np.full((len(table), 4, 4), np.nan)
-    known = np.isfinite(table).all(1)
-    lengths = np.linalg.norm(table[known, 4:], axis=1)
+    try:
+        return table[:, 0], from_quaternions(table[:, 1:4], table[:, 4:])
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error} in stamp tx ty tz qx qy qz qw") from error
+
+
+def from_quaternions(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (N, 4, 4) from positions (N, 3) [m] and quaternions (N, 4) x y z w; NaN where a row is not finite.
+
+    Raises ValueError where a quaternion is not of length 1.
+    """
+    poses = np.full((len(positions), 4, 4), np.nan)
+    known = np.isfinite(positions).all(1) & np.isfinite(quaternions).all(1)
+    lengths = np.linalg.norm(quaternions[known], axis=1)
     if np.any(np.abs(lengths - 1) > _UNIT):
-        worst = lengths[np.abs(lengths - 1).argmax()]
-        raise RecordingError(f"{path}: a quaternion has length {worst:.3g}, expected 1 in stamp tx ty tz qx qy qz qw")
+        raise ValueError(f"a quaternion has length {lengths[np.abs(lengths - 1).argmax()]:.3g}, expected 1")
     poses[known] = np.eye(4)
-    poses[known, :3, :3] = Rotation.from_quat(table[known, 4:]).as_matrix()
-    poses[known, :3, 3] = table[known, 1:4]
-    return table[:, 0], poses
+    poses[known, :3, :3] = Rotation.from_quat(quaternions[known]).as_matrix()
+    poses[known, :3, 3] = positions[known]
+    return poses
 
 
 def at_stamps(

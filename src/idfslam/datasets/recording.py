@@ -3,13 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import Undistortion, has_readings, metres, rgb
+from idfslam.datasets.calibration import Calibration, DepthCamera
+from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.registration import Registration
+from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 FPS = 30.0  # of recordings without stamps
 _PROBES = 5  # a recording is unusable if none of so many frames spread over it can be read
 
-ReadImages = Callable[[int], tuple[NDArray[np.uint8], NDArray[np.uint16]]]  # i -> colour (H, W, 3) BGR, depth (H, W)
+ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth]]  # i -> colour (H, W, 3) BGR, depth (H, W)
 
 
 class FrameSource(Protocol):
@@ -57,6 +59,7 @@ class Reader:
     layout: str
     recognises: Callable[[Path], bool]
     open: Callable[[Path, Calibration], Dataset]  # the calibration is the user's override
+    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = None  # of layouts that have topics, which the user may name
 
 
 class Recording:
@@ -73,12 +76,15 @@ class Recording:
         timestamps: NDArray[np.float64],  # (N,) [s]
         ground_truth: NDArray[np.float64] | None,  # (N, 4, 4) camera-to-world
         calibration: Calibration,
+        depth_camera: DepthCamera | None = None,  # None: depth is registered to colour
     ) -> None:
         self.name, self.timestamps, self.ground_truth = name, timestamps, ground_truth
-        self._read = read
-        height, width = self._probe()
-        self.camera = calibration.camera(width, height, name)
+        self._read, self._registered = read, depth_camera is None
+        colour, depth = self._probe()
+        self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
+        self._size = depth  # width, height [px] of the depth images
+        self._register = None if depth_camera is None else Registration(depth_camera, depth, self.camera, self._scale, name)
         distorted = calibration.distortion is not None and any(calibration.distortion)
         self._undistort = Undistortion(self.camera, calibration.distortion or ()) if distorted else None
 
@@ -89,38 +95,47 @@ class Recording:
         """Frame i, from -N to N-1; raises FrameError where its images are missing, damaged or without depth."""
         i = range(len(self))[i]
         bgr, raw = self._checked(i)
-        if raw.shape != (self.camera.height, self.camera.width):
-            expected = f"the recording's {self.camera.width}x{self.camera.height}"
-            raise FrameError(f"{self.name}: frame {i} is {raw.shape[1]}x{raw.shape[0]}, expected {expected}")
+        for kind, found, expected in (("", _size(bgr), (self.camera.width, self.camera.height)), ("'s depth", _size(raw), self._size)):
+            if found != expected:
+                sizes = f"{found[0]}x{found[1]}, expected the recording's {expected[0]}x{expected[1]}"
+                raise FrameError(f"{self.name}: frame {i}{kind} is {sizes}")
         if self._undistort is not None:
-            bgr, raw = self._undistort(bgr, raw)
+            bgr = self._undistort.colour(bgr)
+            raw = self._undistort.depth(raw) if self._registered else raw
+        if self._register is not None:
+            raw = self._register(raw)
         return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera)
 
     def surface(self) -> None:
         """Unknown: files hold no surface."""
 
-    def _checked(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def _checked(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
-        if bgr.shape[:2] != raw.shape:
+        if self._registered and bgr.shape[:2] != raw.shape:
             sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]} and depth {raw.shape[1]}x{raw.shape[0]}"
             raise FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: register the depth to the colour camera")
         if not has_readings(raw):
             raise FrameError(f"{self.name}: frame {i} has no depth (all zero), expected readings of a depth camera")
         return bgr, raw
 
-    def _probe(self) -> tuple[int, int]:
-        """Height and width [px] by the first of a few frames that can be read."""
+    def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Width and height [px] of colour and depth by the first of a few frames that can be read."""
         if not len(self):
             raise RecordingError(f"{self.name}: no frames")
         first: FrameError | None = None
         for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
             try:
-                height, width = self._checked(int(i))[1].shape
+                bgr, raw = self._checked(int(i))
             except FrameError as error:
                 first = first or error
             else:
-                return height, width
+                return _size(bgr), _size(raw)
         raise RecordingError(str(first)) from first
+
+
+def _size(image: NDArray[Any]) -> tuple[int, int]:
+    """Width, height [px]."""
+    return image.shape[1], image.shape[0]
 
 
 class Selection:

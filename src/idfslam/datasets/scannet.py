@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.folder import read_poses
-from idfslam.datasets.images import ImageFiles, decode_colour, numbered, paired
+from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered, paired
 from idfslam.datasets.recording import Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
 
@@ -70,7 +70,7 @@ class ColourOnDepth:
     colour: Calibration | None  # None: colour shows what depth shows, at another size
     depth: Calibration
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self.read(i)
         height, width = bgr.shape[:2]
         size = (raw.shape[1], raw.shape[0])

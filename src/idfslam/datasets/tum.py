@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
+from idfslam.datasets.association import TOLERANCE, associate
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
-
-TOLERANCE = 0.02  # [s] between a colour image and the depth image or pose that belongs to it
 
 # The published calibration of the three cameras, by the number in "freiburgN". Depth is registered to colour.
 FREIBURG = {
@@ -66,21 +65,6 @@ def read_list(path: Path) -> list[tuple[float, Path]]:
     if not entries:
         raise RecordingError(f"{path}: empty, expected lines of a stamp in seconds and a file")
     return sorted(entries)
-
-
-def associate(a: NDArray[np.float64], b: NDArray[np.float64], tolerance: float) -> list[tuple[int, int]]:
-    """Pairs (i, k), sorted by i, of sorted stamps a (N,) and b (M,) [s] within the tolerance, the closest first, each used once."""
-    first, last = np.searchsorted(b, a - tolerance), np.searchsorted(b, a + tolerance, side="right")
-    candidates = sorted((abs(a[i] - b[k]), i, k) for i in range(len(a)) for k in range(first[i], last[i]))
-    used_a: set[int] = set()
-    used_b: set[int] = set()
-    pairs = []
-    for _, i, k in candidates:
-        if i not in used_a and k not in used_b:
-            used_a.add(i)
-            used_b.add(k)
-            pairs.append((i, k))
-    return sorted(pairs)
 
 
 def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -40,13 +40,14 @@ def open_live(
     format: str | None = None,
     camera: Mapping[str, float | None] | None = None,
     depth_scale: float | None = None,
+    topics: Mapping[str, str | None] | None = None,
     start: int = 0,
     frames: int | None = None,
     stride: int = 1,
 ) -> LiveStream:
     """A live camera by its name (see NAMES), as a stream that ends after `frames` frames, or as `open_recording` has them.
 
-    format, start and stride are those of the recording that `replay` plays.
+    format, topics, start and stride are those of the recording that `replay` plays.
     Raises CameraError where the camera is not there, ConfigError where name or arguments are wrong, RecordingError where the camera is
     unknown and where a recording to replay cannot be used.
     """
@@ -55,8 +56,8 @@ def open_live(
     given = override(camera, depth_scale)
     path = replayed(name)
     if path is None:
-        if format is not None or start or stride != 1:
-            raise ConfigError(f"{name}: a camera has no first frame and no layout: leave --start, --stride and --format out")
+        if format is not None or topics or start or stride != 1:
+            raise ConfigError(f"{name}: a camera has no first frame, layout and topics: leave --start, --stride, --format and --topics out")
         return LiveStream(open_camera(name, given), frames=frames)
     if not path:
         raise ConfigError(f"{name}: expected replay:PATH, with a recording in any layout or synthetic[:SEED][:kinect]")
@@ -64,7 +65,7 @@ def open_live(
     from idfslam.live.replay import Replay
 
     speed = _speed(name)
-    recording = open_recording(path, format=format, camera=camera, depth_scale=depth_scale, start=start, stride=stride)
+    recording = open_recording(path, format=format, camera=camera, depth_scale=depth_scale, topics=topics, start=start, stride=stride)
     return LiveStream(Replay(recording, speed=speed), frames=frames)
 
 

@@ -67,7 +67,7 @@ class RealSense:
         if colour.get_profile().format() == self._rs.format.rgb8:  # in a file
             bgr = bgr[..., ::-1]
         if self._undistort is not None:
-            bgr, raw = self._undistort(bgr, raw)
+            bgr, raw = self._undistort.colour(bgr), np.asarray(self._undistort.depth(raw), np.uint16)
         return Frame(index, colour.get_timestamp() / 1000, rgb(np.ascontiguousarray(bgr)), metres(raw, self._scale), self.camera)
 
     def _undistortion(self, intrinsics: Any) -> Undistortion | None:

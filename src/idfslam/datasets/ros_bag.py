@@ -1,0 +1,118 @@
+"""A ROS 1 bag, a ROS 2 bag (sqlite3 or MCAP) or an MCAP file through `rosbags`: messages by topic and time, from any thread."""
+
+import logging
+import struct
+import threading
+import weakref
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from idfslam.errors import ConfigError, FrameError, RecordingError
+
+log = logging.getLogger(__name__)
+
+SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
+# What rosbags raises for damaged data beside its own errors: it trusts lengths and checks with assert.
+_DAMAGE = (AssertionError, EOFError, IndexError, KeyError, MemoryError, OverflowError, RuntimeError, TypeError, ValueError, struct.error)
+
+
+@dataclass(frozen=True, order=True)
+class Entry:
+    """One message."""
+
+    stamp: float  # [s] of its header, else of its arrival
+    time: int  # [ns] of its arrival in the recording, by which it is found again
+
+
+class Bag:
+    """Raises RecordingError where the file cannot be read, ConfigError where rosbags is not installed."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise ConfigError("reading ROS bags and MCAP needs rosbags: pip install 'idf-slam[ros]'") from error
+
+        self.path, self._lock, self._errors = path, threading.Lock(), _errors()
+        try:
+            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+            self._reader.open()
+        except self._errors as error:
+            hint = "rosbag reindex it or copy the recording again" if path.suffix == ".bag" else "copy the recording again"
+            raise RecordingError(f"{path}: not a readable recording ({_line(error)}): {hint}") from error
+        weakref.finalize(self, self._reader.close)
+        self.types = {c.topic: c.msgtype.replace("/msg/", "/") for c in self._reader.connections if c.msgcount}
+
+    def topics(self, *types: str) -> list[str]:
+        """The topics with messages of any of these types, in alphabetical order."""
+        return sorted(topic for topic, found in self.types.items() if found in types)
+
+    def first(self, topic: str) -> Any:
+        """The first message; raises RecordingError where it cannot be read."""
+        for message in self.messages(topic):
+            return message
+        raise RecordingError(f"{self.path}: {topic} cannot be read (its messages are gone): copy the recording again")
+
+    def messages(self, topic: str) -> Iterator[Any]:
+        """All messages in their order; raises RecordingError where one cannot be read."""
+        for _, _, message in self._each([topic]):
+            yield message
+
+    def index(self, *topics: str) -> dict[str, list[Entry]]:
+        """All messages of some topics, sorted by their stamps. Reads them all once: the stamps lie in them."""
+        log.info("%s: reading the stamps of %s", self.path, " and ".join(topics))
+        entries: dict[str, list[Entry]] = {topic: [] for topic in topics}
+        for topic, time, message in self._each(list(topics)):
+            entries[topic].append(Entry(stamp_of(message) or time / 1e9, time))
+        return {topic: sorted(found) for topic, found in entries.items()}
+
+    def _each(self, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
+        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        try:
+            with self._lock:
+                for connection, time, data in self._reader.messages(connections=connections):
+                    yield connection.topic, time, self._reader.deserialize(data, connection.msgtype)
+        except self._errors as error:
+            raise RecordingError(f"{self.path}: {topics[0]} cannot be read ({_line(error)}): copy the recording again") from error
+
+    def at(self, topic: str, entry: Entry) -> Any:
+        """The message of an entry; raises FrameError where it cannot be read."""
+        connections = [connection for connection in self._reader.connections if connection.topic == topic]
+        try:
+            with self._lock:
+                for connection, _, data in self._reader.messages(connections=connections, start=entry.time, stop=entry.time + 1):
+                    message = self._reader.deserialize(data, connection.msgtype)
+                    if (stamp_of(message) or entry.time / 1e9) == entry.stamp:
+                        return message
+            reason = "it is gone"
+        except self._errors as error:
+            reason = _line(error)
+        raise FrameError(f"{self.path}: {topic} at {entry.stamp:.3f} s cannot be read ({reason}): copy the recording again")
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    """All that rosbags, and what it reads with, raise for files that are not what they should be."""
+    import apsw
+    from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Error1
+    from rosbags.rosbag2 import ReaderError as Error2
+
+    try:
+        from compression.zstd import ZstdError  # Python 3.14
+    except ImportError:
+        from backports.zstd import ZstdError
+    return (AnyReaderError, Error1, Error2, apsw.Error, ZstdError, *_DAMAGE)
+
+
+def stamp_of(message: Any) -> float:
+    """[s] of the header; 0 where there is none."""
+    header = getattr(message, "header", None)
+    return 0.0 if header is None else header.stamp.sec + header.stamp.nanosec / 1e9
+
+
+def _line(error: Exception) -> str:
+    words = str(error).splitlines()
+    return f"{words[0].rstrip('.')}" if words else type(error).__name__

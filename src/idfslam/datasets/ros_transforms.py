@@ -1,0 +1,50 @@
+"""The frames of a ROS recording that do not move against one another: a tree of transforms, as /tf_static tells it."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.errors import RecordingError
+
+
+class StaticFrames:
+    """Frames with their parents."""
+
+    def __init__(self, messages: Iterable[Any], source: str) -> None:
+        """messages: of tf2_msgs/TFMessage. source: names them in messages to the user. Raises RecordingError where one is no transform."""
+        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        for message in messages:
+            for transform in message.transforms:
+                parent, child = (frame.strip("/") for frame in (transform.header.frame_id, transform.child_frame_id))
+                self._parents[child] = (parent, matrix(transform.transform.translation, transform.transform.rotation, f"{source}: {child}"))
+
+    def T(self, a: str, b: str) -> NDArray[np.float64] | None:
+        """T_ab (4, 4), from frame b to frame a; None where nothing connects them."""
+        (root_a, T_root_a), (root_b, T_root_b) = self._from_root(a.strip("/")), self._from_root(b.strip("/"))
+        return np.linalg.inv(T_root_a) @ T_root_b if root_a == root_b else None
+
+    def _from_root(self, frame: str) -> tuple[str, NDArray[np.float64]]:
+        T, seen = np.eye(4), {frame}
+        while frame in self._parents:
+            frame, T_parent = self._parents[frame]
+            T = T_parent @ T
+            if frame in seen:
+                break  # a circle: no tree
+            seen.add(frame)
+        return frame, T
+
+
+def matrix(translation: Any, rotation: Any, source: str) -> NDArray[np.float64]:
+    """(4, 4) of a position and a quaternion; raises RecordingError, which names the source, where they are no transform."""
+    t = np.array([[translation.x, translation.y, translation.z]], np.float64)
+    q = np.array([[rotation.x, rotation.y, rotation.z, rotation.w]], np.float64)
+    try:
+        T = poses.from_quaternions(t, q)[0]
+    except ValueError as error:
+        raise RecordingError(f"{source}: {error} in a transform") from error
+    if np.isnan(T).any():
+        raise RecordingError(f"{source}: a transform that is not finite")
+    return T

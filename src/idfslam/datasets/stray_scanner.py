@@ -1,0 +1,119 @@
+"""Stray Scanner (iPhone and iPad with LiDAR): rgb.mp4, depth/NNNNNN.png [mm], confidence/, camera_matrix.csv, odometry.csv.
+
+Colour is 1920x1440 and depth 256x192; both become 640x480 (`resampling` says how). Readings of low confidence, which ARKit guesses from the
+image rather than measures, are left out. ARKit's poses in odometry.csv, already with x right, y down, z forward, are the ground truth.
+"""
+
+import csv
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.datasets.calibration import Calibration, read_camera_file
+from idfslam.datasets.images import Depth, numbered, read_depth
+from idfslam.datasets.recording import Reader, Recording
+from idfslam.datasets.resampling import enlarged, moderate
+from idfslam.datasets.video import VideoTrack
+from idfslam.errors import FrameError, RecordingError
+
+log = logging.getLogger(__name__)
+
+MEDIUM = 1  # ARKit's confidence: 0 low, 1 medium, 2 high
+_COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+_CAMERA = ("fx", "fy", "cx", "cy")  # of each frame, as the lens focuses; later versions of the app
+
+
+def recognises(path: Path) -> bool:
+    return all((path / name).is_file() for name in ("rgb.mp4", "odometry.csv")) and (path / "depth").is_dir()
+
+
+def open_stray_scanner(path: Path, override: Calibration) -> Recording:
+    """Video frame, depth image, confidence and line of odometry with equal numbers belong together."""
+    for name in ("rgb.mp4", "odometry.csv", "depth"):
+        if not (path / name).exists():
+            raise RecordingError(f"{path}: {name} is missing, expected an export of Stray Scanner: rgb.mp4, depth/, odometry.csv")
+    track, depth = VideoTrack(path / "rgb.mp4"), numbered(path / "depth")
+    odometry = read_odometry(path / "odometry.csv")
+    numbers = [i for i in range(len(track)) if i in depth and i in odometry.rows]
+    if not numbers:
+        found = f"{len(track)} frames in rgb.mp4, {len(depth)} images in depth/ and {len(odometry.rows)} lines in odometry.csv"
+        raise RecordingError(f"{path}: {found}, expected equal numbers: export the recording again")
+    if len(numbers) < max(len(track), len(depth)):
+        log.warning("%s: %d frames of video and %d depth images; the %d with both are read", path, len(track), len(depth), len(numbers))
+    rows = [odometry.rows[i] for i in numbers]
+    stated = override.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
+    size = moderate(*track.size)
+    return Recording(
+        path.name,
+        StrayImages(track, numbered(path / "confidence"), depth, numbers, size),
+        timestamps=odometry.table[rows, 0],
+        ground_truth=odometry.T_wc[rows],
+        calibration=stated.resized(track.size, size).over(Calibration(depth_scale=1000)),
+    )
+
+
+@dataclass(frozen=True)
+class StrayImages:
+    """Called with i: colour and depth of frame i in one size."""
+
+    track: VideoTrack
+    confidence: dict[float, Path]  # none at all: every reading counts
+    depth: dict[float, Path]
+    numbers: list[int]
+    size: tuple[int, int]  # width, height [px]
+
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+        number = self.numbers[i]
+        raw = read_depth(self.depth[number])
+        if self.confidence:
+            raw = np.where(self._confidence(number, raw.shape) >= MEDIUM, raw, 0).astype(np.uint16)
+        return self.track.colour(number, self.size), enlarged(raw, self.size)
+
+    def _confidence(self, number: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        path = self.confidence.get(number)
+        image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is None or image.shape != shape:
+            found = "missing" if path is None else "unreadable" if image is None else "of another size than the depth image"
+            raise FrameError(f"{path or self.depth[number]}: confidence of frame {number} is {found}: export the recording again")
+        return np.asarray(image, np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """What odometry.csv says."""
+
+    rows: dict[int, int]  # line by frame
+    table: NDArray[np.float64]  # (N, 9) the columns above
+    T_wc: NDArray[np.float64]  # (N, 4, 4)
+    camera: Calibration  # the median over the frames, where they have one
+
+
+def read_odometry(path: Path) -> Odometry:
+    """Raises RecordingError where the file is not what it should be."""
+    with path.open(encoding="utf-8", errors="replace", newline="") as file:
+        reader = csv.DictReader(file, skipinitialspace=True)
+        names = [name.strip() for name in reader.fieldnames or ()]
+        lines = list(reader)
+    if missing := [name for name in _COLUMNS if name not in names]:
+        raise RecordingError(f"{path}: no column {', '.join(missing)}, expected {', '.join(_COLUMNS)}")
+    try:
+        table = np.array([[float(line[name]) for name in _COLUMNS] for line in lines]).reshape(-1, len(_COLUMNS))
+        cameras = [[float(line[name]) for name in _CAMERA] for line in lines] if set(_CAMERA) <= set(names) else []
+        T_wc = poses.from_quaternions(table[:, 2:5], table[:, 5:9])
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"{path}: {error}, expected numbers in {', '.join(_COLUMNS)}") from error
+    if not len(table):
+        raise RecordingError(f"{path}: empty, expected a line for each frame")
+    rows = {int(frame): row for row, frame in enumerate(table[:, 1])}
+    if not cameras:
+        return Odometry(rows, table, T_wc, Calibration())
+    fx, fy, cx, cy = (float(value) for value in np.median(cameras, 0))
+    return Odometry(rows, table, T_wc, Calibration(fx, fy, cx, cy, source=str(path)))
+
+
+READER = Reader("stray", "rgb.mp4, depth/, odometry.csv of Stray Scanner", recognises, open_stray_scanner)

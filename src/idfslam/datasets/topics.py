@@ -1,0 +1,29 @@
+"""Which topics of a recording hold what, as the user names them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from idfslam.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Topics:
+    """None: found by what the recording holds; poses are read only where they are named."""
+
+    colour: str | None = None
+    depth: str | None = None
+    camera_info: str | None = None  # of the colour camera
+    poses: str | None = None  # the ground truth
+
+    @classmethod
+    def of(cls, names: Mapping[str, str | None] | None) -> "Topics":
+        """Raises ConfigError for other keys."""
+        allowed = [field.name for field in fields(cls)]
+        if unknown := [key for key in names or {} if key not in allowed]:
+            raise ConfigError(f"topics: {', '.join(unknown)} unknown, expected {', '.join(allowed)}")
+        return cls(**{key: _normal(name) for key, name in (names or {}).items() if name})
+
+
+def _normal(name: str) -> str:
+    """As bags list it: with the leading slash."""
+    return "/" + name.strip("/")

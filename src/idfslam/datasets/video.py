@@ -1,0 +1,126 @@
+"""A track of a video file, frame by frame: decoded forward where frames are asked for in order, from the key frame before elsewhere."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError, FrameError, RecordingError
+
+SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm"})
+
+
+def pyav() -> ModuleType:
+    """PyAV; raises ConfigError where it is not installed."""
+    try:
+        import av
+    except ImportError as error:
+        raise ConfigError("reading video needs PyAV: pip install 'idf-slam[video]'") from error
+    return av
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a video file holds beside its frames."""
+
+    titles: list[str]  # of the video tracks; "" where one has none
+    formats: list[str]  # of their pixels, in ffmpeg's names
+    tags: dict[str, str]
+    attachments: dict[str, bytes]  # by file name
+
+
+def read_contents(path: Path) -> Contents:
+    """Raises RecordingError where the file is no video."""
+    av = pyav()
+    try:
+        with av.open(str(path)) as container:
+            tracks = container.streams.video
+            files = {stream.metadata.get("filename", ""): bytes(stream.data) for stream in container.streams.attachments}
+            titles, formats = [track.metadata.get("title", "") for track in tracks], [str(track.pix_fmt) for track in tracks]
+            return Contents(titles, formats, dict(container.metadata), files)
+    except av.FFmpegError as error:
+        raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
+
+
+class VideoTrack:
+    """Frames 0 to N - 1 of a video track in the order in which they are shown, not rotated; from any thread, one at a time.
+
+    Opening reads the stamps of all frames and decodes none. Raises RecordingError where the file holds no such track.
+    """
+
+    def __init__(self, path: Path, track: int = 0) -> None:
+        """track: which of the file's video tracks."""
+        self.path, self._track = path, track
+        self._lock = threading.Lock()
+        av = pyav()
+        self._error: type[Exception] = av.FFmpegError
+        stamps: dict[int, bool] = {}  # stamp in the track's time base -> is it a key frame
+        try:
+            self._container = av.open(str(path))
+            if track >= len(self._container.streams.video):
+                raise RecordingError(f"{path}: {len(self._container.streams.video)} video tracks, expected at least {track + 1}")
+            self._stream = self._container.streams.video[track]
+            for packet in self._container.demux(self._stream):
+                if packet.pts is not None and packet.size and not packet.is_discard:
+                    stamps[packet.pts] = packet.is_keyframe
+        except self._error as error:
+            raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
+        if not stamps:
+            raise RecordingError(f"{path}: video track {track} holds no frames with stamps, expected a video: copy the recording again")
+        self._stamps = np.array(sorted(stamps), np.int64)
+        self._keys = np.flatnonzero([stamps[stamp] for stamp in self._stamps.tolist()])
+        self.times = np.array(self._stamps * float(self._stream.time_base), np.float64)  # (N,) [s]
+        self.size: tuple[int, int] = (self._stream.width, self._stream.height)  # [px]
+        self._frames: Iterator[Any] = iter(())
+        self._next = len(self)  # the frame that comes next from the decoder
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def colour(self, i: int, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+        """Frame i (H, W, 3) BGR, reduced to size (width, height) by the mean over areas; raises FrameError."""
+        width, height = size or self.size
+        return np.asarray(self._decoded(i).to_ndarray(format="bgr24", width=width, height=height, interpolation="AREA"), np.uint8)
+
+    def grey16(self, i: int) -> NDArray[np.uint16]:
+        """Frame i (H, W) of a track of 16-bit grey images; raises FrameError."""
+        frame = self._decoded(i)
+        if not frame.format.name.startswith("gray16"):
+            raise FrameError(f"{self.path}: video track {self._track} holds {frame.format.name} images, expected depth as 16-bit grey")
+        return np.asarray(frame.to_ndarray(), np.uint16)
+
+    def _decoded(self, i: int) -> Any:
+        with self._lock:
+            try:
+                if not self._next <= i or self._key_before(i) > self._next:
+                    self._seek(i)
+                for frame in self._frames:
+                    if frame.pts is None or frame.pts < self._stamps[i]:
+                        continue
+                    if frame.pts > self._stamps[i]:
+                        break
+                    self._next = i + 1
+                    return frame
+                reason = "it cannot be decoded"
+            except self._error as error:
+                reason = _reason(error)
+            self._next = len(self)  # the decoder may have lost its place
+            raise FrameError(f"{self.path}: frame {i} of video track {self._track}: {reason}: copy the recording again")
+
+    def _key_before(self, i: int) -> int:
+        place = np.searchsorted(self._keys, i, side="right") - 1
+        return int(self._keys[place]) if place >= 0 else 0
+
+    def _seek(self, i: int) -> None:
+        self._container.seek(int(self._stamps[self._key_before(i)]), stream=self._stream, backward=True)
+        self._frames = self._container.decode(self._stream)
+
+
+def _reason(error: Exception) -> str:
+    """ffmpeg's words without the file's name and the log."""
+    return str(getattr(error, "strerror", None) or error).splitlines()[0]
