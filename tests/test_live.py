@@ -267,7 +267,7 @@ def test_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("realsense@2", {}, "not a live camera"),
         ("opencv:0", {}, "expected opencv:COLOUR:DEPTH"),
         ("openni:first", {}, "expected the number of a device"),
-        ("opencv:0:2", {"start": 5}, "leave --start, --stride and --format out"),
+        ("opencv:0:2", {"start": 5}, "leave --start, --stride, --format and --topics out"),
         ("opencv:0:2", {"frames": 0}, "expected at least 1"),
         ("realsense", {"camera": {"fx": 500.0}}, "the device tells its own camera"),
     ],
