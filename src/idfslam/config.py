@@ -140,6 +140,8 @@ class KeyframeConfig:
     """Keyframes whose images are held in memory; those of the others are packed into a temporary file."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
+    reference: Literal["last", "covisible"] = "last"
+    """The keyframe that the tracker registers a frame against: the last chosen, or the stored one that has most of it in view."""
     replay: int = 2
     """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
     replay_connected: int = 2

@@ -169,9 +169,9 @@ class Slam:
 
     def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
         """The neural tracker's pose against the reference keyframe (Sec. V)."""
-        reference = self.graph.reference
-        assert reference is not None
         with self._timed("track"):
+            reference = self.graph.tracking_reference(current)
+            assert reference is not None
             result = self.tracker.track(self._described(current), self._described(reference))
         if result.status is Status.LOST:
             return current.T_wk, Status.LOST

@@ -279,6 +279,12 @@ class KeyframeGraph:
         """The last chosen frame and, up to `count` in all, `earlier` ones."""
         return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
 
+    def tracking_reference(self, frame: Keyframe) -> Keyframe | None:
+        """The keyframe to register a frame against, at the pose it has so far (`KeyframeConfig.reference`); of equals the oldest."""
+        if self.config.reference == "last" or not self.keyframes or bool((frame.depth <= 0).all()):
+            return self.reference
+        return self.keyframes[int(self._covisibility(frame).argmax())]
+
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
         return [self.keyframes[i] for i in keyframe.alike if i in keyframe.linked][:count]
