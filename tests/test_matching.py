@@ -27,14 +27,14 @@ def test_ratio_weight_by_hand() -> None:
     # Query at 0 degrees, neighbours at 60 and 90: d = 1 - cos = 0.5 and 1; w = 1 - 0.5/1 = 0.5.
     # Query at 90: neighbours at 90 (d clamped to 1e-6) and 60 (d = 1 - cos 30 = 0.1339746): w = 1 - 7.46e-6.
     queries, targets = at(0, 90), at(90, 60)
-    neighbours = nearest(queries, targets, 2)
+    neighbours = nearest(queries, targets)
     assert neighbours.tolist() == [[1, 0], [0, 1]]
     torch.testing.assert_close(ratio_weights(queries, targets, neighbours), torch.tensor([0.5, 1 - 1e-6 / 0.1339746], dtype=torch.float64))
 
 
 def test_equal_neighbours_weigh_nothing() -> None:
     queries, targets = at(0), at(30, -30)
-    assert float(ratio_weights(queries, targets, nearest(queries, targets, 2))) == pytest.approx(0, abs=1e-12)
+    assert float(ratio_weights(queries, targets, nearest(queries, targets))) == pytest.approx(0, abs=1e-12)
 
 
 def test_both_directions() -> None:
@@ -81,7 +81,7 @@ def test_weights_carry_gradients() -> None:
 
 def test_chunks_do_not_change_the_answer() -> None:
     queries, targets = (torch.nn.functional.normalize(torch.randn(600, 8, dtype=torch.float64), dim=1) for _ in range(2))
-    assert torch.equal(nearest(queries, targets, 2), (queries @ targets.mT).topk(2).indices)
+    assert torch.equal(nearest(queries, targets), (queries @ targets.mT).topk(2).indices)
 
 
 def test_grid_limit_by_hand() -> None:

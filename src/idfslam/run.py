@@ -169,12 +169,16 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
 
 
 def counts(slam: Slam) -> dict[str, Any]:
-    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
+    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate.
+
+    And how often finetuning was undone.
+    """
     found = Counter(slam.statuses())
     frames = {
         "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
         "interpolated_frames": found[Status.INTERPOLATED],
         "degenerate_frames": found[Status.DEGENERATE],
+        "finetuning_undone": slam.tracker.guard.undone,
     }
     return {"keyframes": len(slam.graph.keyframes)} | frames | slam.connections()
 

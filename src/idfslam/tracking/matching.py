@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-_CHUNK = 256  # queries a matrix product: their similarities stay in the cache
+_SIMILARITIES = 1 << 23  # held at a time, at most
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,24 @@ class Matches:
 
 
 @torch.no_grad()
-def nearest(queries: Tensor, targets: Tensor, k: int) -> Tensor:
-    """The k targets (M, C) nearest in cosine to each of the queries (N, C), unit rows: indices (N, k), best first.
+def nearest(queries: Tensor, targets: Tensor) -> Tensor:
+    """The two targets (M, C), M >= 2, nearest in cosine to each of the queries (N, C), unit rows: indices (N, 2), the nearest first.
 
     Memory is bounded: a chunk of queries at a time.
     """
-    return torch.cat([(chunk @ targets.mT).topk(k, dim=-1).indices for chunk in queries.split(_CHUNK)])
+    chunks = queries.split(max(1, _SIMILARITIES // len(targets)))
+    return torch.cat([two_largest(chunk @ targets.mT) for chunk in chunks])
+
+
+def two_largest(values: Tensor) -> Tensor:
+    """The places (N, 2) of the two largest in each row of values (N, M), the largest first."""
+    if values.device.type != "cpu":
+        return values.topk(2, dim=-1).indices
+    from idfslam.tracking.kernels import numba_tracking
+
+    indices = torch.empty(len(values), 2, dtype=torch.int64)
+    numba_tracking.two_largest(values.numpy(), indices.numpy())
+    return indices
 
 
 def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tensor:
@@ -40,7 +52,7 @@ def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tenso
     return (1 - first / second).clamp(min=0)
 
 
-def _lattice(valid: Tensor, stride: int) -> Tensor:
+def lattice(valid: Tensor, stride: int) -> Tensor:
     """Flat indices of the valid pixels (H, W) on every `stride`-th row and column."""
     flat = torch.arange(valid.numel(), device=valid.device).view_as(valid)[stride // 2 :: stride, stride // 2 :: stride]
     return flat[valid.flatten()[flat]]
@@ -49,7 +61,7 @@ def _lattice(valid: Tensor, stride: int) -> Tensor:
 def _directed(source: Tensor, target: Tensor, queries: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
     """For pixels `queries` of features (N, C) the nearest of the pixels `candidates` of `target`, and the ratio weights."""
     chosen, field = source[queries], target[candidates]
-    neighbours = nearest(chosen.detach(), field.detach(), 2)
+    neighbours = nearest(chosen.detach(), field.detach())
     return candidates[neighbours[:, 0]], ratio_weights(chosen, field, neighbours)
 
 
@@ -71,21 +83,22 @@ def match(
     """
     width = frame_valid.shape[1]
     f, k = frame.flatten(1).mT, keyframe.flatten(1).mT
-    frame_targets, keyframe_targets = _lattice(frame_valid, target_stride), _lattice(keyframe_valid, target_stride)
+    frame_targets, keyframe_targets = lattice(frame_valid, target_stride), lattice(keyframe_valid, target_stride)
     if min(len(frame_targets), len(keyframe_targets)) < 2:
         none = frame_targets[:0]
         return Matches(none, none, f.new_zeros(0))
-    queries = _lattice(frame_valid, query_stride)
+    queries = lattice(frame_valid, query_stride)
     answers, weight = _directed(f, k, queries, keyframe_targets)
     if mutual:
-        back, back_weight = _directed(k, f, answers, frame_targets)
+        asked, place = answers.unique(return_inverse=True)  # some answer several queries
+        back, back_weight = (found[place] for found in _directed(k, f, asked, frame_targets))
         near = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs()) <= max(
             query_stride, target_stride
         )
         return Matches(queries, answers, torch.minimum(weight, back_weight))[near]
-    asked = _lattice(keyframe_valid, query_stride)
-    found, back_weight = _directed(k, f, asked, frame_targets)
-    return Matches(torch.cat([queries, found]), torch.cat([answers, asked]), torch.cat([weight, back_weight]))
+    asked = lattice(keyframe_valid, query_stride)
+    found, found_weight = _directed(k, f, asked, frame_targets)
+    return Matches(torch.cat([queries, found]), torch.cat([answers, asked]), torch.cat([weight, found_weight]))
 
 
 def spread(matches: Matches, shape: tuple[int, int], *, limit: int, grid: int) -> Matches:
