@@ -134,7 +134,9 @@ def test_the_tracker_is_given_the_last_keyframe_or_the_one_that_sees_most() -> N
     # Keyframes at 0, 0.5 and 1.0 m, the camera back at 0.1: 1 - 20 * 0.1 / 64 = 97 % of its view lies in the first, 72 % in the last.
     frame = keyframe(9, 0.1)
     last, covisible = (graph(replace(PAPER, reference=chosen), places=(0, 0.5, 1.0)) for chosen in ("last", "covisible"))
-    assert [made.tracking_reference(frame).frame.index for made in (last, covisible)] == [2, 0]  # type: ignore[union-attr]
+    assert [k.index for k in last.tracking_references(frame)] == [2]
+    assert [k.index for k in covisible.tracking_references(frame)] == [0, 2]  # the last one, should the frame be lost against the first
+    assert [k.index for k in covisible.tracking_references(keyframe(9, 0.9))] == [2]
     blank = replace(frame, depth=torch.zeros(48, 64))
-    assert covisible.tracking_reference(blank) is covisible.reference
-    assert graph(replace(PAPER, reference="covisible")).tracking_reference(frame) is None
+    assert covisible.tracking_references(blank) == [covisible.reference]
+    assert graph(replace(PAPER, reference="covisible")).tracking_references(frame) == []

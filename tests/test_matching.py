@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.tracking.matching import Matches, match, nearest, ratio_weights, spread
+from idfslam.tracking.matching import Features, Matches, features_in, match, nearest, ratio_weights, spread
 
 
 def at(*degrees: float) -> Tensor:
@@ -14,9 +14,9 @@ def at(*degrees: float) -> Tensor:
     return torch.tensor([[math.cos(math.radians(d)), math.sin(math.radians(d))] for d in degrees], dtype=torch.float64)
 
 
-def image(*degrees: float) -> Tensor:
-    """(2, 1, N): the same as an image of one row."""
-    return at(*degrees).mT[:, None]
+def image(*degrees: float) -> Features:
+    """The same as an image of one row."""
+    return features_in(at(*degrees).mT[:, None])
 
 
 def everywhere(width: int) -> Tensor:
@@ -63,7 +63,7 @@ def test_strides_thin_the_lattice() -> None:
     # A stride of 2 asks pixels 1, 3 only (offset stride // 2), in both images.
     row = torch.tensor([[True] * 5] * 3)
     features = torch.nn.functional.normalize(torch.randn(4, 3, 5, generator=torch.Generator().manual_seed(0)), dim=0)
-    found = match(features, features, row, row, query_stride=2, mutual=True)
+    found = match(features_in(features), features_in(features), row, row, query_stride=2, mutual=True)
     assert found.frame.tolist() == [6, 8]  # row 1, columns 1 and 3
     assert found.keyframe.tolist() == [6, 8]
 
@@ -73,8 +73,8 @@ def test_no_candidates_no_matches() -> None:
 
 
 def test_weights_carry_gradients() -> None:
-    features = image(0, 40, 90).requires_grad_()
-    match(features, image(5, 50), everywhere(3), everywhere(2)).weight.sum().backward()
+    features = at(0, 40, 90).requires_grad_()
+    match(features_in(features.mT[:, None]), image(5, 50), everywhere(3), everywhere(2)).weight.sum().backward()
     assert features.grad is not None
     assert float(features.grad.abs().sum()) > 0
 

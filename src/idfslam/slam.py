@@ -170,12 +170,11 @@ class Slam:
     def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
         """The neural tracker's pose against the reference keyframe (Sec. V)."""
         with self._timed("track"):
-            reference = self.graph.tracking_reference(current)
-            assert reference is not None
-            result = self.tracker.track(self._described(current), self._described(reference))
-        if result.status is Status.LOST:
-            return current.T_wk, Status.LOST
-        return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
+            for reference in self.graph.tracking_references(current):
+                result = self.tracker.track(self._described(current), self._described(reference))
+                if result.status is not Status.LOST:
+                    return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
+        return current.T_wk, Status.LOST
 
     def _align(self, current: Keyframe) -> tuple[Tensor, Status, Information | None]:
         """Align to the map, from wherever that goes best; a lost camera is looked for among all keyframes."""

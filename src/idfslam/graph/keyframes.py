@@ -22,6 +22,7 @@ from idfslam.mapping.sampling import CellPixels
 
 _COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt from
 _COVERAGE_MOST = 1000
+_CANDIDATES = 4  # stored keyframes that are looked at more closely for the most covisible
 
 
 class Keyframe:
@@ -279,11 +280,25 @@ class KeyframeGraph:
         """The last chosen frame and, up to `count` in all, `earlier` ones."""
         return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
 
-    def tracking_reference(self, frame: Keyframe) -> Keyframe | None:
-        """The keyframe to register a frame against, at the pose it has so far (`KeyframeConfig.reference`); of equals the oldest."""
-        if self.config.reference == "last" or not self.keyframes or bool((frame.depth <= 0).all()):
-            return self.reference
-        return self.keyframes[int(self._covisibility(frame).argmax())]
+    def tracking_references(self, frame: Keyframe) -> list[Keyframe]:
+        """The keyframes to register a frame against, the next where it is lost against one: by `KeyframeConfig.reference`.
+
+        The most covisible is that of the stored ones, and the last, that shares most with the frame at the pose it has so far.
+        """
+        if self.reference is None:
+            return []
+        if self.config.reference == "last" or not bool((frame.depth > 0).any()):
+            return [self.reference]
+        most = self._covisibility(frame).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
+        candidates = [self.reference, *(self.keyframes[i] for i in most)]
+        chosen = max(candidates, key=lambda k: self._shared(frame, k))
+        return [chosen] if chosen is self.reference else [chosen, self.reference]
+
+    def _shared(self, a: Keyframe, b: Keyframe) -> float:
+        """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
+        T_ba = se3.inverse(b.T_wk) @ a.T_wk
+        ways = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
+        return min(float(covisibility(n.depth, n.frame.camera, T[None].to(n.depth), k.frame.camera, k.depth[None])) for n, k, T in ways)
 
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""

@@ -14,15 +14,15 @@ from idfslam.geometry import se3
 from idfslam.hardware import resolve_precision
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.description import Described, reduced
-from idfslam.tracking.features import CHANNELS, FeatureExtractor, folded, load_extractor
+from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.guard import Guard, held_out
-from idfslam.tracking.matching import Matches, lattice, match, spread
+from idfslam.tracking.matching import Features, Matches, match, spread
 from idfslam.tracking.partners import partners
 from idfslam.tracking.point_to_plane import point_to_plane
 from idfslam.tracking.registration import Registration, supported
 
-_EXAMINED = (8, 2)  # strides of the pixels that the guard has asking and answering: a few ms a pair, whatever the tracker's own are
+_ASKING, _ANSWERING = 8, 2  # strides of the pixels that the guard has ask and answer: a few ms a pair, whatever the tracker's own are
 
 
 @dataclass(frozen=True)
@@ -128,25 +128,21 @@ class Tracker:
     @torch.no_grad()
     def right_matches(self, frame: Described, keyframe: Described, T_kc: Tensor) -> int:
         """How many pixels on a lattice find, both ways, the point that they show, by a pose that is known (4, 4)."""
-        a, b = self._features(frame, _EXAMINED), self._features(keyframe, _EXAMINED)
-        found = match(a, b, frame.valid, keyframe.valid, query_stride=max(_EXAMINED), target_stride=min(_EXAMINED), mutual=True)
+        features = self._features(frame), self._features(keyframe)
+        found = match(*features, frame.valid, keyframe.valid, query_stride=_ASKING, target_stride=_ANSWERING, mutual=True)
         pair = lifted(found, frame, keyframe)
         return int(supported(T_kc.to(self.device), pair.frame, pair.keyframe, self.config.inlier_distance).inliers.sum())
 
     def _match(self, frame: Described, keyframe: Described) -> Matches:
         config = self.config
-        strides = config.query_stride, config.target_stride
-        a, b = self._features(frame, strides), self._features(keyframe, strides)
-        found = match(a, b, frame.valid, keyframe.valid, query_stride=strides[0], target_stride=strides[1], mutual=config.mutual)
-        return spread(found, (a.shape[1], a.shape[2]), limit=config.matches, grid=config.grid)
+        strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
+        found = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
+        return spread(found, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
 
-    def _features(self, described: Described, strides: tuple[int, int]) -> Tensor:
-        """Unit features (32, h, w) of the pixels that the strides let take part; zero elsewhere."""
-        valid, trunk = described.valid, described.trunk.flatten(1).mT
-        taking_part = torch.cat([lattice(valid, stride) for stride in strides]).unique()
-        features = trunk.new_zeros(len(trunk), CHANNELS, dtype=torch.float32)
-        features[taking_part] = self.extractor.head_at(trunk[taking_part].float())
-        return features.mT.unflatten(1, valid.shape)
+    def _features(self, described: Described) -> Features:
+        """By the out-conv as it is now, of the pixels that are asked for."""
+        trunk = described.trunk.flatten(1).mT
+        return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
 def lifted(matches: Matches, frame: Described, keyframe: Described) -> Correspondences:
