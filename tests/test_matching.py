@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.tracking.matching import Features, Matches, features_in, match, nearest, ratio_weights, spread
+from idfslam.tracking.matching import Features, Matches, features_in, match, nearest, ratio_weights, spread, two_largest
 
 
 def at(*degrees: float) -> Tensor:
@@ -82,6 +82,12 @@ def test_weights_carry_gradients() -> None:
 def test_chunks_do_not_change_the_answer() -> None:
     queries, targets = (torch.nn.functional.normalize(torch.randn(600, 8, dtype=torch.float64), dim=1) for _ in range(2))
     assert torch.equal(nearest(queries, targets), (queries @ targets.mT).topk(2).indices)
+
+
+@pytest.mark.parametrize("columns", [2, 3, 65, 66, 67, 200])
+def test_two_largest_are_those_of_topk(columns: int) -> None:
+    values = torch.randn(50, columns, generator=torch.Generator().manual_seed(columns))
+    assert torch.equal(two_largest(values), values.topk(2, dim=-1).indices)
 
 
 def test_grid_limit_by_hand() -> None:
