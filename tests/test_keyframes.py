@@ -137,6 +137,6 @@ def test_the_tracker_is_given_the_last_keyframe_or_the_one_that_sees_most() -> N
     assert [k.index for k in last.tracking_references(frame)] == [2]
     assert [k.index for k in covisible.tracking_references(frame)] == [0, 2]  # the last one, should the frame be lost against the first
     assert [k.index for k in covisible.tracking_references(keyframe(9, 0.9))] == [2]
-    blank = replace(frame, depth=torch.zeros(48, 64))
+    blank = Keyframe(Frame.blank(9, 0.3, CAMERA), at(0.1), torch.zeros(48, 64), torch.zeros(48, 64, 3))
     assert covisible.tracking_references(blank) == [covisible.reference]
     assert graph(replace(PAPER, reference="covisible")).tracking_references(frame) == []

@@ -1,6 +1,6 @@
 """The benchmark of the tracker alone: frame to keyframe, with and without finetuning and the grid that spreads matches (Secs. V, V-A, V-B).
 
-No frame is aligned to the map and no keyframe refined against it; a map is learnt only where finetuning has it rendered.
+No frame is aligned to the map and no keyframe refined against it, no loop is closed; a map is learnt only where finetuning has it rendered.
 """
 
 import itertools
@@ -42,6 +42,7 @@ def odometry(config: Config, *, finetune: bool, grid: int) -> Config:
         tracker=replace(config.tracker, grid=grid),
         finetune=replace(config.finetune, enabled=finetune),
         alignment=replace(config.alignment, enabled=False),
+        loops=replace(config.loops, enabled=False, relocalise=False),
         mapper=replace(config.mapper, pose_optimisation=False, every=0, final_updates=0, first_iterations=first, iterations=each),
     )
 

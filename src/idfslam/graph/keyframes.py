@@ -298,7 +298,7 @@ class KeyframeGraph:
         """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
         T_ba = se3.inverse(b.T_wk) @ a.T_wk
         ways = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
-        return min(float(covisibility(n.depth, n.frame.camera, T[None].to(n.depth), k.frame.camera, k.depth[None])) for n, k, T in ways)
+        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), k.camera, k.depth[None])) for n, k, T in ways)
 
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
