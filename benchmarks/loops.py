@@ -62,7 +62,7 @@ def main() -> None:
         poses = slam.trajectory()
         live, ate = (absolute_trajectory_error(T, truth).translation.rmse for T in (slam.live_trajectory(), poses))
         end = np.linalg.norm((np.linalg.inv(poses[0]) @ poses[-1] - np.linalg.inv(truth[0]) @ truth[-1])[:3, 3])
-        connections = slam.connections()
+        connections = slam.figures()
         print(
             f"{name}: {len(poses)} frames, ATE {100 * ate:.2f} cm, live {100 * live:.2f} cm, end {100 * end:.1f} cm, "
             f"{len(connections['loops'])} loops, {len(list(wrong(slam, slam.loops.closed, truth)))} wrong, "

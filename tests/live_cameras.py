@@ -105,8 +105,8 @@ class SeeingSlam:
     def live_trajectory(self) -> NDArray[np.float64]:
         return self.trajectory()
 
-    def connections(self) -> dict[str, Any]:
-        return {"links": 0, "loops": [], "loops_refused": 0, "relocalisations": 0}
+    def figures(self) -> dict[str, Any]:
+        return {"links": 0, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
 
     def statuses(self) -> list[Status]:
         return [Status.OK] * len(self.frames)

@@ -36,13 +36,21 @@ def test_errors_by_hand() -> None:
 def test_figures_by_hand() -> None:
     # Rotations 1, 6, 20 degrees, translations 2, 7, 30 cm; wrong is beyond 5 degrees or 15 cm: the last two, of which one was believed.
     tally = Tally([1, 6, 20], [2, 7, 30], [True, True, False], [10, 12, 11, 10, 12, 11], [5, 6, 7])
-    figures = {key: round(value, 3) for key, value in tally.figures().items()}
+    figures = {key: round(value or 0.0, 3) for key, value in tally.figures().items()}
     assert (figures["rotation_below_5_deg"], figures["rotation_below_10_deg"]) == (0.333, 0.667)
     assert [figures[f"translation_below_{limit}_cm"] for limit in (5, 10, 25)] == [0.333, 0.667, 0.667]
     assert (figures["rotation_mean_deg"], figures["rotation_median_deg"]) == (9.0, 6.0)
     assert (figures["translation_mean_cm"], figures["translation_median_cm"]) == (13.0, 7.0)
     assert (figures["believed"], figures["believed_but_wrong"]) == (0.667, 0.333)
+    # Right is within 5 degrees and 10 cm: the first alone. Of two believed one is right; of two that are not right one was doubted.
+    assert (figures["right_of_believed"], figures["doubted_of_not_right"]) == (0.5, 0.5)
     assert (figures["ms_a_frame"], figures["ms_a_pair"]) == (11.0, 28.0)  # two frames and their registration
+
+
+def test_shares_of_nothing_are_none() -> None:
+    figures = Tally([1], [2], [True], [10, 12], [5]).figures()
+    assert figures["right_of_believed"] == 1.0
+    assert figures["doubted_of_not_right"] is None  # every pose was right
 
 
 def test_keypoints_are_lifted_by_depth() -> None:

@@ -57,8 +57,8 @@ class KnownSlam:
     def live_trajectory(self) -> NDArray[np.float64]:
         return self.trajectory()
 
-    def connections(self) -> dict[str, Any]:
-        return {"links": 2, "loops": [[0, 10]], "loops_refused": 0, "relocalisations": 0}
+    def figures(self) -> dict[str, Any]:
+        return {"links": 2, "loops": [[0, 10]], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
 
     def statuses(self) -> list[Status]:
         return [Status.OK if frame.depth.any() else Status.LOST for frame in self.frames]

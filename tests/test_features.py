@@ -72,3 +72,9 @@ def test_weights_of_another_network(tmp_path: Path) -> None:
     save_file({"layer.weight": torch.zeros(3)}, tmp_path / "other.safetensors")
     with pytest.raises(ConfigError, match="do not fit the extractor"):
         load_extractor(tmp_path / "other.safetensors")
+
+
+def test_features_of_some_pixels(extractor: FeatureExtractor) -> None:
+    trunk = extractor.trunk(torch.rand(1, 3, 12, 16))
+    pixels = torch.tensor([0, 5, 100, 191])
+    torch.testing.assert_close(extractor.head_at(trunk[0].flatten(1).mT[pixels]), extractor.head(trunk)[0].flatten(1).mT[pixels])

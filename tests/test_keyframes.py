@@ -1,6 +1,7 @@
 """Which frames become keyframes, which are stored, connected and replayed (Sec. IV-C), worked out by hand before a wall."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,3 +128,15 @@ def test_a_culled_frame_replays_by_its_own_neighbours() -> None:
     assert not made.promote(culled)
     assert culled.neighbours == {1, 2}
     assert [k.index for k in made.replay(culled)] == [0]
+
+
+def test_the_tracker_is_given_the_last_keyframe_or_the_one_that_sees_most() -> None:
+    # Keyframes at 0, 0.5 and 1.0 m, the camera back at 0.1: 1 - 20 * 0.1 / 64 = 97 % of its view lies in the first, 72 % in the last.
+    frame = keyframe(9, 0.1)
+    last, covisible = (graph(replace(PAPER, reference=chosen), places=(0, 0.5, 1.0)) for chosen in ("last", "covisible"))
+    assert [k.index for k in last.tracking_references(frame)] == [2]
+    assert [k.index for k in covisible.tracking_references(frame)] == [0, 2]  # the last one, should the frame be lost against the first
+    assert [k.index for k in covisible.tracking_references(keyframe(9, 0.9))] == [2]
+    blank = Keyframe(Frame.blank(9, 0.3, CAMERA), at(0.1), torch.zeros(48, 64), torch.zeros(48, 64, 3))
+    assert covisible.tracking_references(blank) == [covisible.reference]
+    assert graph(replace(PAPER, reference="covisible")).tracking_references(frame) == []

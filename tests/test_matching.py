@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.tracking.matching import Matches, match, nearest, ratio_weights, spread
+from idfslam.tracking.matching import Features, Matches, features_in, match, nearest, ratio_weights, spread, two_largest
 
 
 def at(*degrees: float) -> Tensor:
@@ -14,9 +14,9 @@ def at(*degrees: float) -> Tensor:
     return torch.tensor([[math.cos(math.radians(d)), math.sin(math.radians(d))] for d in degrees], dtype=torch.float64)
 
 
-def image(*degrees: float) -> Tensor:
-    """(2, 1, N): the same as an image of one row."""
-    return at(*degrees).mT[:, None]
+def image(*degrees: float) -> Features:
+    """The same as an image of one row."""
+    return features_in(at(*degrees).mT[:, None])
 
 
 def everywhere(width: int) -> Tensor:
@@ -27,14 +27,14 @@ def test_ratio_weight_by_hand() -> None:
     # Query at 0 degrees, neighbours at 60 and 90: d = 1 - cos = 0.5 and 1; w = 1 - 0.5/1 = 0.5.
     # Query at 90: neighbours at 90 (d clamped to 1e-6) and 60 (d = 1 - cos 30 = 0.1339746): w = 1 - 7.46e-6.
     queries, targets = at(0, 90), at(90, 60)
-    neighbours = nearest(queries, targets, 2)
+    neighbours = nearest(queries, targets)
     assert neighbours.tolist() == [[1, 0], [0, 1]]
     torch.testing.assert_close(ratio_weights(queries, targets, neighbours), torch.tensor([0.5, 1 - 1e-6 / 0.1339746], dtype=torch.float64))
 
 
 def test_equal_neighbours_weigh_nothing() -> None:
     queries, targets = at(0), at(30, -30)
-    assert float(ratio_weights(queries, targets, nearest(queries, targets, 2))) == pytest.approx(0, abs=1e-12)
+    assert float(ratio_weights(queries, targets, nearest(queries, targets))) == pytest.approx(0, abs=1e-12)
 
 
 def test_both_directions() -> None:
@@ -63,7 +63,7 @@ def test_strides_thin_the_lattice() -> None:
     # A stride of 2 asks pixels 1, 3 only (offset stride // 2), in both images.
     row = torch.tensor([[True] * 5] * 3)
     features = torch.nn.functional.normalize(torch.randn(4, 3, 5, generator=torch.Generator().manual_seed(0)), dim=0)
-    found = match(features, features, row, row, query_stride=2, mutual=True)
+    found = match(features_in(features), features_in(features), row, row, query_stride=2, mutual=True)
     assert found.frame.tolist() == [6, 8]  # row 1, columns 1 and 3
     assert found.keyframe.tolist() == [6, 8]
 
@@ -73,15 +73,21 @@ def test_no_candidates_no_matches() -> None:
 
 
 def test_weights_carry_gradients() -> None:
-    features = image(0, 40, 90).requires_grad_()
-    match(features, image(5, 50), everywhere(3), everywhere(2)).weight.sum().backward()
+    features = at(0, 40, 90).requires_grad_()
+    match(features_in(features.mT[:, None]), image(5, 50), everywhere(3), everywhere(2)).weight.sum().backward()
     assert features.grad is not None
     assert float(features.grad.abs().sum()) > 0
 
 
 def test_chunks_do_not_change_the_answer() -> None:
     queries, targets = (torch.nn.functional.normalize(torch.randn(600, 8, dtype=torch.float64), dim=1) for _ in range(2))
-    assert torch.equal(nearest(queries, targets, 2), (queries @ targets.mT).topk(2).indices)
+    assert torch.equal(nearest(queries, targets), (queries @ targets.mT).topk(2).indices)
+
+
+@pytest.mark.parametrize("columns", [2, 3, 65, 66, 67, 200])
+def test_two_largest_are_those_of_topk(columns: int) -> None:
+    values = torch.randn(50, columns, generator=torch.Generator().manual_seed(columns))
+    assert torch.equal(two_largest(values), values.topk(2, dim=-1).indices)
 
 
 def test_grid_limit_by_hand() -> None:

@@ -14,7 +14,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.description import Described, averaged_depth, surface_normals
-from idfslam.tracking.point_to_plane import point_to_plane, sensor_noise
+from idfslam.tracking.point_to_plane import plain_plane_system, plane_system, point_to_plane, sensor_noise
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 T_KC = se3.exp(torch.tensor([0.03, -0.02, 0.04, 0.01, 0.02, -0.02], dtype=torch.float64))
@@ -65,6 +65,17 @@ def test_three_walls_give_the_pose() -> None:
     shift, turn = error(point_to_plane(torch.eye(4, dtype=torch.float64), frame, keyframe, no_matches(), steps=5))
     assert shift < 0.001
     assert turn < 0.03
+
+
+@pytest.mark.parametrize("stride", [1, 4])
+def test_compiled_equations_are_the_plain_ones(stride: int) -> None:
+    frame, keyframe = described(T_KC, noise=0.002), described(torch.eye(4, dtype=torch.float64))
+    start = T_KC @ se3.exp(torch.tensor([0.01, -0.01, 0.01, 0.005, 0, 0.01], dtype=torch.float64))
+    H, b = plane_system(start, frame, keyframe, stride, 0.05)
+    plain_H, plain_b = plain_plane_system(start, frame, keyframe, stride, 0.05)
+    assert float(H.diagonal().min()) > 1e4
+    torch.testing.assert_close(H, plain_H, rtol=1e-4, atol=1e-4 * float(H.abs().max()))
+    torch.testing.assert_close(b, plain_b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
 def test_matches_hold_where_a_wall_slides() -> None:

@@ -19,8 +19,9 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.correspondences import spans_plane
-from idfslam.tracking.description import subsampled_depth
+from idfslam.tracking.description import Described, subsampled_depth
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
+from idfslam.tracking.guard import Guard, held_out
 from idfslam.tracking.matching import Matches
 from idfslam.tracking.tracker import Tracker
 
@@ -191,6 +192,63 @@ def test_finetuning_lowers_the_correspondence_loss() -> None:
     tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=1e-3, photometric_weight=0.0, depth_weight=0.0))
     losses = [step["correspondence"] for step in finetuned(tracker, 30) if step is not None]
     assert np.mean(losses[-8:]) < np.mean(losses[:8])
+
+
+def test_the_guard_undoes_a_harmful_rate() -> None:
+    # At a thousand times the rate the out-conv forgets what it knew; examined at every step, the guarded one is as good as it was.
+    poses = [pose(0.05 * i, 0.03 * i, 0.04 * i, 0.02 * i, 0.03 * i, 0.05 * i) for i in range(4)]
+    right, undone = {}, {}
+    for guard in (0, 1):
+        tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=0.3, guard=guard))
+        keyframes = [tracker.describe(view(T)) for T in poses]
+
+        def held_out_matches(tracker: Tracker = tracker, keyframes: list[Described] = keyframes) -> int:
+            return sum(tracker.right_matches(keyframes[i + 2], keyframes[i], se3.inverse(poses[i]) @ poses[i + 2]) for i in range(2))
+
+        before = held_out_matches()
+        for _ in range(6):
+            tracker.finetune(keyframes, torch.stack(poses).numpy(), wall)
+        right[guard], undone[guard] = held_out_matches() / before, tracker.guard.undone
+    assert right[1] >= 0.95
+    assert undone[1] >= 1
+    assert right[0] < 0.7
+    assert undone[0] == 0
+
+
+def test_the_guard_keeps_what_helps_and_restores_the_optimiser() -> None:
+    # Scores by the weight itself: 1 -> 2 is better and stays; 2 -> 1.95 is within the margin of 5 % and stays, but is not the best;
+    # 1.95 -> 1.85 is not within 5 % of 2: back to 2, with half the rate and the momentum of that time.
+    learning = torch.nn.Linear(1, 1, bias=False)
+    optimiser = torch.optim.SGD(learning.parameters(), lr=1.0, momentum=0.9)
+
+    def score() -> float:
+        return float(learning.weight.detach())
+
+    def step(gradient: float) -> bool:
+        learning.weight.grad = torch.full((1, 1), gradient)
+        optimiser.step()
+        return guard.examine(score)
+
+    torch.nn.init.ones_(learning.weight)
+    guard = Guard(learning, optimiser, margin=0.05)
+    assert step(-1.0)  # momentum -1, weight 2
+    assert step(0.95)  # momentum -0.9 + 0.95 = 0.05, weight 1.95
+    assert not step(0.055)  # momentum 0.045 + 0.055 = 0.1, weight 1.85
+    assert score() == pytest.approx(2.0)
+    assert guard.undone == 1
+    assert optimiser.param_groups[0]["lr"] == 0.5
+    assert float(optimiser.state[learning.weight]["momentum_buffer"]) == pytest.approx(-1.0)
+
+
+def test_held_out_pairs_see_the_same() -> None:
+    # Keyframes 0 to 3 look at the wall, 4 has turned away by half a turn: of the neighbours but one, (2, 4) sees nothing in common.
+    tracker = Tracker(CONFIG, NO_FINETUNING)
+    poses = [pose(0.05 * i, 0, 0, 0, 0, 0) for i in range(4)]
+    keyframes = [tracker.describe(view(T)) for T in poses]
+    turned = torch.stack([*poses, pose(0, 0, 0, 0, math.pi, 0)])
+    pairs = held_out([*keyframes, keyframes[0]], turned, 4, torch.Generator().manual_seed(0))
+    assert sorted(pairs) == [(0, 2), (1, 3)]
+    assert held_out(keyframes[:2], turned[:2], 4, torch.Generator().manual_seed(0)) == []
 
 
 def test_no_finetuning_before_enough_keyframes() -> None:

@@ -33,6 +33,7 @@ REPORT, TABLE = "pairs.json", "pairs.md"
 ROTATIONS = (5, 10)  # [degrees]
 TRANSLATIONS = (5, 10, 25)  # [cm]
 _WRONG = (5, 15)  # [degrees, cm] beyond which a pose that was believed is counted as wrong
+_RIGHT = (5, 10)  # [degrees, cm] within which a pose is right: how often belief and doubt are
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +114,10 @@ class Tally:
     describe: list[float] = field(default_factory=list)  # [ms] a frame
     register: list[float] = field(default_factory=list)  # [ms] a pair that is described
 
-    def figures(self) -> dict[str, float]:
-        """What the report tells of them: shares in [0, 1], degrees, cm, ms."""
+    def figures(self) -> dict[str, float | None]:
+        """What the report tells of them: shares in [0, 1] (None: of nothing), degrees, cm, ms."""
         rotation, translation, believed = (np.array(values) for values in (self.rotation, self.translation, self.believed))
+        right = (rotation < _RIGHT[0]) & (translation < _RIGHT[1])
         wrong = (rotation > _WRONG[0]) | (translation > _WRONG[1])
         return {
             "pairs": len(rotation),
@@ -127,9 +129,16 @@ class Tally:
             "translation_median_cm": float(np.median(translation)),
             "believed": float(believed.mean()),
             "believed_but_wrong": float((believed & wrong).mean()),
+            "right_of_believed": _share(right[believed]),
+            "doubted_of_not_right": _share(~believed[~right]),
             "ms_a_frame": float(np.median(self.describe)),
             "ms_a_pair": float(2 * np.median(self.describe) + np.median(self.register)),
         }
+
+
+def _share(those: NDArray[np.bool_]) -> float | None:
+    """How many of them, if there are any."""
+    return float(those.mean()) if len(those) else None
 
 
 @dataclass(frozen=True)
@@ -273,9 +282,15 @@ COLUMNS = (
     ("translation_median_cm", "median", 1.0, 2),
     ("believed", "believed [%]", 100.0, 0),
     ("believed_but_wrong", "and wrong [%]", 100.0, 1),
+    ("right_of_believed", f"of them < {_RIGHT[0]}° and < {_RIGHT[1]} cm [%]", 100.0, 1),
+    ("doubted_of_not_right", "doubted of the others [%]", 100.0, 0),
     ("ms_a_frame", "ms a frame", 1.0, 0),
     ("ms_a_pair", "ms a pair", 1.0, 0),
 )
+
+
+def _cell(value: float | None, unit: float, digits: int) -> str:
+    return "-" if value is None else f"{value * unit:.{digits}f}"
 
 
 def markdown(found: Mapping[str, Any]) -> str:
@@ -284,7 +299,7 @@ def markdown(found: Mapping[str, Any]) -> str:
     parts = [f"idf-slam {m['idf-slam']}, preset {found['preset']}, {m['processor']}, {m['cores']} cores."]
     for name in dict.fromkeys(row["recording"] for row in rows):
         cells = [
-            [row["method"], str(row["gap"]), str(row["pairs"]), *(f"{row[key] * unit:.{digits}f}" for key, _, unit, digits in COLUMNS)]
+            [row["method"], str(row["gap"]), str(row["pairs"]), *(_cell(row[key], unit, digits) for key, _, unit, digits in COLUMNS)]
             for row in rows
             if row["recording"] == name
         ]

@@ -17,6 +17,7 @@ from tyro.conf import DisallowNone, subcommand
 
 from idfslam import __version__
 from idfslam.commands.bench import Bench
+from idfslam.commands.bench_odometry import BenchOdometry
 from idfslam.commands.bench_pairs import BenchPairs
 from idfslam.commands.command import Command
 from idfslam.commands.demo import Demo
@@ -49,6 +50,7 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Render, subcommand("render")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
+        | Annotated[BenchOdometry, subcommand("bench-odometry", default=BenchOdometry(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
         | Annotated[Download, subcommand("download")]
     )

@@ -140,6 +140,8 @@ class KeyframeConfig:
     """Keyframes whose images are held in memory; those of the others are packed into a temporary file."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
+    reference: Literal["last", "covisible"] = "last"
+    """The keyframe that the tracker registers a frame against: the last chosen, or the stored one that has most of it in view."""
     replay: int = 2
     """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
     replay_connected: int = 2
@@ -210,6 +212,12 @@ class FinetuneConfig:
     """w_r of Eq. 6."""
     pixels: int = 256
     """Pixels rendered for Eqs. 1 and 7."""
+    guard: int = 5
+    """Every so many steps the weights are tried on held-out pairs of keyframes; 0: never, as in the paper."""
+    held_out: int = 4
+    """Pairs of keyframes of such a trial: neighbours but one, which are never trained on."""
+    margin: float = 0.05
+    """A share of right matches lost there beyond which the steps since the best weights are undone."""
 
 
 @dataclass(frozen=True)
@@ -421,7 +429,7 @@ PAPER = Config(
         min_inlier_share=0.2,
         min_agreement=0.0,
     ),
-    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4),
+    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, guard=0),
     alignment=AlignmentConfig(enabled=False),
     loops=LoopConfig(enabled=False, relocalise=False),
 )
@@ -437,7 +445,7 @@ RUN_SECTIONS = ("recording", "versions")  # what a run's config.yaml tells besid
 _AT_LEAST_ONE = {
     *("field.layers", "field.width", "field.levels", "field.features", "mapper.pixels", "mapper.samples", "mapper.cells"),
     *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "alignment.iterations"),
-    "finetune.pixels",
+    *("finetune.pixels", "finetune.held_out"),
     *("steps", "batch", "height", "crop", "gap", "matches", "subsets", "queries"),  # of a PretrainConfig
 }
 _ABOVE_ZERO = {

@@ -170,14 +170,17 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
 
 
 def counts(slam: Slam) -> dict[str, Any]:
-    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
+    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate.
+
+    And how often finetuning was undone.
+    """
     found = Counter(slam.statuses())
     frames = {
         "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
         "interpolated_frames": found[Status.INTERPOLATED],
         "degenerate_frames": found[Status.DEGENERATE],
     }
-    return {"keyframes": len(slam.graph.keyframes)} | frames | slam.connections()
+    return {"keyframes": len(slam.graph.keyframes)} | frames | slam.figures()
 
 
 def evaluation(slam: Slam, recording: FrameSource, *, live: bool = False) -> Evaluation | None:
@@ -218,7 +221,7 @@ def _draw(folder: Path, slam: Slam, recording: FrameSource, keyframes: NDArray[n
     truth = None if errors is None or recording.ground_truth is None else recording.ground_truth[: len(poses)]
     T_gt_est = None if errors is None or errors.ate is None else errors.ate.T_gt_est
     with results.replacing(folder / results.PICTURE) as part:
-        before = slam.live_trajectory() if slam.connections()["loops"] else None
+        before = slam.live_trajectory() if slam.figures()["loops"] else None
         plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes, before=before)
 
 

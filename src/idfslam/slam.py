@@ -137,9 +137,10 @@ class Slam:
         """(N, 4, 4) the poses as they were told while the camera moved: before later frames, loops and the last polish improved them."""
         return np.stack(self._live) if self._live else np.zeros((0, 4, 4))
 
-    def connections(self) -> dict[str, Any]:
-        """What holds the keyframes together: links, loops (pairs of frames), loops refused, and how often a lost camera was found again."""
-        return self.loops.summary(self.graph) | {"relocalisations": self.relocalisations}
+    def figures(self) -> dict[str, Any]:
+        """What metrics.json tells: links and loops (pairs of frames) of the keyframes, lost cameras found again, finetuning undone."""
+        found = {"relocalisations": self.relocalisations, "finetuning_undone": self.tracker.guard.undone}
+        return self.loops.summary(self.graph) | found
 
     def statuses(self) -> list[Status]:
         """How the pose of each processed frame was found."""
@@ -170,13 +171,12 @@ class Slam:
 
     def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
         """The neural tracker's pose against the reference keyframe (Sec. V)."""
-        reference = self.graph.reference
-        assert reference is not None
         with self._timed("track"):
-            result = self.tracker.track(self._described(current), self._described(reference))
-        if result.status is Status.LOST:
-            return current.T_wk, Status.LOST
-        return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
+            for reference in self.graph.tracking_references(current):
+                result = self.tracker.track(self._described(current), self._described(reference))
+                if result.status is not Status.LOST:
+                    return reference.T_wk @ torch.from_numpy(result.T_kc), result.status
+        return current.T_wk, Status.LOST
 
     def _align(self, current: Keyframe) -> tuple[Tensor, Status, Information | None]:
         """Align to the map, from wherever that goes best; a lost camera is looked for among all keyframes."""

@@ -24,8 +24,9 @@ def covisibility(
     [m] a point must also not be hidden there: no more than `depth_tolerance` (a share of the depth) behind what that keyframe measured at
     its pixel; where that has no reading, bounds decide.
     """
-    points = camera.backproject(depth)[::subsample, ::subsample]
-    points = points[points[..., 2] > 0]
+    chosen = depth[::subsample, ::subsample]
+    points = camera.rays(camera.pixels(depth.device)[::subsample, ::subsample]).to(depth) * chosen[..., None]
+    points = points[chosen > 0]
     if len(points) == 0:
         return T_kn.new_zeros(T_kn.shape[0])
     T_kn = T_kn.to(points)

@@ -22,6 +22,7 @@ from idfslam.mapping.sampling import CellPixels
 
 _COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt from
 _COVERAGE_MOST = 1000
+_CANDIDATES = 4  # stored keyframes that are looked at more closely for the most covisible
 
 
 class Keyframe:
@@ -278,6 +279,26 @@ class KeyframeGraph:
     def references(self, count: int) -> list[Keyframe]:
         """The last chosen frame and, up to `count` in all, `earlier` ones."""
         return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
+
+    def tracking_references(self, frame: Keyframe) -> list[Keyframe]:
+        """The keyframes to register a frame against, the next where it is lost against one: by `KeyframeConfig.reference`.
+
+        The most covisible is that of the stored ones, and the last, that shares most with the frame at the pose it has so far.
+        """
+        if self.reference is None:
+            return []
+        if self.config.reference == "last" or not bool((frame.depth > 0).any()):
+            return [self.reference]
+        most = self._covisibility(frame).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
+        candidates = [self.reference, *(self.keyframes[i] for i in most)]
+        chosen = max(candidates, key=lambda k: self._shared(frame, k))
+        return [chosen] if chosen is self.reference else [chosen, self.reference]
+
+    def _shared(self, a: Keyframe, b: Keyframe) -> float:
+        """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
+        T_ba = se3.inverse(b.T_wk) @ a.T_wk
+        ways = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
+        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), k.camera, k.depth[None])) for n, k, T in ways)
 
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""

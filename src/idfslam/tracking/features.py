@@ -29,8 +29,8 @@ class BasicBlock(nn.Module):
         self.bn2: nn.Module = nn.BatchNorm2d(width)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = F.relu(self.bn1(self.conv1(x)))
-        return F.relu(x + self.bn2(self.conv2(y)))
+        y = F.relu_(self.bn1(self.conv1(x)))  # in place: an image of 64 channels is too large for the nearest caches
+        return F.relu_(self.bn2(self.conv2(y)).add_(x))
 
 
 class FeatureExtractor(nn.Module):
@@ -50,11 +50,17 @@ class FeatureExtractor(nn.Module):
     def trunk(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, 64, H, W)."""
         centred = 2 * images - 1
-        return self.layer2(self.layer1(F.relu(self.bn(self.conv(centred)))))
+        return self.layer2(self.layer1(F.relu_(self.bn(self.conv(centred)))))
 
     def head(self, trunk: Tensor) -> Tensor:
         """(B, 64, H, W) -> unit features (B, 32, H, W)."""
         return F.normalize(self.out_conv(trunk), dim=1)
+
+    def head_at(self, trunk: Tensor) -> Tensor:
+        """`head` for some pixels alone, in eval mode: their (N, 64) -> unit features (N, 32)."""
+        conv, norm = cast(nn.Conv2d, self.out_conv[0]), cast(nn.BatchNorm2d, self.out_conv[1])
+        features = F.linear(trunk, conv.weight[:, :, 0, 0])
+        return F.normalize(F.batch_norm(features, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps), dim=1)
 
     def forward(self, images: Tensor) -> Tensor:
         return self.head(self.trunk(images))

@@ -1,12 +1,22 @@
 """Correspondences by nearest neighbours in feature space (Sec. V, V-A): both ways, ratio weights, spread over the image."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-_CHUNK = 256  # queries a matrix product: their similarities stay in the cache
+_SIMILARITIES = 1 << 19  # held at a time, so that they stay near in the caches
+
+Features = Callable[[Tensor], Tensor]
+"""Pixels (N,), flat indices -> their unit features (N, C)."""
+
+
+def features_in(image: Tensor) -> Features:
+    """The pixels of an image of unit features (C, H, W)."""
+    rows = image.flatten(1).mT
+    return lambda pixels: rows[pixels]
 
 
 @dataclass(frozen=True)
@@ -25,12 +35,25 @@ class Matches:
 
 
 @torch.no_grad()
-def nearest(queries: Tensor, targets: Tensor, k: int) -> Tensor:
-    """The k targets (M, C) nearest in cosine to each of the queries (N, C), unit rows: indices (N, k), best first.
+def nearest(queries: Tensor, targets: Tensor) -> Tensor:
+    """The two targets (M, C), M >= 2, nearest in cosine to each of the queries (N, C), unit rows: indices (N, 2), the nearest first.
 
     Memory is bounded: a chunk of queries at a time.
     """
-    return torch.cat([(chunk @ targets.mT).topk(k, dim=-1).indices for chunk in queries.split(_CHUNK)])
+    rows = max(1, _SIMILARITIES // len(targets))
+    similarity = queries.new_empty(min(rows, len(queries)), len(targets))  # used again by each chunk: fresh memory is slow
+    return torch.cat([two_largest(torch.mm(chunk, targets.mT, out=similarity[: len(chunk)])) for chunk in queries.split(rows)])
+
+
+def two_largest(values: Tensor) -> Tensor:
+    """The places (N, 2) of the two largest in each row of values (N, M), the largest first."""
+    if values.device.type != "cpu":
+        return values.topk(2, dim=-1).indices
+    from idfslam.tracking.kernels import numba_tracking
+
+    indices = torch.empty(len(values), 2, dtype=torch.int64)
+    numba_tracking.two_largest(values.numpy(), indices.numpy())
+    return indices
 
 
 def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tensor:
@@ -40,22 +63,21 @@ def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tenso
     return (1 - first / second).clamp(min=0)
 
 
-def _lattice(valid: Tensor, stride: int) -> Tensor:
+def lattice(valid: Tensor, stride: int) -> Tensor:
     """Flat indices of the valid pixels (H, W) on every `stride`-th row and column."""
     flat = torch.arange(valid.numel(), device=valid.device).view_as(valid)[stride // 2 :: stride, stride // 2 :: stride]
     return flat[valid.flatten()[flat]]
 
 
-def _directed(source: Tensor, target: Tensor, queries: Tensor, candidates: Tensor) -> tuple[Tensor, Tensor]:
-    """For pixels `queries` of features (N, C) the nearest of the pixels `candidates` of `target`, and the ratio weights."""
-    chosen, field = source[queries], target[candidates]
-    neighbours = nearest(chosen.detach(), field.detach(), 2)
-    return candidates[neighbours[:, 0]], ratio_weights(chosen, field, neighbours)
+def _directed(queries: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    """For features (N, C) the nearest of `targets` (M, C) by index, and the ratio weights."""
+    neighbours = nearest(queries.detach(), targets.detach())
+    return neighbours[:, 0], ratio_weights(queries, targets, neighbours)
 
 
 def match(
-    frame: Tensor,
-    keyframe: Tensor,
+    frame: Features,
+    keyframe: Features,
     frame_valid: Tensor,
     keyframe_valid: Tensor,
     *,
@@ -63,29 +85,32 @@ def match(
     target_stride: int = 1,
     mutual: bool = False,
 ) -> Matches:
-    """Nearest neighbours of unit features (C, H, W) among the pixels with depth (H, W), from each image to the other.
+    """Nearest neighbours in feature space among the pixels with depth (H, W), from each image to the other.
 
     Strides thin the lattice of pixels that ask and of pixels that may answer; 1 and 1 is the paper's full search.
     `mutual` keeps the frame's matches whose answer, asked back, returns to within one query of where it came from, instead of
     adding the keyframe's own matches. Empty if either image has fewer than two candidates.
     """
     width = frame_valid.shape[1]
-    f, k = frame.flatten(1).mT, keyframe.flatten(1).mT
-    frame_targets, keyframe_targets = _lattice(frame_valid, target_stride), _lattice(keyframe_valid, target_stride)
-    if min(len(frame_targets), len(keyframe_targets)) < 2:
+    frame_targets, keyframe_targets = lattice(frame_valid, target_stride), lattice(keyframe_valid, target_stride)
+    queries = lattice(frame_valid, query_stride)
+    if min(len(frame_targets), len(keyframe_targets), len(queries)) < 2:
         none = frame_targets[:0]
-        return Matches(none, none, f.new_zeros(0))
-    queries = _lattice(frame_valid, query_stride)
-    answers, weight = _directed(f, k, queries, keyframe_targets)
+        return Matches(none, none, torch.zeros(0, device=none.device))
+    frame_field, keyframe_field = frame(frame_targets), keyframe(keyframe_targets)
+    found, weight = _directed(frame(queries), keyframe_field)
+    answers = keyframe_targets[found]
     if mutual:
-        back, back_weight = _directed(k, f, answers, frame_targets)
+        asked, place = found.unique(return_inverse=True)  # some answer several queries
+        returned, back_weight = _directed(keyframe_field[asked], frame_field)
+        back = frame_targets[returned][place]
         near = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs()) <= max(
             query_stride, target_stride
         )
-        return Matches(queries, answers, torch.minimum(weight, back_weight))[near]
-    asked = _lattice(keyframe_valid, query_stride)
-    found, back_weight = _directed(k, f, asked, frame_targets)
-    return Matches(torch.cat([queries, found]), torch.cat([answers, asked]), torch.cat([weight, back_weight]))
+        return Matches(queries, answers, torch.minimum(weight, back_weight[place]))[near]
+    others = lattice(keyframe_valid, query_stride)
+    found, other_weight = _directed(keyframe(others), frame_field)
+    return Matches(torch.cat([queries, frame_targets[found]]), torch.cat([answers, others]), torch.cat([weight, other_weight]))
 
 
 def spread(matches: Matches, shape: tuple[int, int], *, limit: int, grid: int) -> Matches:

@@ -3,6 +3,7 @@
 Features say where to begin, to within their pixels; surfaces say exactly. Where these slide on each other (a bare wall) matches hold them.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,27 +31,33 @@ def sensor_noise(z: Tensor) -> Tensor:
 @torch.no_grad()
 def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches: Correspondences, *, steps: int) -> Tensor:
     """T_kc (4, 4) float64 after `steps` of Gauss-Newton from a T_kc that is right to within a few cm."""
-    coarse, fine = _surface(frame, _STRIDE), _surface(frame, 1)
     for step in range(steps):
-        share = step / max(steps - 1, 1)
-        points, normals = fine if step >= steps - _FINE_STEPS else coarse
-        H, b = _plane_system(T_kc, points, normals, keyframe, _REACH[0] + share * (_REACH[1] - _REACH[0]))
+        stride = 1 if step >= steps - _FINE_STEPS else _STRIDE
+        reach = _REACH[0] + step / max(steps - 1, 1) * (_REACH[1] - _REACH[0])
+        H, b = plane_system(T_kc, frame, keyframe, stride, reach)
         H_matches, b_matches = _match_system(T_kc, matches)
         prior = _PRIOR * torch.eye(6).to(H)
         T_kc = se3.exp(torch.linalg.solve(H + H_matches + prior, b + b_matches)) @ T_kc
     return se3.orthonormal(T_kc)
 
 
-def _surface(frame: Described, stride: int) -> tuple[Tensor, Tensor]:
-    """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where both are known."""
-    inside = slice(stride // 2, None, stride)
-    points, normals = (image[inside, inside].flatten(0, 1) for image in (frame.points, frame.normals))
-    known = normals[:, 2] != 0
-    return points[known], normals[known]
+def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+    """Normal equations H (6, 6), b (6,) of the distances of every `stride`-th row and column to the planes where they fall."""
+    if frame.points.device.type != "cpu":
+        return plain_plane_system(T_kc, frame, keyframe, stride, reach)
+    from idfslam.tracking.kernels import numba_tracking
+
+    c, H, b = keyframe.camera, torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    images = [image.numpy() for image in (frame.points, frame.normals, keyframe.points, keyframe.normals)]
+    camera = np.array([c.fx, c.fy, c.cx, c.cy], np.float32)
+    numbers = (np.float32(value) for value in (reach, _FACING, 2**0.5 * _BEST, _ROBUST))
+    numba_tracking.plane_system(T_kc.float().numpy(), *images[:2], stride, *images[2:], camera, *numbers, H.numpy(), b.numpy())  # type: ignore[call-arg]
+    return H, b
 
 
-def _plane_system(T_kc: Tensor, points: Tensor, normals: Tensor, keyframe: Described, reach: float) -> tuple[Tensor, Tensor]:
-    """Normal equations H (6, 6), b (6,) of the distances of points (N, 3) to the planes at the pixels where they fall."""
+def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+    """The same in torch, on any device."""
+    points, normals = _surface(frame, stride)
     T, camera = T_kc.to(points), keyframe.camera
     moved, turned = se3.transform(T, points), normals @ T[:3, :3].T
     uv, z = camera.project(moved)
@@ -64,6 +71,14 @@ def _plane_system(T_kc: Tensor, points: Tensor, normals: Tensor, keyframe: Descr
     J = torch.cat([normal, torch.linalg.cross(moved, normal)], -1)
     JtW = (J * weight[:, None]).T
     return (JtW @ J).double(), -(JtW @ distance).double()
+
+
+def _surface(frame: Described, stride: int) -> tuple[Tensor, Tensor]:
+    """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where both are known."""
+    inside = slice(stride // 2, None, stride)
+    points, normals = (image[inside, inside].flatten(0, 1) for image in (frame.points, frame.normals))
+    known = normals[:, 2] != 0
+    return points[known], normals[known]
 
 
 def _match_system(T_kc: Tensor, matches: Correspondences) -> tuple[Tensor, Tensor]:

@@ -6,18 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.frame import Frame, Status
+from idfslam.geometry import se3
 from idfslam.hardware import resolve_precision
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.description import Described, reduced
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
-from idfslam.tracking.matching import Matches, match, spread
+from idfslam.tracking.guard import Guard, held_out
+from idfslam.tracking.matching import Features, Matches, match, spread
 from idfslam.tracking.partners import partners
 from idfslam.tracking.point_to_plane import point_to_plane
 from idfslam.tracking.registration import Registration, supported
+
+_ASKING, _ANSWERING = 8, 2  # strides of the pixels that the guard has ask and answer: a few ms a pair, whatever the tracker's own are
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,8 @@ class Tracker:
         self.inference = folded(self.extractor, self.dtype)
         learning = self.extractor.out_conv.requires_grad_(True)
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
+        self.guard = Guard(learning, self.optimiser, finetune.margin)
+        self._steps = 0  # of finetuning
 
     @torch.no_grad()
     def describe(self, frame: Frame) -> Described:
@@ -105,14 +112,37 @@ class Tracker:
         losses = finetuning_losses(
             current, reference, matches, pose.T_ab, T_wr, render=render, pixels=config.pixels, generator=self.generator
         )
-        return finetune_step(self.optimiser, losses, config)
+        numbers = finetune_step(self.optimiser, losses, config)
+        self._steps += 1
+        if config.guard and self._steps % config.guard == 0:
+            self._examine(keyframes, torch.as_tensor(T_wk))
+        return numbers
+
+    def _examine(self, keyframes: Sequence[Described], T_wk: Tensor) -> None:
+        """The weights on held-out pairs of keyframes; the steps since the best are undone if they do worse."""
+        pairs = held_out(keyframes, T_wk, self.finetuning.held_out, self.generator)
+        seen = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in pairs]
+        if seen:
+            self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in seen))
+
+    @torch.no_grad()
+    def right_matches(self, frame: Described, keyframe: Described, T_kc: Tensor) -> int:
+        """How many pixels on a lattice find, both ways, the point that they show, by a pose that is known (4, 4)."""
+        features = self._features(frame), self._features(keyframe)
+        found = match(*features, frame.valid, keyframe.valid, query_stride=_ASKING, target_stride=_ANSWERING, mutual=True)
+        pair = lifted(found, frame, keyframe)
+        return int(supported(T_kc.to(self.device), pair.frame, pair.keyframe, self.config.inlier_distance).inliers.sum())
 
     def _match(self, frame: Described, keyframe: Described) -> Matches:
         config = self.config
-        a, b = (self.extractor.head(described.trunk[None].float())[0] for described in (frame, keyframe))
         strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
-        found = match(a, b, frame.valid, keyframe.valid, mutual=config.mutual, **strides)
-        return spread(found, (a.shape[1], a.shape[2]), limit=config.matches, grid=config.grid)
+        found = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
+        return spread(found, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
+
+    def _features(self, described: Described) -> Features:
+        """By the out-conv as it is now, of the pixels that are asked for."""
+        trunk = described.trunk.flatten(1).mT
+        return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
 def lifted(matches: Matches, frame: Described, keyframe: Described) -> Correspondences:

@@ -19,7 +19,7 @@ from idfslam.tracking.augmentation import augmented
 from idfslam.tracking.contrastive import contrastive_loss
 from idfslam.tracking.features import FeatureExtractor
 from idfslam.tracking.footage import Pair, View
-from idfslam.tracking.matching import Matches, match, spread
+from idfslam.tracking.matching import Matches, features_in, match, spread
 from idfslam.tracking.partners import Partners, partners
 from idfslam.tracking.point_rendering import splat
 from idfslam.tracking.registration import random_subsets, register
@@ -84,7 +84,7 @@ def contrastive_losses(
 
 
 def _correspondences(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, *, mutual: bool) -> Matches:
-    found = match(b, a, pair.b.valid, pair.a.valid, query_stride=3, target_stride=2, mutual=mutual)
+    found = match(features_in(b), features_in(a), pair.b.valid, pair.a.valid, query_stride=3, target_stride=2, mutual=mutual)
     return spread(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=4)
 
 
