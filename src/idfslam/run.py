@@ -170,10 +170,7 @@ def stop_on_interrupt() -> Iterator[threading.Event]:
 
 
 def counts(slam: Slam) -> dict[str, Any]:
-    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate.
-
-    And how often finetuning was undone.
-    """
+    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
     found = Counter(slam.statuses())
     frames = {
         "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
