@@ -19,3 +19,11 @@ settings.load_profile("suite")
 def box_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 14 frames, 160 x 120, with ground truth; not to be changed."""
     return write_box_recording(tmp_path_factory.mktemp("recordings") / "box")
+
+
+@pytest.fixture(scope="session")
+def known_run(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of a run on that recording whose poses are the true ones; not to be changed."""
+    from known_run import write_known_run
+
+    return write_known_run(tmp_path_factory.mktemp("results") / "known", box_recording)

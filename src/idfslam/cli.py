@@ -23,10 +23,12 @@ from idfslam.commands.command import Command
 from idfslam.commands.demo import Demo
 from idfslam.commands.download import Download
 from idfslam.commands.eval import Eval
+from idfslam.commands.export import Export
 from idfslam.commands.mesh import Mesh
 from idfslam.commands.pretrain import Pretrain
 from idfslam.commands.record import Record
 from idfslam.commands.render import Render
+from idfslam.commands.report import Report
 from idfslam.commands.run import Run
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
@@ -47,7 +49,9 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Record, subcommand("record")]
         | Annotated[Eval, subcommand("eval")]
         | Annotated[Mesh, subcommand("mesh")]
+        | Annotated[Export, subcommand("export")]
         | Annotated[Render, subcommand("render")]
+        | Annotated[Report, subcommand("report")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[BenchOdometry, subcommand("bench-odometry", default=BenchOdometry(tyro.MISSING, values))]

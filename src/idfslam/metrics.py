@@ -22,9 +22,11 @@ class Meter:
         self._start = perf_counter()
         self._stamps: list[float] = []  # [s] since the start, at the end of each frame
 
-    def frame(self) -> None:
-        """One more frame is done."""
+    def frame(self) -> float:
+        """One more frame is done; the milliseconds since the one before."""
+        before = self._stamps[-1] if self._stamps else 0.0
         self._stamps.append(perf_counter() - self._start)
+        return (self._stamps[-1] - before) * 1e3
 
     @property
     def frames_per_second(self) -> float:

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import platform
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -22,8 +23,10 @@ from idfslam.geometry.camera import Camera
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
-FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, PICTURE)  # of a run
+FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
+FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a run
 EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
+_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # of a report
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 
 
@@ -86,8 +89,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def remove_stale(folder: Path, *, written: set[str]) -> None:
     """Takes away the files of an earlier run that this one did not write, and nothing else."""
-    for name in {*FILES, *EVALUATION_FILES} - written:
+    for name in {*FILES, *EVALUATION_FILES, REPORT} - written:
         (folder / name).unlink(missing_ok=True)
+    if REPORT not in written:
+        remove_pictures(folder)
+
+
+def remove_pictures(folder: Path) -> None:
+    """Takes away a report's pictures, and their folder if nothing else is in it."""
+    pictures = folder / PICTURES
+    for path in pictures.glob("*.png"):
+        if _PICTURE.fullmatch(path.name):
+            path.unlink()
+    if pictures.is_dir() and not any(pictures.iterdir()):
+        pictures.rmdir()
 
 
 def write_json(path: Path, values: Any) -> None:

@@ -24,6 +24,7 @@ from idfslam.errors import DivergedError, RecordingError
 from idfslam.evaluation.report import Evaluation, plot_trajectory
 from idfslam.evaluation.result import evaluate_poses
 from idfslam.frame import Frame, FrameResult, Status
+from idfslam.frame_log import FrameLog
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.live import LiveStream, is_live, open_live
 from idfslam.metrics import Meter
@@ -69,16 +70,18 @@ def run(
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
         warm_up(config, make_slam)
     slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
-    meter = Meter()
+    meter, frame_log = Meter(), FrameLog()
     with stop_on_interrupt() as stop, ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar:
         try:
-            unreadable = _process(slam, recording, meter, bar, stop)
+            unreadable = _process(slam, recording, meter, frame_log, bar, stop)
             bar.describe("refining")
             if not slam.graph.keyframes:
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
-            results.remove_stale(folder, written=_write_poses(folder, slam, recording, config, source, prior))
+            results.remove_stale(
+                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log)
+            )
             raise
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
         if isinstance(recording, LiveStream):
@@ -89,7 +92,9 @@ def run(
             metrics["live_ate_m"] = live.ate.translation.rmse
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
-        written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
+        written = (
+            _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh) | _write_log(folder, frame_log)
+        )
         results.write_json(folder / results.METRICS, metrics)
         results.remove_stale(folder, written=written | {results.METRICS})
     return Run(folder, _trajectory(slam, recording), mesh, metrics)
@@ -134,13 +139,15 @@ def frames(recording: Dataset | LiveStream) -> Iterator[tuple[Frame, bool]]:
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
 
 
-def _process(slam: Slam, recording: Dataset | LiveStream, meter: Meter, bar: ProgressBar, stop: threading.Event) -> int:
+def _process(
+    slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar, stop: threading.Event
+) -> int:
     """Frames through Slam until the end or the first Ctrl-C; how many of them could not be read."""
     unreadable = 0
     for frame, readable in frames(recording):
         unreadable += not readable
         result: FrameResult = slam.process(frame)
-        meter.frame()
+        frame_log.add(result, meter.frame())
         bar.update(result, frames_per_second=meter.frames_per_second)
         if stop.is_set():
             of = "" if isinstance(recording, LiveStream) else f" of {len(recording)}"
@@ -229,3 +236,10 @@ def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:
     with results.replacing(folder / results.MAP) as part:
         slam.save_map(part)
     return {results.MESH, results.MAP}
+
+
+def _write_log(folder: Path, frame_log: FrameLog) -> set[str]:
+    """What the frames were like; the name of the file."""
+    with results.replacing(folder / results.FRAMES) as part:
+        frame_log.save(part)
+    return {results.FRAMES}

@@ -1,17 +1,26 @@
-"""What can be made of a saved map: a mesh at any resolution, pictures from the trajectory's frames."""
+"""What can be made of a saved map: a mesh at any resolution, pictures and videos from anywhere."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from idfslam import results
+from idfslam.camera_paths import fly_through, load_poses, orbit
 from idfslam.errors import ConfigError, ResultError
-from idfslam.geometry.trajectory import load_tum
+from idfslam.evaluation.pictures import up_direction
+from idfslam.evaluation.result import load_mesh
+from idfslam.finished_run import FinishedRun
+from idfslam.geometry.camera import Camera
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures import write_colour, write_depth
+from idfslam.video import write_video
 
 MESH_FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
+_ORBIT = 0.08  # radius of an orbit, as a share of the room's size
 
 
 def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> Path:
@@ -31,27 +40,78 @@ def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> P
     return path
 
 
-def write_views(folder: Path, out: Path | None = None, *, frames: Sequence[int] = ()) -> list[Path]:
-    """Colour (8 bit) and depth (16 bit, mm) that the map shows from `frames` (none: the keyframes), as PNG; returns the paths.
+@dataclass(frozen=True, eq=False)
+class ViewPoints:
+    """From where a map is looked at."""
 
-    Raises ResultError where map, trajectory or keyframes are missing, ConfigError for a frame that the trajectory does not have.
+    names: Sequence[str]  # of the pictures
+    poses: NDArray[np.float64]  # (N, 4, 4) T_wc
+    camera: Camera
+
+
+def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | None = None, width: int | None = None) -> ViewPoints:
+    """Frames of the trajectory (none: the keyframes), or the poses of a file; the run's camera, or the file's, `width` [px] wide.
+
+    Raises ConfigError for a frame that the trajectory does not have or a width below 16, ResultError where there is nothing to look from.
     """
-    saved = load_map(results.existing(folder, results.MAP))
-    trajectory = load_tum(results.existing(folder, results.TRAJECTORY))
-    record = results.read_keyframes(folder)
-    chosen = list(frames) or record.indices.tolist()
-    for i in chosen:
-        if not 0 <= i < len(trajectory):
-            raise ConfigError(f"--frames {i}: the trajectory has frames 0 to {len(trajectory) - 1}")
-    if not chosen:
-        raise ResultError(f"{folder}: the run has no keyframes; choose frames with --frames")
-    target = out or folder / "render"
+    camera, trajectory = run.keyframes.camera, run.trajectory.poses
+    if poses is not None:
+        if frames:
+            raise ConfigError("--frames and --poses: choose one of them")
+        found, own = load_poses(poses)
+        names = [f"{i:06d}" for i in range(len(found))]
+        camera = own or camera
+    else:
+        chosen = list(frames) or run.keyframes.indices.tolist()
+        for i in chosen:
+            if not 0 <= i < len(trajectory):
+                raise ConfigError(f"--frames {i}: the trajectory has frames 0 to {len(trajectory) - 1}")
+        found, names = trajectory[chosen], [f"{i:06d}" for i in chosen]
+    if not len(found):
+        raise ResultError(f"{poses}: no poses in it" if poses else f"{run.folder}: the run has no keyframes; choose frames with --frames")
+    if width is not None:
+        if width < 16:
+            raise ConfigError(f"--width {width}, expected at least 16 pixels")
+        camera = camera.resized(width, max(1, round(width * camera.height / camera.width)))
+    return ViewPoints(names, found, camera)
+
+
+def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None) -> list[Path]:
+    """Colour (8 bit) and depth (16 bit, mm) that the map shows from there, as PNG; returns the paths. Raises ResultError without a map."""
+    target, saved = out or run.folder / "render", run.map
     results.prepare(target)
     paths = []
-    for i in chosen:
-        colour, depth = saved.render(trajectory.poses[i], record.camera)
-        pair = [target / f"{i:06d}-colour.png", target / f"{i:06d}-depth.png"]
+    for name, T_wc in zip(points.names, points.poses):
+        colour, depth = saved.render(T_wc, points.camera)
+        pair = [target / f"{name}-colour.png", target / f"{name}-depth.png"]
         write_colour(pair[0], np.asarray(colour))
         write_depth(pair[1], np.asarray(depth))
         paths += pair
     return paths
+
+
+def write_flight(
+    run: FinishedRun, path: Path, kind: Literal["along", "orbit"], *, poses: NDArray[np.float64], camera: Camera, seconds: float, fps: float
+) -> Path:
+    """A video of the map: along T_wc (N, 4, 4), smoothed, or around the room's middle. Raises ConfigError for times that cannot be."""
+    frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
+    if frames < 2:
+        raise ConfigError(f"--seconds {seconds} at --fps {fps}, expected a video of two frames or more, at most 240 a second")
+    flight = fly_through(poses, frames, fps=fps) if kind == "along" else _orbit(run, poses, frames)
+    saved = run.map
+    results.prepare(path.parent)
+
+    def images() -> Iterator[NDArray[np.uint8]]:
+        for T_wc in flight:
+            yield (np.clip(saved.render(T_wc, camera)[0], 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    with results.replacing(path) as part:
+        write_video(part, images(), fps=fps)
+    return path
+
+
+def _orbit(run: FinishedRun, poses: NDArray[np.float64], frames: int) -> NDArray[np.float64]:
+    """Around the middle of where the camera was, inside the room."""
+    mesh = load_mesh(results.existing(run.folder, results.MESH))
+    size = float(np.ptp(np.percentile(mesh.vertices, [2, 98], axis=0), axis=0).max())
+    return orbit(poses, frames, up=up_direction(mesh, poses), centre=poses[:, :3, 3].mean(0), radius=_ORBIT * size)

@@ -22,15 +22,20 @@ class Demo:
     """Frames of the walk through the room."""
     room: int = 0
     """Which room: any number makes one."""
+    report: bool = True
+    """Whether report.html and its pictures are made at the end."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.demo import demo
+        from idfslam.report.writing import write_report
         from idfslam.tables import print_evaluation, print_files, print_run
 
         done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, console=console)
+        if self.report:
+            write_report(self.out)
         print_run(done, output())
         print_evaluation(evaluation, self.out, output())
         print_files(self.out, [path.name for path in pictures], output())

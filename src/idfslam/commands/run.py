@@ -71,13 +71,16 @@ class Run:
     topics: TopicFlags = TopicFlags()
     map: Path | None = None
     """The result folder of an earlier run: the camera is found in its map, which is extended. Its recording must still be there."""
+    report: bool = True
+    """Whether report.html and its pictures are made at the end."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
-        from idfslam.live import located
+        from idfslam.live import LiveStream, located
         from idfslam.prior_map import load_prior
+        from idfslam.report.writing import write_report
         from idfslam.results import Source
         from idfslam.run import open_feed, run
         from idfslam.tables import print_run
@@ -89,4 +92,7 @@ class Run:
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        print_run(run(recording, values, folder, source=source, prior=prior, console=console), output())
+        done = run(recording, values, folder, source=source, prior=prior, console=console)
+        if self.report:
+            write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
+        print_run(done, output())

@@ -1,6 +1,6 @@
 """Pictures of a mesh with vertex colours, by ray casting: from a camera's pose, and from above into the room."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -56,11 +56,21 @@ class Picture:
 
     def draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
         """(H, W, 3) uint8 RGB seen from T_wc (4, 4)."""
+        rgba = self._draw(T_wc, camera, shading)
+        return (rgba[..., :3] * 255 + 0.5).astype(np.uint8)
+
+    def cut_out(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+        """(H, W, 4) uint8 RGBA, transparent where there is no surface, for any background."""
+        rgba = self._draw(T_wc, camera, replace(shading, background=(0.0, 0.0, 0.0)))
+        rgba[..., :3] /= np.maximum(rgba[..., 3:], 1e-3)
+        return (np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    def _draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+        """(H, W, 4) RGB over the background, and the share of a pixel that is surface."""
         size, s = (camera.width, camera.height), shading.supersample
         fine = camera.resized(camera.width * s, camera.height * s)
         colour = self._colour(T_wc, fine, shading)
-        image = cv2.resize(colour.reshape(fine.height, fine.width, 3), size, interpolation=cv2.INTER_AREA)
-        return (image * 255 + 0.5).astype(np.uint8)
+        return np.asarray(cv2.resize(colour.reshape(fine.height, fine.width, 4), size, interpolation=cv2.INTER_AREA))
 
     def depth(self, T_wc: NDArray[np.float64], camera: Camera) -> Floats:
         """Z-depth (H, W) [m], 0 where there is no surface, seen from T_wc (4, 4)."""
@@ -89,7 +99,7 @@ class Picture:
         return (face >= 0) & ((self._normals[face] * rays).sum(-1) > 0)
 
     def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
-        """Shaded RGB (N, 3) in [0, 1] of all pixels."""
+        """Shaded RGB in [0, 1] of all pixels, and 1 where there is surface (N, 4)."""
         rays = pixel_rays(camera, T_wc)
         origins = np.broadcast_to(T_wc[:3, 3].astype(np.float32), rays.shape)
         distance, face, weights = self._first(origins, rays)
@@ -105,9 +115,10 @@ class Picture:
                 - shading.occlusion
                 * self._occlusion(origins[hit] + rays[hit] * distance[hit, None], normal, max(1, _OCCLUSION_RAYS // shading.supersample**2))
             )
-        image = np.empty((len(rays), 3), np.float32)
-        image[:] = shading.background
-        image[hit] = np.clip(rgb * light[:, None], 0, 1)
+        image = np.empty((len(rays), 4), np.float32)
+        image[:] = (*shading.background, 0)
+        image[hit, :3] = np.clip(rgb * light[:, None], 0, 1)
+        image[hit, 3] = 1
         return image
 
     @staticmethod

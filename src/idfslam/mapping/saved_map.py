@@ -19,10 +19,12 @@ from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.grid import GridEncoding
-from idfslam.mapping.meshing import View, extract_mesh, reduced_view
+from idfslam.mapping.meshing import View, extract_mesh, observed, reduced_view
 from idfslam.mapping.sphere_tracing import trace_image
 
 FORMAT = 1
+_OBSERVED = 0.03  # [m] from a reading within which rendered surface counts as observed, beside 0.3 tr: as in a mesh of 2 cm
+_SLANT = 1.4  # length of a ray at an image's corner over its depth
 _VIEW_ROWS = 60  # of the depth images in the file
 _VIEW_BYTES = 1_200_000  # of all of them: with a feature grid at its largest the file stays below 10 MB
 
@@ -39,8 +41,13 @@ class SavedMap:
         return mesh_of(self.field, self.views, resolution)
 
     def render(self, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Colour (H, W, 3) and depth (H, W) [m] that the map shows a camera at `T_wc` (4, 4)."""
-        farthest = max(float(view.depth.max()) for view in self.views) + 2 * self.field.config.truncation
+        """Colour (H, W, 3) and depth (H, W) [m] that the map shows a camera at `T_wc` (4, 4): observed surface, as in meshes."""
+        farthest = _reach(self.views, T_wc) + 2 * self.field.config.truncation
+        tolerance = _OBSERVED + 0.3 * self.field.config.truncation
+
+        def seen(points: Tensor) -> Tensor:
+            return torch.from_numpy(observed(points.cpu().double().numpy(), self.views, tolerance)).to(points.device)
+
         image = trace_image(
             sdf_function(self.field),
             lambda points, directions: self.field(points, directions)[1],
@@ -48,8 +55,14 @@ class SavedMap:
             camera,
             far=farthest,
             truncation=self.field.config.truncation,
+            observed=seen,
         )
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
+
+
+def _reach(views: Sequence[View], T_wc: NDArray[np.float64]) -> float:
+    """Farther [m] than any reading lies from a camera at `T_wc` (4, 4)."""
+    return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
 def mesh_of(field: Field, views: Sequence[View], resolution: float) -> trimesh.Trimesh:

@@ -1,0 +1,27 @@
+"""`idf-slam report`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Report:
+    """A run as a page to look at: report.html, one file that needs no other, and its pictures."""
+
+    folder: Positional[Path]
+    """The result folder."""
+    gt: Path | None = None
+    """True trajectory in TUM format, camera-to-world; none given: the recording's own, where it has one."""
+    recording: Path | None = None
+    """Where the recording lies now, if it has been moved since the run."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.report.writing import write_report
+
+        print(write_report(self.folder, moved=self.recording, gt=self.gt)[0])

@@ -1,0 +1,137 @@
+"""A finished run written for other programs, a format a function."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from idfslam import results
+from idfslam.errors import ConfigError
+from idfslam.export import colmap, nerfstudio, tsdf_grid
+from idfslam.export.images import PosedImage, write_images
+from idfslam.export.mesh_files import write_glb, write_obj, write_ply
+from idfslam.export.point_cloud import PointCloud, fuse
+from idfslam.export.texture import Floats, from_images, textured
+from idfslam.finished_run import FinishedRun
+from idfslam.frame import Frame
+from idfslam.geometry.kitti import save_kitti
+from idfslam.geometry.trajectory import save_tum
+
+Format = Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"]
+Texture = Literal["images", "map"]
+
+FORMATS: tuple[Format, ...] = get_args(Format)
+_TEXTURED = ("obj", "glb")
+
+
+@dataclass(frozen=True, eq=False)
+class Exporter:
+    """Raises ResultError or RecordingError where a format needs what the run no longer has."""
+
+    run: FinishedRun
+    out: Path
+    resolution: float = 0.02  # [m]
+    images: int | None = None  # how many frames give images; None: the keyframes
+    texture: Texture | None = None
+
+    def write(self, formats: Sequence[Format]) -> list[Path]:
+        """The formats one after the other; the files, or the folder where there are many of them."""
+        if not 0 < self.resolution < np.inf:
+            raise ConfigError(f"--resolution {self.resolution}, expected metres above 0, such as 0.02")
+        if self.texture and not set(formats) & set(_TEXTURED):
+            raise ConfigError(f"--texture with --to {' '.join(formats)}: of these none has textures; choose {' or '.join(_TEXTURED)}")
+        results.prepare(self.out)
+        ways: dict[Format, Callable[[], list[Path]]] = {
+            "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
+            "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
+        }  # fmt: skip
+        return [path for name in dict.fromkeys(formats) for path in ways[name]()]
+
+    def _tum(self) -> list[Path]:
+        with results.replacing(self.out / "tum.txt") as part:
+            save_tum(part, self.run.trajectory)
+        return [self.out / "tum.txt"]
+
+    def _kitti(self) -> list[Path]:
+        paths = [self.out / "kitti.txt", self.out / "kitti_times.txt"]
+        with results.replacing(paths[0]) as part:
+            save_kitti(part, self.run.trajectory.poses)
+        with results.replacing(paths[1]) as part:
+            np.savetxt(part, self.run.trajectory.timestamps, fmt="%.6f")
+        return paths
+
+    def _nerfstudio(self) -> list[Path]:
+        folder = self.out / "nerfstudio"
+        images = self._write_images(folder)
+        with results.replacing(folder / nerfstudio.POINTS) as part:
+            _cloud(images, self.resolution).save(part)
+        nerfstudio.write_transforms(folder / nerfstudio.TRANSFORMS, images, self.run.keyframes.camera)
+        return [folder]
+
+    def _colmap(self) -> list[Path]:
+        folder = self.out / "colmap"
+        images = self._write_images(folder)
+        colmap.write_colmap(folder / "sparse" / "0", images, self.run.keyframes.camera, _cloud(images, self.resolution))
+        return [folder]
+
+    def _ply(self) -> list[Path]:
+        return write_ply(self.out / "mesh.ply", self._mesh)
+
+    def _obj(self) -> list[Path]:
+        return write_obj(self.out / "mesh.obj", self._dressed)
+
+    def _glb(self) -> list[Path]:
+        return write_glb(self.out / "mesh.glb", self._dressed)
+
+    def _points(self) -> list[Path]:
+        with results.replacing(self.out / "points.ply") as part:
+            fuse(self._frames(), self.resolution).save(part)
+        return [self.out / "points.ply"]
+
+    def _grid(self) -> list[Path]:
+        with results.replacing(self.out / "grid.npz") as part:
+            tsdf_grid.save_grid(part, self.run.map, self.resolution)
+        return [self.out / "grid.npz"]
+
+    def _blocks(self) -> list[Path]:
+        with results.replacing(self.out / "blocks.npz") as part:
+            tsdf_grid.save_blocks(part, self.run.map, self.resolution)
+        return [self.out / "blocks.npz"]
+
+    def _write_images(self, folder: Path) -> list[PosedImage]:
+        return write_images(folder, self.run.recording, self.run.spread(self.images), self.run.trajectory.poses)
+
+    def _frames(self) -> Iterator[tuple[Frame, NDArray[np.float64]]]:
+        """The frames that give images, and their poses."""
+        for i in self.run.spread(self.images):
+            yield self.run.recording[int(i)], self.run.trajectory.poses[i]
+
+    @cached_property
+    def _mesh(self) -> trimesh.Trimesh:
+        return self.run.map.mesh(self.resolution)
+
+    @cached_property
+    def _dressed(self) -> trimesh.Trimesh:
+        """With a texture, where one is asked for."""
+        if self.texture is None:
+            return self._mesh
+        return textured(self._mesh, from_images(self._frames(), self._map_colour) if self.texture == "images" else self._map_colour)
+
+    @torch.no_grad()
+    def _map_colour(self, points: Floats, normals: Floats) -> Floats:
+        """What the map says, seen head-on."""
+        field = self.run.map.field
+        device = next(field.parameters()).device
+        chunks = (torch.from_numpy(np.ascontiguousarray(array)).to(device).split(1 << 18) for array in (points, -normals))
+        directed = field.direction_encoding is not None
+        return torch.cat([field(p, d if directed else None)[1].cpu() for p, d in zip(*chunks)]).numpy()
+
+
+def _cloud(images: Sequence[PosedImage], spacing: float) -> PointCloud:
+    return fuse(((image.frame, image.T_wc) for image in images), spacing)

@@ -1,0 +1,43 @@
+"""Meshes as PLY, OBJ (with MTL and PNG where it has a texture) and GLB."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from trimesh.exchange.obj import export_obj
+
+from idfslam import results
+
+_UPRIGHT = np.diag([1.0, -1.0, -1.0, 1.0])  # glTF's y points up, the first camera's down
+
+
+def write_ply(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
+    """Vertex colours; PLY knows no textures that programs agree on."""
+    with results.replacing(path) as part:
+        mesh.export(part, file_type="ply")
+    return [path]
+
+
+def write_obj(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
+    """Vertex colours behind the coordinates, or beside `path` a material and its image."""
+    material = path.with_suffix(".mtl")
+    if isinstance(mesh.visual, trimesh.visual.TextureVisuals):
+        visual = mesh.visual.copy()
+        visual.material = visual.material.to_simple()
+        visual.material.name = path.stem
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
+    text, beside = export_obj(mesh, return_texture=True, mtl_name=material.name)
+    written = {path: text.encode(), **{path.parent / name: data for name, data in beside.items()}}
+    for place, data in written.items():
+        with results.replacing(place) as part:
+            part.write_bytes(data)
+    return list(written)
+
+
+def write_glb(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
+    """One file, colours or texture in it. Its node turns the world by half a turn about x: up is +y, as glTF has it."""
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, transform=_UPRIGHT)
+    with results.replacing(path) as part:
+        scene.export(part, file_type="glb")
+    return [path]

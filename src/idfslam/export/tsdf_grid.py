@@ -1,0 +1,131 @@
+"""The map as a regular grid of numbers: T-SDF and colour at lattice points, and which of them were observed.
+
+`tsdf` (X, Y, Z) float32 is in [-1, 1] units of `truncation` [m], positive in front of the surface; `colour` (X, Y, Z, 3) uint8 RGB;
+`observed` (X, Y, Z) bool: free space that a depth image looked through, or within the truncation of a surface that it measured; elsewhere
+`tsdf` is 1 and means nothing. Lattice point [i, j, k] lies at `origin` + (i, j, k) * `voxel_size` [m] in the world.
+
+In blocks, only those near a surface are kept: the first axis counts them, and `origin` (M, 3) is each block's own.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError
+from idfslam.mapping.field import Field
+from idfslam.mapping.fused import sdf_function
+from idfslam.mapping.meshing import CELLS, View, touched_blocks
+from idfslam.mapping.saved_map import SavedMap
+
+_LARGEST = 1 << 28  # lattice points of a dense grid: about 2 GB
+_CHUNK = 64  # blocks evaluated at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of CELLS^3 lattice points near the surface."""
+
+    coordinates: NDArray[np.int64]  # (M, 3) integer, in blocks
+    tsdf: NDArray[np.float32]  # (M, C, C, C) [tr]
+    colour: NDArray[np.uint8]  # (M, C, C, C, 3)
+    observed: NDArray[np.bool_]  # (M, C, C, C)
+
+
+def sample_blocks(saved: SavedMap, voxel: float) -> Blocks:
+    """The field on every block that a reading comes near to, at lattice points `voxel` [m] apart."""
+    tr = saved.field.config.truncation
+    coordinates = touched_blocks(saved.views, CELLS * voxel, tr)
+    chunks = list(_evaluate(saved.field, coordinates, voxel))
+    shape = (len(coordinates), CELLS, CELLS, CELLS)
+    points = _lattice(coordinates, voxel)
+    seen = observed_space(points.reshape(-1, 3), saved.views, tr).reshape(shape)
+    tsdf = np.concatenate([chunk[0] for chunk in chunks]).reshape(shape)
+    colour = np.concatenate([chunk[1] for chunk in chunks]).reshape(*shape, 3)
+    return Blocks(coordinates, np.where(seen, tsdf, np.float32(1)), np.where(seen[..., None], colour, np.uint8(0)), seen)
+
+
+def _lattice(coordinates: NDArray[np.int64], voxel: float) -> NDArray[np.float32]:
+    """(M, C^3, 3) [m]."""
+    offsets = np.stack(np.meshgrid(*[np.arange(CELLS)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    return ((coordinates[:, None] * CELLS + offsets) * voxel).astype(np.float32)
+
+
+@torch.no_grad()
+def _evaluate(field: Field, coordinates: NDArray[np.int64], voxel: float) -> Iterator[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
+    """T-SDF and colour of a few blocks at a time."""
+    device, sdf = next(field.parameters()).device, sdf_function(field)
+    for start in range(0, len(coordinates), _CHUNK):
+        points = torch.from_numpy(_lattice(coordinates[start : start + _CHUNK], voxel).reshape(-1, 3)).to(device)
+        near = sdf(points).clamp(-1, 1)
+        towards = -field.distance(points)[1] if field.direction_encoding is not None else None
+        colour = (field(points, towards)[1].clamp(0, 1) * 255).round().to(torch.uint8)
+        yield near.cpu().numpy(), colour.cpu().numpy()
+
+
+def save_blocks(path: Path, saved: SavedMap, voxel: float) -> None:
+    """Blocks as npz."""
+    blocks, tr = sample_blocks(saved, voxel), saved.field.config.truncation
+    origin = blocks.coordinates * CELLS * voxel
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file, tsdf=blocks.tsdf, colour=blocks.colour, observed=blocks.observed, origin=origin, voxel_size=voxel, truncation=tr
+        )
+
+
+def save_grid(path: Path, saved: SavedMap, voxel: float) -> None:
+    """One dense array as npz. Raises ConfigError where it would be too large."""
+    tr = saved.field.config.truncation
+    low, high = _extent(touched_blocks(saved.views, CELLS * voxel, tr))
+    size = (high - low) * CELLS
+    if np.prod(size.astype(float)) > _LARGEST:
+        shape = " x ".join(map(str, size))
+        raise ConfigError(f"--resolution {voxel}: a dense grid would have {shape} points; choose a larger one, or --to blocks")
+    blocks = sample_blocks(saved, voxel)
+    tsdf, colour = np.ones(size, np.float32), np.zeros((*size, 3), np.uint8)
+    axes = [np.arange(low[a] * CELLS, high[a] * CELLS, dtype=np.float32) * np.float32(voxel) for a in range(3)]
+    seen = np.zeros(size, bool)
+    for i, x in enumerate(axes[0]):  # a slice at a time: the lattice's points would take four times the grid's memory
+        plane = np.stack(np.meshgrid(x, axes[1], axes[2], indexing="ij"), -1).reshape(-1, 3)
+        seen[i] = observed_space(plane, saved.views, tr).reshape(size[1:])
+    for (x, y, z), *values in zip((blocks.coordinates - low) * CELLS, blocks.tsdf, blocks.colour):
+        place = (slice(x, x + CELLS), slice(y, y + CELLS), slice(z, z + CELLS))
+        tsdf[place], colour[place] = values
+    with path.open("wb") as file:
+        np.savez_compressed(file, tsdf=tsdf, colour=colour, observed=seen, origin=low * CELLS * voxel, voxel_size=voxel, truncation=tr)
+
+
+def _extent(coordinates: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    return coordinates.min(0), coordinates.max(0) + 1
+
+
+def observed_space(points: NDArray[np.float32], views: Sequence[View], behind: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) [m] a view looked at: its depth there is at most `behind` [m] in front of the point."""
+    seen = np.zeros(len(points), np.bool_)
+    for view in views:
+        intrinsics = (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)
+        _look(points, np.linalg.inv(view.T_wc), np.ascontiguousarray(view.depth), intrinsics, behind, seen)
+    return seen
+
+
+@njit(parallel=True, cache=True)
+def _look(points, T_cw, depth, intrinsics, behind, seen):  # type: ignore[no-untyped-def]
+    """Marks in `seen` (N,) what one view saw."""
+    fx, fy, cx, cy = intrinsics
+    height, width = depth.shape
+    for i in prange(len(points)):
+        if seen[i]:
+            continue
+        x, y, z = points[i]
+        z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
+        if z_c <= 0:
+            continue
+        u = round((T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx)
+        v = round((T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy)
+        if 0 <= u < width and 0 <= v < height:
+            measured = depth[int(v), int(u)]
+            seen[i] = measured > 0 and z_c <= measured + behind

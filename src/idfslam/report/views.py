@@ -1,0 +1,136 @@
+"""The pictures of a report: the mesh from outside and inside, the room's plan, slices of the map, frames beside what the map shows."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from idfslam.datasets import Dataset
+from idfslam.errors import FrameError
+from idfslam.evaluation.pictures import Picture, Shading, overview_pose
+from idfslam.export.tsdf_grid import observed_space
+from idfslam.geometry.camera import Camera
+from idfslam.mapping.fused import sdf_function
+from idfslam.mapping.saved_map import SavedMap
+from idfslam.report.figures import Plan
+from idfslam.report.level import from_above
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_OUTSIDE = Camera(640, 480, 700.0, 700.0, 319.5, 239.5)
+_INSIDE = Camera(640, 440, 380.0, 380.0, 319.5, 219.5)  # wide: 80 degrees
+_PLAN_PIXELS = 640  # along the longer side
+_SLICE_CELL = 0.02  # [m]
+_MARGIN = 0.15  # [m] around the room
+_FAR = 30.0  # the plan's camera is so many times the room's size above it: all but parallel
+_HEIGHTS = (0.25, 0.5, 0.75)  # of slices, as shares of the room's height
+_WIDTH = 320  # px of a frame's pictures
+_FRAMES = 4
+_LEAST_SHOWN = 0.01  # share of a picture of the mesh that is mesh
+_ERROR = 0.05  # [m] at the end of the scale
+
+
+class Room:
+    """A mesh and the cameras that saw it, prepared for pictures."""
+
+    def __init__(self, mesh: trimesh.Trimesh, poses: Floats, R_lw: Floats) -> None:
+        self._mesh, self._poses, self._R_lw = mesh, poses, R_lw
+        self._picture = Picture(mesh, inside=poses[:, :3, 3])
+        local = np.concatenate([np.percentile(np.asarray(mesh.vertices) @ R_lw.T, [0.3, 99.7], axis=0), poses[:, :3, 3] @ R_lw.T])
+        margin = np.array([_MARGIN, _MARGIN, 0])
+        self.low, self.high = local.min(0) - margin, local.max(0) + margin
+
+    def outside(self) -> list[Image]:
+        """From four sides (H, W, 4), but for those that show backs alone."""
+        angles = 0.6 + np.arange(4) * np.pi / 2
+        poses = [overview_pose(self._mesh, self._poses, _OUTSIDE, azimuth=float(angle)) for angle in angles]
+        images = [self._picture.cut_out(T, _OUTSIDE, Shading()) for T in poses]
+        return [image for image in images if (image[..., 3] > 0).mean() > _LEAST_SHOWN]
+
+    def inside(self) -> list[Image]:
+        """From four places of the path, at a wide angle (H, W, 4)."""
+        lit = Shading(occlusion=0)  # it would take most of the report's time here, where all of the picture is surface
+        return [self._picture.cut_out(self._poses[i], _INSIDE, lit) for i in spread(len(self._poses), 4)]
+
+    def plan(self) -> Plan:
+        """From above, without the ceiling."""
+        size = self.high - self.low
+        per_metre = _PLAN_PIXELS / size[:2].max()
+        width, height = (max(8, round(float(x * per_metre))) for x in size[:2])
+        above = _FAR * float(size.max())
+        focal = per_metre * above
+        camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        image = self._picture.cut_out(from_above(self._R_lw, (self.low + self.high) / 2, above), camera, Shading())
+        return Plan(image, (self.low[0], self.high[0], self.low[1], self.high[1]))
+
+    def slices(self, saved: SavedMap) -> Iterator[tuple[float, Plan]]:
+        """Horizontal planes of the signed distance [m] with their heights above the lowest surface [m]; NaN where nothing was observed."""
+        x, y = (np.arange(self.low[a], self.high[a], _SLICE_CELL) for a in (0, 1))
+        tr, device, sdf = saved.field.config.truncation, next(saved.field.parameters()).device, sdf_function(saved.field)
+        for share in _HEIGHTS:
+            z = self.low[2] + share * (self.high[2] - self.low[2])
+            local = np.stack(np.broadcast_arrays(x[None, :], y[::-1, None], z), -1)
+            points = (local.reshape(-1, 3) @ self._R_lw).astype(np.float32)
+            with torch.no_grad():
+                distance = sdf(torch.from_numpy(points).to(device)).clamp(-1, 1).cpu().numpy() * tr
+            distance[~observed_space(points, saved.views, tr)] = np.nan
+            yield z - self.low[2], Plan(distance.reshape(local.shape[:2]), (x[0], x[-1], y[0], y[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A frame beside what the map shows from its pose; all pictures (h, w, 3) uint8."""
+
+    index: int
+    pictures: dict[str, Image]  # by what they show
+    psnr: float  # [dB] of the colour
+    depth_error: float  # [m] median, where both have depth
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """So many indices, evenly spread, without the very ends."""
+    return sorted({round(float(i)) for i in np.linspace(0, count - 1, wanted + 2)[1:-1]})
+
+
+def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
+    """Frames spread over the run; those that cannot be read are left out."""
+    own = recording.camera
+    small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
+    for i in spread(len(poses), _FRAMES):
+        try:
+            frame = recording[i]
+        except FrameError:
+            continue
+        colour, depth = saved.render(poses[i], small)
+        size = (small.width, small.height)
+        seen = np.asarray(cv2.resize(frame.colour, size, interpolation=cv2.INTER_AREA))
+        measured = np.asarray(cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST))
+        both = (measured > 0) & (depth > 0)
+        error = np.where(both, np.abs(depth - measured), np.nan)
+        far = float(np.percentile(measured[measured > 0], 99)) if (measured > 0).any() else 1.0
+        mse = float(((np.clip(colour, 0, 1) - seen)[depth > 0] ** 2).mean()) if (depth > 0).any() else 1.0
+        pictures = {
+            "colour, recorded": _bytes(seen),
+            "colour, map": _bytes(colour),
+            "depth, recorded": _painted(np.where(measured > 0, measured, np.nan) / far, "viridis"),
+            "depth, map": _painted(np.where(depth > 0, depth, np.nan) / far, "viridis"),
+            "depth error": _painted(error / _ERROR, "magma"),
+        }
+        yield Comparison(i, pictures, -10 * float(np.log10(max(mse, 1e-10))), float(np.nanmedian(error)) if both.any() else float("nan"))
+
+
+def _bytes(colour: NDArray[Any]) -> Image:
+    return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _painted(values: NDArray[np.floating], colours: str) -> Image:
+    """Values in [0, 1] (H, W) in a colour map's colours; grey where they are NaN."""
+    rgb = np.asarray(mpl.colormaps[colours](np.clip(np.nan_to_num(values), 0, 1)))[..., :3]
+    return _bytes(np.where(np.isnan(values)[..., None], 0.5, rgb))

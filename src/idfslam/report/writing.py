@@ -1,0 +1,265 @@
+"""Writes report.html, one file that needs nothing beside it and no network, and the same pictures into pictures/."""
+
+import base64
+import io
+import json
+import logging
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import trimesh
+from markupsafe import Markup
+from numpy.typing import NDArray
+from PIL import Image
+
+from idfslam import results
+from idfslam.config import PRESETS, RUN_SECTIONS, dump, read_yaml
+from idfslam.datasets import Dataset
+from idfslam.errors import IdfSlamError, ResultError
+from idfslam.evaluation.result import load_mesh
+from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, absolute_trajectory_error, matched_ground_truth
+from idfslam.finished_run import FinishedRun
+from idfslam.geometry.trajectory import load_tum
+from idfslam.report import figures
+from idfslam.report.chart import Chart
+from idfslam.report.level import level
+from idfslam.report.views import Room, comparisons
+
+log = logging.getLogger(__name__)
+
+_QUALITY = 82  # of the pictures on the page (WebP)
+
+
+@dataclass
+class _Figure:
+    """What the page shows, and under which caption."""
+
+    content: Markup
+    caption: str
+
+
+@dataclass
+class _Gallery:
+    """Pictures gathered for the page and written as files."""
+
+    folder: Path
+    written: list[Path] = field(default_factory=list)
+
+    def chart(self, name: str, caption: str, chart: Chart | None) -> list[_Figure]:
+        """A chart; nothing where there is none."""
+        if chart is None:
+            return []
+        self._write(name, chart.png)
+        return [_Figure(Markup(chart.svg), caption)]  # made here, from numbers
+
+    def picture(self, name: str, caption: str, image: NDArray[np.uint8]) -> _Figure:
+        """(H, W, 3) or (H, W, 4)."""
+        page, file = io.BytesIO(), io.BytesIO()
+        Image.fromarray(image).save(page, "WEBP", quality=_QUALITY)
+        Image.fromarray(image).save(file, "PNG")
+        self._write(name, file.getvalue())
+        data = base64.b64encode(page.getvalue()).decode()
+        size = Markup('width="{}" height="{}"').format(image.shape[1], image.shape[0])
+        return _Figure(Markup('<img src="data:image/webp;base64,{}" {} alt="{}">').format(data, size, caption), caption)
+
+    def _write(self, name: str, data: bytes) -> None:
+        path = self.folder / f"{name}.png"
+        with results.replacing(path) as part:
+            part.write_bytes(data)
+        self.written.append(path)
+
+
+def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path | None = None, gt: Path | None = None) -> list[Path]:
+    """The report of a result folder; the page, then the pictures.
+
+    recording: where it is open already; moved: where it lies now, if not where config.yaml says; without any, what needs its images or
+    its truth is left out. gt: the true trajectory in TUM format, over the recording's own. What an interrupted or diverged run lacks is
+    left out. Raises ResultError where the folder holds no trajectory or cannot be written to.
+    """
+    run = FinishedRun(folder, moved=moved)
+    results.prepare(folder / results.PICTURES)
+    results.remove_pictures(folder)
+    results.prepare(folder / results.PICTURES)
+    missing: list[str] = []
+    if recording is None:
+        recording = _recording(run, missing)
+    gallery = _Gallery(folder / results.PICTURES)
+    mesh = _mesh(folder, missing)
+    ate = _ate(run, recording, gt)
+    metrics = json.loads((folder / results.METRICS).read_text(encoding="utf-8")) if (folder / results.METRICS).is_file() else {}
+    sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh) | _frames(gallery, run, recording)
+    page = _template().render(
+        name=recording.name if recording is not None else folder.resolve().name,
+        made=datetime.fromtimestamp((folder / results.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
+        cards=_cards(run, ate, metrics, mesh),
+        interrupted=bool(metrics.get("interrupted")),
+        sections=sections,
+        stages=sorted(metrics.get("ms_per_frame", {}).items(), key=lambda item: -item[1]),
+        missing=missing,
+        config=_config(folder),
+        extra=dict(zip(RUN_SECTIONS, _run_sections(folder))),
+    )
+    with results.replacing(folder / results.REPORT) as part:
+        part.write_text(page, encoding="utf-8")
+    return [folder / results.REPORT, *gallery.written]
+
+
+def _template() -> jinja2.Template:
+    text = files("idfslam.report").joinpath("template.html").read_text(encoding="utf-8")
+    return jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined).from_string(text)
+
+
+def _recording(run: FinishedRun, missing: list[str]) -> Dataset | None:
+    """The recording, where it is to be had; what the page says of it, where it is not."""
+    try:
+        return run.recording
+    except IdfSlamError as error:
+        log.warning("report without the recording's images: %s", error)
+        missing.append(f"Frames beside what the map shows: {error}.")
+        return None
+
+
+def _mesh(folder: Path, missing: list[str]) -> trimesh.Trimesh | None:
+    """The mesh, where there is one with triangles; what the page says of it, where there is not."""
+    try:
+        return load_mesh(results.existing(folder, results.MESH))
+    except ResultError as error:
+        missing.append(f"Mesh and map: {error}.")
+        return None
+
+
+def _ate(run: FinishedRun, recording: Dataset | None, gt: Path | None) -> tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None:
+    """The error of each frame and the truth (N, 4, 4), NaN where it is unknown; None where there is no truth at all."""
+    if gt is not None:
+        truth = matched_ground_truth(run.trajectory, load_tum(gt))
+    elif recording is not None and recording.ground_truth is not None:
+        truth = recording.ground_truth[: len(run.trajectory)]
+    else:
+        return None
+    return (absolute_trajectory_error(run.trajectory.poses, truth), truth) if np.isfinite(truth).all((1, 2)).any() else None
+
+
+Known = tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None
+
+
+def _charts(gallery: _Gallery, run: FinishedRun, known: Known, metrics: dict[str, Any]) -> dict[str, list[_Figure]]:
+    """What happened over time."""
+    stamps, errors, times, losses = run.trajectory.timestamps, [], [], []
+    if known is not None:
+        per_frame = np.full(len(stamps), np.nan)
+        per_frame[known[0].frames] = known[0].errors
+        error = figures.error_chart(stamps - stamps[0], per_frame, known[0].translation.rmse)
+        errors = gallery.chart("error", "Distance between estimated and true position, trajectories aligned", error)
+    if run.frames is not None and run.frames.lines:
+        times = gallery.chart(
+            "frames", "Time of each frame, keyframes, and frames whose pose is in doubt", figures.frames_chart(run.frames)
+        )
+        losses = gallery.chart("losses", "Losses of the map and of the tracker's finetuning", figures.losses_chart(run.frames))
+    stages = metrics.get("ms_per_frame")
+    bars = gallery.chart("stages", "Where the time goes", figures.stages_chart(stages)) if stages else []
+    return {"error": errors, "frames": times, "stages": bars, "losses": losses}
+
+
+def _room(gallery: _Gallery, run: FinishedRun, known: Known, mesh: trimesh.Trimesh | None) -> dict[str, list[_Figure]]:
+    """Where the camera went, and what the map looks like."""
+    poses = run.trajectory.poses
+    R_lw = level(mesh, poses)
+    truth = None
+    if known is not None:
+        T_est_gt = np.linalg.inv(known[0].T_gt_est)
+        truth = (known[1][:, :3, 3] @ T_est_gt[:3, :3].T + T_est_gt[:3, 3]) @ R_lw.T
+    path = figures.Path(poses[:, :3, 3] @ R_lw.T, truth, run.keyframes.indices)
+    room = Room(mesh, poses, R_lw) if mesh is not None else None
+    plan = None if room is None else room.plan()
+    sections = {
+        "trajectory": [
+            *gallery.chart("trajectory_top", "From above: circle start, square end", figures.trajectory_chart(path, (0, 1), plan)),
+            *gallery.chart("trajectory_side", "From the side: x and height", figures.trajectory_chart(path, (0, 2))),
+            *gallery.chart("trajectory_front", "From the side: y and height", figures.trajectory_chart(path, (1, 2))),
+        ],
+        "mesh": [],
+        "inside": [],
+        "slices": [],
+    }
+    if room is not None:
+        sections["mesh"] = [gallery.picture(f"mesh_{i}", f"From outside, side {i}", image) for i, image in enumerate(room.outside(), 1)]
+        sections["inside"] = [gallery.picture(f"inside_{i}", f"From inside, place {i}", image) for i, image in enumerate(room.inside(), 1)]
+    if room is not None and (run.folder / results.MAP).is_file():
+        for i, (height, plane) in enumerate(room.slices(run.map), 1):
+            drawn = figures.slice_chart(f"slice{i}", plane, path, run.map.field.config.truncation)
+            sections["slices"] += gallery.chart(f"slice_{i}", f"{height:.2f} m above the lowest surface", drawn)
+    return sections
+
+
+def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> dict[str, Any]:
+    """Frames beside what the map shows from their estimated poses."""
+    if recording is None or not (run.folder / results.MAP).is_file():
+        return {"views": []}
+    rows = []
+    for n, found in enumerate(comparisons(run.map, recording, run.trajectory.poses), 1):
+        shown = [
+            gallery.picture(f"view_{n}_{name.replace(', ', '_').replace(' ', '_')}", name, image) for name, image in found.pictures.items()
+        ]
+        text = f"Frame {found.index}: PSNR {found.psnr:.1f} dB, median depth error {found.depth_error * 100:.1f} cm"
+        rows.append((text, shown))
+    return {"views": rows}
+
+
+def _cards(run: FinishedRun, known: Known, metrics: dict[str, Any], mesh: trimesh.Trimesh | None) -> list[tuple[str, str, str]]:
+    """Label, figure, unit or remark."""
+    path = np.linalg.norm(np.diff(run.trajectory.positions, axis=0), axis=-1).sum()
+    stamps = run.trajectory.timestamps
+    cards = [("frames", f"{len(stamps)}", f"{stamps[-1] - stamps[0]:.1f} s, {path:.1f} m of path")]
+    if "frames_per_second" in metrics:
+        cards.append(("speed", f"{metrics['frames_per_second']:.1f}", f"frames/s, {metrics['seconds']:.0f} s in all"))
+    if known is not None:
+        s = known[0].translation
+        cards.append(("ATE RMSE", f"{s.rmse * 100:.2f}", f"cm, largest {s.max * 100:.2f} cm"))
+    if "lost_frames" in metrics:
+        cards.append(("lost frames", f"{metrics['lost_frames']}", f"and {metrics.get('degenerate_frames', 0)} degenerate"))
+    cards.append(("keyframes", f"{len(run.keyframes.indices)}", f"{run.keyframes.camera.width} x {run.keyframes.camera.height} px"))
+    if mesh is not None:
+        cards.append(("mesh", f"{mesh.area:.0f}", f"m² in {len(mesh.faces) / 1000:.0f} k triangles"))
+    if (run.folder / results.MAP).is_file():
+        cards.append(("map", f"{(run.folder / results.MAP).stat().st_size / 1e6:.1f}", "MB on disk"))
+    if metrics.get("peak_memory_mb") is not None:
+        cards.append(("memory", f"{metrics['peak_memory_mb']:.0f}", "MiB at most"))
+    return cards + _evaluated(run.folder)
+
+
+def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
+    """What `idf-slam eval` said of the mesh, where it was asked and is no older than the mesh."""
+    path = folder / results.EVALUATION_FILES[0]
+    if not path.is_file() or not (folder / results.MESH).is_file() or path.stat().st_mtime < (folder / results.MESH).stat().st_mtime:
+        return []
+    mesh = json.loads(path.read_text(encoding="utf-8")).get("mesh")
+    if not mesh:
+        return []
+    ratio = f"cm, {mesh['completion_ratio'] * 100:.0f} % within 5 cm"
+    accuracy = ("accuracy", f"{mesh['accuracy'] * 100:.2f}", f"cm, protocol {mesh['protocol']}")
+    return [accuracy, ("completion", f"{mesh['completion'] * 100:.2f}", ratio)]
+
+
+def _run_sections(folder: Path) -> list[dict[str, Any]]:
+    """The recording and the versions, as config.yaml names them."""
+    values = read_yaml(folder / results.CONFIG) if (folder / results.CONFIG).is_file() else {}
+    return [values.get(name) or {} for name in RUN_SECTIONS]
+
+
+def _config(folder: Path) -> list[tuple[str, list[tuple[str, Any, bool]]]]:
+    """Sections with names, values, and whether these differ from the preset's."""
+    if not (folder / results.CONFIG).is_file():
+        return []
+    config, _ = results.read_config(folder)
+    values, preset = dump(config), dump(PRESETS[config.preset])
+    general = [(name, value, value != preset[name]) for name, value in values.items() if not isinstance(value, dict)]
+    sections = [("general", general)]
+    for name, section in values.items():
+        if isinstance(section, dict):
+            sections.append((name, [(key, value, value != preset[name].get(key)) for key, value in section.items()]))
+    return sections

@@ -1,0 +1,62 @@
+"""Video files: H.264 where PyAV is installed, as browsers and slides want it; else what OpenCV can write by itself (MPEG-4)."""
+
+import logging
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError, ResultError
+
+log = logging.getLogger(__name__)
+
+Image = NDArray[np.uint8]  # (H, W, 3) RGB
+_QUALITY = "20"  # of H.264: 18 cannot be told from the original, 28 shows
+
+
+def write_video(path: Path, images: Iterable[Image], *, fps: float) -> int:
+    """Writes the images as .mp4, to an even size; how many. Raises ConfigError for another ending, ResultError where OpenCV cannot."""
+    if path.suffix != ".mp4":
+        raise ConfigError(f"{path}: videos are written as .mp4")
+    even = (np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]) for image in images)
+    try:
+        import av  # noqa: F401
+    except ImportError:
+        log.warning("PyAV is not installed: the video is MPEG-4, which browsers do not play; for H.264: pip install 'idf-slam[video]'")
+        return _write_opencv(path, even, fps)
+    return _write_h264(path, even, fps)
+
+
+def _write_h264(path: Path, images: Iterable[Image], fps: float) -> int:
+    import av
+
+    count = 0
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
+        stream.pix_fmt, stream.options = "yuv420p", {"crf": _QUALITY}
+        for image in images:
+            if not count:
+                stream.height, stream.width = image.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+            count += 1
+        container.mux(stream.encode())
+    return count
+
+
+def _write_opencv(path: Path, images: Iterable[Image], fps: float) -> int:
+    writer, count = None, 0
+    try:
+        for image in images:
+            if writer is None:
+                writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (image.shape[1], image.shape[0]))
+                if not writer.isOpened():
+                    raise ResultError(f"{path}: OpenCV cannot write videos here; pip install 'idf-slam[video]'")
+            writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+            count += 1
+    finally:
+        if writer is not None:
+            writer.release()
+    return count

@@ -1,0 +1,57 @@
+"""A result folder made without tracking: true poses of the box room, and a map taught by them."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from box_room import BOX_FRAMES, box_poses
+
+from idfslam import results
+from idfslam.config import FAST, FieldConfig, MapperConfig
+from idfslam.datasets import open_recording
+from idfslam.evaluation.report import plot_trajectory
+from idfslam.frame import FrameResult, Status
+from idfslam.frame_log import FrameLog
+from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.graph.keyframes import Keyframe
+from idfslam.mapping.mapper import Mapper
+from idfslam.mapping.meshing import View
+from idfslam.mapping.saved_map import load_map, save_map
+
+KNOWN_KEYFRAMES = (0, 6, 13)
+KNOWN_LOST = 4  # the frame whose status is lost
+
+
+def write_known_run(folder: Path, box_recording: Path) -> Path:
+    """All that `idf-slam run` would write; frame 4 is lost."""
+    torch.manual_seed(0)
+    recording, poses = open_recording(box_recording), box_poses()
+    folder.mkdir(parents=True)
+    learner = Mapper(MapperConfig(), FieldConfig(table_log2=13), torch.device("cpu"), torch.Generator().manual_seed(0))
+    keyframes = []
+    for i in KNOWN_KEYFRAMES:
+        frame = recording[i]
+        keyframes.append(Keyframe(frame, torch.from_numpy(poses[i]), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour)))
+    learner.optimise_map(keyframes, 200)
+    save_map(folder / results.MAP, learner.field, [View(poses[k.frame.index], k.frame.depth, k.frame.camera) for k in keyframes])
+    load_map(folder / results.MAP).mesh(0.04).export(folder / results.MESH)
+    save_tum(folder / results.TRAJECTORY, Trajectory(recording.timestamps, poses))
+    indices = np.array(KNOWN_KEYFRAMES)
+    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices]))
+    results.write_config(folder, FAST, results.Source(str(box_recording)))
+    known_log().save(folder / results.FRAMES)
+    plot_trajectory(folder / results.PICTURE, poses)
+    stages = {"align": 40.0, "map": 25.0, "finetune": 1.5}
+    figures = {"frames": BOX_FRAMES, "seconds": 1.4, "frames_per_second": 10.0, "ms_per_frame": stages, "peak_memory_mb": 512.0}
+    results.write_json(folder / results.METRICS, {**figures, "keyframes": 3, "lost_frames": 1, "degenerate_frames": 0})
+    return folder
+
+
+def known_log() -> FrameLog:
+    """Frame 4 is lost, the keyframes have losses."""
+    log = FrameLog()
+    for i, T_wc in enumerate(box_poses()):
+        losses = {"total": 0.5 / (i + 1), "photometric": 0.125} if i in KNOWN_KEYFRAMES else {"finetune_depth": 0.25} if i == 9 else {}
+        status = Status.LOST if i == KNOWN_LOST else Status.OK
+        log.add(FrameResult(i, i / 30, T_wc, status, i in KNOWN_KEYFRAMES, losses), ms=100.0 + i)
+    return log

@@ -1,0 +1,40 @@
+"""frames.csv: what comes back, and files that are none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_run import known_log
+
+from idfslam.errors import ResultError
+from idfslam.frame import Status
+from idfslam.frame_log import FrameLog
+
+
+def test_it_comes_back(tmp_path: Path) -> None:
+    known_log().save(tmp_path / "frames.csv")
+    text = (tmp_path / "frames.csv").read_text().splitlines()
+    assert text[0] == "index,timestamp,status,keyframe,ms,total,photometric,finetune_depth"
+    assert text[1] == "0,0.000000,ok,1,100.00,0.5,0.125,"
+    assert text[5] == "4,0.133333,lost,0,104.00,,,"
+    kept = FrameLog.load(tmp_path / "frames.csv")
+    assert kept.lines[4].status is Status.LOST
+    assert [line.index for line in kept.lines if line.keyframe] == [0, 6, 13]
+    assert kept.lines[9].losses == {"finetune_depth": 0.25}
+    total = kept.losses["total"]
+    assert np.flatnonzero(np.isfinite(total)).tolist() == [0, 6, 13]
+    assert total[0] == 0.5
+
+
+def test_no_frames(tmp_path: Path) -> None:
+    FrameLog().save(tmp_path / "frames.csv")
+    assert FrameLog.load(tmp_path / "frames.csv").lines == []
+
+
+@pytest.mark.parametrize(
+    "text", ["a,b\n1,2\n", "index,timestamp,status,keyframe,ms\n0,0.0,fine,1,3\n", "index,timestamp,status,keyframe,ms\n0\n"]
+)
+def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "frames.csv").write_text(text)
+    with pytest.raises(ResultError, match=r"frames\.csv: not as a run writes it"):
+        FrameLog.load(tmp_path / "frames.csv")

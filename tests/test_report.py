@@ -1,0 +1,179 @@
+"""The report of a run: what the page holds, that it needs nothing else, and what a browser makes of it."""
+
+import html.parser
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from box_room import BOX, box_poses
+
+from idfslam import cli, results
+from idfslam.config import FAST
+from idfslam.report.level import from_above, level
+from idfslam.report.writing import write_report
+
+VOID = {"meta", "img", "br", "link", "hr"}
+PICTURES = {
+    "trajectory_top", "trajectory_side", "trajectory_front", "error", "frames", "stages", "losses", "mesh_1", "inside_1",
+    "inside_4", "slice_1", "slice_3", "view_1_colour_recorded", "view_4_depth_error",
+}  # fmt: skip
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+class Page(html.parser.HTMLParser):
+    """Elements counted; complains of those that are not closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.counts: dict[str, int] = {}
+        self.sources: list[str] = []
+        self.ids: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def reported(known_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = shutil.copytree(known_run, tmp_path_factory.mktemp("report") / "known")
+    cli.main(["report", str(folder)])
+    return folder
+
+
+def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
+    text = (reported / results.REPORT).read_text()
+    page = Page(text)
+    assert page.counts["svg"] == 10  # three of the trajectory, error, frames, stages, losses, three slices
+    outside = len(list((reported / results.PICTURES).glob("mesh_*.png")))
+    assert 1 <= outside <= 4  # sides that show the backs of the walls are left out
+    assert page.counts["img"] == outside + 4 + 4 * 5  # and inside, frames
+    assert all(source.startswith(("data:image/", "#")) for source in page.sources)
+    assert not re.search(r"https?://|url\((?!#)|@import|<script", text)
+    assert len(page.ids) == len(set(page.ids))
+    assert {source[1:] for source in page.sources if source.startswith("#")} <= set(page.ids)
+    assert set(re.findall(r"url\(#([\w-]+)\)", text)) <= set(page.ids)
+    assert 'content="width=device-width' in text
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_the_page_tells_the_figures(reported: Path) -> None:
+    text = re.sub(r"<[^>]+>", " ", (reported / results.REPORT).read_text())
+    text = re.sub(r"\s+", " ", text)
+    for figure in ("frames 14 ", "speed 10.0 frames/s", "ATE RMSE 0.00 cm", "lost frames 1 ", "keyframes 3 ", "memory 512 MiB"):
+        assert figure in text
+    assert "align 40.00 60 %" in text  # of 66.5 ms
+    assert "table_log2" in text
+    assert "torch" in text
+
+
+def test_pictures_are_files_too(reported: Path) -> None:
+    found = {path.stem for path in (reported / results.PICTURES).glob("*.png")}
+    assert found >= PICTURES
+    assert 10 + 25 <= len(found) <= 10 + 28
+    for name in found:
+        assert cv2.imread(str(reported / results.PICTURES / f"{name}.png")).std() > 3  # none is blank
+
+
+def test_depth_of_the_map_is_the_recorded_one(reported: Path) -> None:
+    errors = re.findall(r"median depth error ([\d.]+) cm", (reported / results.REPORT).read_text())
+    assert len(errors) == 4
+    assert max(map(float, errors)) < 2
+
+
+def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "poor"
+    folder.mkdir()
+    for name in (results.TRAJECTORY, results.KEYFRAMES):
+        shutil.copy(known_run / name, folder)
+    results.write_config(folder, FAST, results.Source(str(tmp_path / "gone")))
+    (folder / results.PICTURES).mkdir()
+    (folder / results.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
+    (folder / results.PICTURES / "mine.png").write_bytes(b"mine")
+    write_report(folder)
+    text = (folder / results.REPORT).read_text()
+    page = Page(text)
+    assert page.counts["svg"] == 3
+    assert "no such file or folder" in text
+    assert "has no mesh.ply" in text
+    assert {path.stem for path in (folder / results.PICTURES).iterdir()} == {
+        "trajectory_top",
+        "trajectory_side",
+        "trajectory_front",
+        "mine",
+    }
+
+
+def test_a_run_without_report_takes_an_earlier_one_away(reported: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(reported, tmp_path / "again")
+    (folder / results.PICTURES / "mine.png").write_bytes(b"mine")
+    results.remove_stale(folder, written=set(results.FILES))
+    assert not (folder / results.REPORT).exists()
+    assert [path.name for path in (folder / results.PICTURES).iterdir()] == ["mine.png"]
+
+
+def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["report", str(tmp_path / "none")])
+    assert caught.value.code == 1
+    assert "no such folder" in capsys.readouterr().err
+
+
+def test_names_cannot_become_markup(known_run: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(known_run, tmp_path / "<b>bold")
+    results.write_config(folder, FAST, results.Source("<i>gone"))
+    write_report(folder)
+    text = (folder / results.REPORT).read_text()
+    assert "&lt;b&gt;bold" in text
+    assert "<i>gone" not in text
+
+
+def test_the_room_is_set_upright() -> None:
+    """A box, its walls 30 degrees from the camera: z is up, x and y lie along the walls."""
+    mesh = trimesh.creation.box(2 * BOX)
+    mesh.invert()
+    R_lw = level(mesh, box_poses())
+    np.testing.assert_allclose(R_lw @ R_lw.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(R_lw[2], [0, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(np.abs(R_lw).max(1), 1, atol=1e-9)  # the camera's 30 degrees are gone
+    T = from_above(R_lw, np.zeros(3), 5.0)
+    np.testing.assert_allclose(T[:3, 3], [0, -5, 0], atol=1e-9)
+    np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-9)  # it looks down
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed: the page was not opened in a browser")
+@pytest.mark.parametrize("width", [1200, 500])
+def test_a_browser_shows_it(reported: Path, tmp_path: Path, width: int) -> None:
+    """What it draws fills the window, has the room's colours, and nothing is wider than a phone."""
+    assert BROWSER is not None
+    picture, address = tmp_path / "page.png", (reported / results.REPORT).absolute().as_uri()
+    flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'profile'}")
+    run = [BROWSER, *flags, f"--window-size={width},3000", f"--screenshot={picture}", address]
+    subprocess.run(run, check=True, capture_output=True, timeout=300)
+    image = cv2.imread(str(picture))
+    assert image.shape == (3000, width, 3)
+    background = image[5, 5]
+    drawn = (np.abs(image.astype(int) - background).max(-1) > 40).reshape(30, 100, width)
+    assert (drawn.mean((1, 2)) > 0.002).mean() > 0.9  # hardly any empty strip: text, charts and pictures down the page
+    assert not drawn[:, :, -4:].any()  # the margin on the right is free
+    saturation = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 1]
+    assert (saturation > 80).mean() > 0.01  # the pictures are in colour
