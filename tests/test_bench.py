@@ -12,10 +12,11 @@ from box_room import BOX, write_box_recording
 
 from idfslam import bench, cli
 from idfslam.against_open3d import measure, require_open3d
-from idfslam.bench import Entry, Spread, figures, listed, markdown, speed_kept, summary
+from idfslam.bench import Spread, figures, markdown, speed_kept, summary
 from idfslam.config import FAST, PRETRAIN
 from idfslam.datasets.synthetic import SyntheticRoom
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.listing import Entry, listed
 
 
 def run_of(seed: int, **changes: Any) -> dict[str, Any]:

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from idfslam import cli
-from idfslam.bench import Entry, listed
 from idfslam.datasets import open_recording
 from idfslam.datasets.generated import kind_of, located
 from idfslam.datasets.kidnapped import BLACK, Kidnapped, kidnapped_order
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.listing import Entry, listed
 from idfslam.results import read_config
 
 

@@ -3,16 +3,13 @@
 Every run and every evaluation is a process of its own: peak memory is then that of one run, and none finds what another has in memory.
 """
 
-import os
 import platform
-import re
 import statistics
-import subprocess
-import sys
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from json import loads
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +17,13 @@ import yaml
 
 from idfslam import __version__, results
 from idfslam.config import Config, dump
-from idfslam.datasets import generated
-from idfslam.errors import ConfigError, IdfSlamError, RecordingError, ResultError
+from idfslam.engine import Engine, LocalEngine
+from idfslam.errors import ConfigError, IdfSlamError, ResultError
+from idfslam.listing import Entry, listed
+from idfslam.machine import cores, processor
 
 REPORT, TABLE, VALUES = "bench.json", "bench.md", "values.yaml"
 _BLOCK = 100  # frames over which metrics.json gives the course of the speed
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A recording of the benchmark and how many of its frames."""
-
-    name: str
-    path: str
-    frames: int | None = None  # None: all
-
-    @property
-    def gt_mesh(self) -> Path | None:
-        """The true mesh in the recording's folder; None where there is none (a generated recording brings its own)."""
-        place = Path(generated.kidnapped_path(self.path) or self.path)
-        mesh = (place if place.is_dir() else place.parent) / "gt_mesh.ply"
-        return mesh if place.exists() and mesh.is_file() else None
 
 
 @dataclass(frozen=True)
@@ -96,12 +79,14 @@ def bench(
     mesh: bool = True,
     against: str | None = None,
     report: Callable[[str], None] = lambda line: None,
+    engine: Engine | None = None,
 ) -> dict[str, Any]:
     """Runs `recordings` (paths or names as of `open_recording`, each with `@FRAMES` if wanted), each with `seeds` seeds.
 
     Results go to FOLDER/NAME-SEED; FOLDER/bench.json and FOLDER/bench.md are written anew after each recording. `mesh`: the surface is
     evaluated where the true one is known. `against="open3d"`: its dense SLAM on the same frames, before the runs of each recording.
-    A run that fails is told in the report and the others go on. Returns what bench.json holds.
+    A run that fails is told in the report and the others go on. `engine`: where the seeds of a recording run; None: here, one at a time, as
+    speed should be measured. Returns what bench.json holds.
     Raises ConfigError and RecordingError before the first run where the list cannot be run.
     """
     if seeds < 1 or (frames is not None and frames < 1):
@@ -114,61 +99,30 @@ def bench(
     results.prepare(folder)
     (folder / VALUES).write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
     found: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "recordings": []}
-    for entry in entries:
-        baseline = _open3d(entry, folder, report) if against else None
-        runs = [_run(entry, config.seed + i, folder, mesh, report) for i in range(seeds)]
-        found["recordings"].append({**asdict(entry), "runs": runs, **summary(runs), "open3d": baseline})
-        results.write_json(folder / REPORT, found)
-        with results.replacing(folder / TABLE) as part:
-            part.write_text(markdown(found), encoding="utf-8")
+    with engine or LocalEngine() as place:
+        for entry in entries:
+            baseline = _open3d(place, entry, folder, report) if against else None
+            one = partial(_run, place, entry, folder=folder, mesh=mesh, report=report)
+            runs = sorted(place.each(one, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
+            found["recordings"].append({**asdict(entry), "runs": runs, **summary(runs), "open3d": baseline})
+            results.write_json(folder / REPORT, found)
+            with results.replacing(folder / TABLE) as part:
+                part.write_text(markdown(found), encoding="utf-8")
     return found
 
 
-def listed(recordings: Sequence[str], frames: int | None = None) -> list[Entry]:
-    """The recordings by name; `@FRAMES` wins over `frames`. Raises RecordingError for one that is missing, ConfigError for one repeated."""
-    if not recordings:
-        raise ConfigError(f"no recordings, expected at least one: paths, {generated.FORMS}, with @FRAMES if wanted")
-    entries = [_entry(text, frames) for text in recordings]
-    counts = Counter(entry.name for entry in entries)
-    unique = [replace(e, name=f"{Path(e.path).parent.name}-{e.name}") if counts[e.name] > 1 else e for e in entries]
-    twice = [name for name, count in Counter(entry.name for entry in unique).items() if count > 1]
-    if twice:
-        raise ConfigError(f"{', '.join(twice)}: listed twice, expected recordings whose last two folders differ, each once")
-    return unique
-
-
-def _entry(text: str, frames: int | None) -> Entry:
-    path, mark, count = text.rpartition("@")
-    if mark and count.isdigit() and not Path(text).exists():
-        if int(count) < 1:
-            raise ConfigError(f"{text}: expected at least 1 frame after the @")
-        frames = int(count)
-    else:
-        path = text
-    inner = generated.kidnapped_path(path)
-    if inner is not None:
-        entry = _entry(inner, frames)
-        return replace(entry, name=f"kidnap-{entry.name}", path=generated.KIDNAP + entry.path)
-    if generated.kind_of(path) is not None:
-        return Entry(path.replace(":", "-"), path, frames)
-    if not Path(path).exists():
-        raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
-    place = Path(path).resolve()
-    return Entry(place.stem if place.is_file() else place.name, str(place), frames)
-
-
-def _run(entry: Entry, seed: int, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
+def _run(engine: Engine, entry: Entry, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
     """One run and its evaluation: the figures, or why there are none."""
     out = folder / f"{entry.name}-{seed}"
     count = [] if entry.frames is None else ["--frames", str(entry.frames)]
     values = ["--config", str(folder / VALUES), "--seed", str(seed)]
     try:
-        _process("idfslam.cli", "run", entry.path, "--out", str(out), *count, *values)
+        _process(engine, "idfslam.cli", "run", entry.path, "--out", str(out), *count, *values)
         metrics = loads((out / results.METRICS).read_text(encoding="utf-8"))
         evaluation: dict[str, Any] = {}
         if mesh and "ate_m" in metrics:
             truth = [] if entry.gt_mesh is None else ["--gt-mesh", str(entry.gt_mesh)]
-            _process("idfslam.cli", "eval", str(out), *truth)
+            _process(engine, "idfslam.cli", "eval", str(out), *truth)
             evaluation = loads((out / "evaluation.json").read_text(encoding="utf-8"))
     except BenchError as error:
         report(f"{entry.name}, seed {seed}: failed: {error}")
@@ -179,11 +133,11 @@ def _run(entry: Entry, seed: int, folder: Path, mesh: bool, report: Callable[[st
     return run
 
 
-def _open3d(entry: Entry, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
+def _open3d(engine: Engine, entry: Entry, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
     out = folder / f"{entry.name}-open3d.json"
     count = [] if entry.frames is None else ["--frames", str(entry.frames)]
     try:
-        _process("idfslam.against_open3d", entry.path, "--out", str(out), *count)
+        _process(engine, "idfslam.against_open3d", entry.path, "--out", str(out), *count)
     except BenchError as error:
         report(f"{entry.name}, Open3D: failed: {error}")
         return {"failed": str(error)}
@@ -197,11 +151,10 @@ class BenchError(IdfSlamError):
     """A process of the benchmark that ended with an error; the message is its last line."""
 
 
-def _process(module: str, *arguments: str) -> None:
-    done = subprocess.run([sys.executable, "-m", module, *arguments], capture_output=True, text=True)
-    if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or [f"ended with {done.returncode} and no message"]
-        raise BenchError(lines[-1].removeprefix("error: "))
+def _process(engine: Engine, module: str, *arguments: str) -> None:
+    done = engine.execute(module, *arguments)
+    if done.error is not None:
+        raise BenchError(done.error)
 
 
 def figures(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) -> dict[str, float]:
@@ -289,11 +242,9 @@ def machine() -> dict[str, Any]:
     """What the figures were taken on."""
     import torch
 
-    info = Path("/proc/cpuinfo")
-    names = re.findall(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE) if info.is_file() else []
     return {
-        "processor": names[0] if names else platform.processor() or platform.machine(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "processor": processor(),
+        "cores": cores(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         "system": platform.platform(),
         "python": platform.python_version(),

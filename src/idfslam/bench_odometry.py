@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from idfslam import results
-from idfslam.bench import Entry, Figure, Spread, listed, machine, markdown_table
+from idfslam.bench import Figure, Spread, machine, markdown_table
 from idfslam.config import Config
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, DivergedError, RecordingError
+from idfslam.listing import Entry, listed
 from idfslam.run import counts, evaluation, frames
 from idfslam.slam import Slam
 

@@ -14,11 +14,12 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam import results
-from idfslam.bench import listed, machine, markdown_table
+from idfslam.bench import machine, markdown_table
 from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
+from idfslam.listing import listed
 from idfslam.match_pictures import MatchPicture, draw_matches
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.description import Described, reduced

@@ -16,11 +16,13 @@ import tyro
 from tyro.conf import DisallowNone, subcommand
 
 from idfslam import __version__
+from idfslam.commands.batch import Batch
 from idfslam.commands.bench import Bench
 from idfslam.commands.bench_odometry import BenchOdometry
 from idfslam.commands.bench_pairs import BenchPairs
 from idfslam.commands.command import Command
 from idfslam.commands.demo import Demo
+from idfslam.commands.doctor import Doctor
 from idfslam.commands.download import Download
 from idfslam.commands.eval import Eval
 from idfslam.commands.export import Export
@@ -32,11 +34,11 @@ from idfslam.commands.report import Report
 from idfslam.commands.run import Run
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
+from idfslam.machine import default_threads
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-_MOST_THREADS = 8
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
@@ -51,12 +53,14 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Mesh, subcommand("mesh")]
         | Annotated[Export, subcommand("export")]
         | Annotated[Render, subcommand("render")]
+        | Annotated[Batch, subcommand("batch", default=Batch(tyro.MISSING, values))]
         | Annotated[Report, subcommand("report")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[BenchOdometry, subcommand("bench-odometry", default=BenchOdometry(tyro.MISSING, values))]
         | Annotated[Pretrain, subcommand("pretrain")]
         | Annotated[Download, subcommand("download")]
+        | Annotated[Doctor, subcommand("doctor", default=Doctor(values))]
     )
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
     command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))
@@ -75,8 +79,7 @@ def _starting_values(arguments: Sequence[str]) -> Config:
 
 def prepare_process() -> None:
     """Threads and their waiting, to be called before torch or numba is imported; see the head of this file."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = str(min(cores, _MOST_THREADS))
+    threads = str(default_threads())
     for name, value in {
         "OMP_WAIT_POLICY": "PASSIVE",
         "GOMP_SPINCOUNT": "0",

@@ -31,17 +31,23 @@ class Bench:
     """Where results, bench.json and bench.md go."""
     mesh: bool = True
     """Whether the surface is evaluated where the true one is known."""
+    workers: int = 1
+    """Seeds of a recording that run at once; more than one disturb each other's speed."""
+    cluster: str | None = None
+    """Run on Ray: `auto` or the address of a cluster; none given: on this machine."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.bench import REPORT, TABLE, bench, check_finished
+        from idfslam.engine import open_engine
         from idfslam.tables import print_files
 
         options: dict[str, Any] = {"seeds": self.seeds, "frames": self.frames, "mesh": self.mesh, "against": self.against}
+        engine = open_engine(self.cluster, self.workers, jobs=self.seeds)
         report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
-        found = bench(self.recordings, values, self.out, **options, report=report)
+        found = bench(self.recordings, values, self.out, **options, report=report, engine=engine)
         print((self.out / TABLE).read_text(encoding="utf-8"))
         print_files(self.out, (REPORT, TABLE), output())
         check_finished(found, self.out)

@@ -119,7 +119,7 @@ class _GridEncode(torch.autograd.Function):
 
 def _kernels(device: torch.device, implementation: Implementation | None) -> ModuleType:
     """The module with the kernels; imported here because importing Numba or Triton takes a second that not every command needs."""
-    chosen = implementation or _default(device.type)
+    chosen = implementation or default_implementation(device.type)
     if chosen == "numba":
         from idfslam.mapping.kernels import numba_grid
 
@@ -132,7 +132,7 @@ def _kernels(device: torch.device, implementation: Implementation | None) -> Mod
 
 
 @functools.cache
-def _default(device_type: str) -> Implementation:
+def default_implementation(device_type: str) -> Implementation:
     """Numba on the CPU, Triton on CUDA; cached, so that a missing Triton is told once."""
     if device_type == "cpu":
         return "numba"

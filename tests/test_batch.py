@@ -1,0 +1,202 @@
+"""Many runs: the list's grammar, what becomes of failures, and processes that are killed in the middle, here and on Ray."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import psutil
+import pytest
+
+from idfslam import cli
+from idfslam.batch import DONE, FAILED, Row, batch, check_done, told
+from idfslam.batch_list import Item, read_batch
+from idfslam.config import FAST
+from idfslam.engine import Crash, Engine, Execution, LocalEngine, open_engine, thread_share
+from idfslam.errors import ConfigError, RecordingError, ResultError
+from idfslam.machine import cores, default_threads
+
+QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--mapper.final-updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
+
+
+def items(recording: Path, count: int = 3) -> list[Item]:
+    return [Item(f"box-{i}", str(recording), (*QUICK, "--seed", str(i))) for i in range(count)]
+
+
+class ToldEngine(Engine):
+    """Answers for each recording what is written for it: an error, or how often it is killed before it ends well."""
+
+    def __init__(self, *, crashes: int = 0, error: str | None = None, retries: int = 2) -> None:
+        super().__init__(1, retries=retries)
+        self.crashes, self.error = crashes, error
+
+    def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
+        self.crashes -= 1
+        if self.crashes >= 0:
+            raise Crash("killed by SIGKILL")
+        return self.error, "node-7"
+
+
+def test_text_list(box_recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "my room").symlink_to(box_recording)
+    noisy = "synthetic:3:kinect seed=1 out=noisy mapper.active_sampling=false"
+    (tmp_path / "list.txt").write_text(f"# all of them\n\n'my room' frames=5 camera.fx=525 # wide\n{noisy}\n'my room'\n")
+    first, second, third, fourth = read_batch([str(tmp_path / "list.txt"), f"{box_recording}@7"], FAST)
+    assert first == Item("box", str(box_recording), ("--frames", "5", "--camera.fx", "525"))
+    assert second == Item("noisy", "synthetic:3:kinect", ("--seed", "1", "--mapper.no-active-sampling"))
+    assert third == Item("box-2", str(box_recording))
+    assert fourth == Item("box-3", str(box_recording), ("--frames", "7"))
+    run = cli.parse(["run", second.path, *second.flags])
+    assert isinstance(run, cli.Run)
+    assert (run.values.seed, run.values.mapper.active_sampling) == (1, False)
+
+
+def test_yaml_list(tmp_path: Path) -> None:
+    (tmp_path / "list.yaml").write_text("- synthetic:1\n- {path: synthetic, frames: 9, mapper: {pixels: 64}, camera.depth_scale: 5000}\n")
+    first, second = read_batch([str(tmp_path / "list.yaml")], FAST)
+    assert first == Item("synthetic-1", "synthetic:1")
+    assert second == Item("synthetic", "synthetic", ("--frames", "9", "--mapper.pixels", "64", "--camera.depth-scale", "5000"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error"),
+    [
+        ("l.txt", "synthetic frames", r"l.txt:1: 'frames', expected NAME=VALUE"),
+        ("l.txt", "synthetic 'x", r"l.txt:1: No closing quotation"),
+        ("l.txt", "# nothing\n", "no recordings in it"),
+        ("l.txt", "synthetic\nsynthetic frames=0", "l.txt:2: start 0, stride 1, frames 0"),
+        ("l.txt", "synthetic frames=many", "l.txt:1: 'frames' is 'many'"),
+        ("l.txt", "synthetic mapper.pixel=4", "l.txt:1: unknown key 'pixel'"),
+        ("l.txt", "synthetic mapper.pixels=0", "mapper.pixels is 0"),
+        ("l.txt", "synthetic preset=paper", "give it as --preset"),
+        ("l.txt", "synthetic out=../elsewhere", "a folder's name inside --out"),
+        ("l.yaml", "path: synthetic", "found dict, expected a list"),
+        ("l.yaml", "- {frames: 4}", "entry 1: .*with 'path'"),
+        ("l.yaml", "- [", "is not YAML"),
+    ],
+)
+def test_lists_that_cannot_be_run(name: str, text: str, error: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=error):
+        read_batch([str(tmp_path / name)], FAST)
+
+
+def test_missing_recordings_and_lists_are_told_before_the_first_run(tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_text("synthetic\nnowhere\n")
+    with pytest.raises(RecordingError, match="nowhere"):
+        read_batch([str(tmp_path / "list.txt")], FAST)
+    with pytest.raises(ConfigError, match=r"none.txt: cannot be read"):
+        read_batch([str(tmp_path / "none.txt")], FAST)
+
+
+def test_a_killed_process_is_started_again_and_one_with_an_error_is_not() -> None:
+    assert ToldEngine(crashes=2).execute("m", "run", "x").attempts == 3
+    given_up = ToldEngine(crashes=3).execute("m", "run", "x")
+    assert (given_up.error, given_up.attempts) == ("killed by SIGKILL", 3)
+    told_why = ToldEngine(error="x: no such file").execute("m", "run", "x")
+    assert (told_why.error, told_why.where, told_why.attempts) == ("x: no such file", "node-7", 1)
+
+
+def test_after_a_stop_nothing_begins() -> None:
+    engine = ToldEngine()
+    engine.stop()
+    assert engine.execute("m", "run", "x") == Execution("interrupted", 0.0, engine.execute("m").where, 0)
+
+
+def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.setenv(name, str(default_threads()))
+    monkeypatch.setattr("idfslam.machine.cores", lambda: 12)
+    assert [default_threads(n) for n in (1, 2, 3, 12, 40)] == [8, 6, 4, 1, 1]
+    monkeypatch.setenv("OMP_NUM_THREADS", "5")  # the user's own choice; of the other the usual 8 are divided
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "8")
+    assert thread_share(2) == {"NUMBA_NUM_THREADS": "2"}
+    assert cores() >= 1
+
+
+def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} frames=99 out=too-many\n")
+    flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--mapper.final-updates", "1", "--mesh.resolution", "0.1"]
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["batch", str(tmp_path / "list.txt"), *flags])
+    assert caught.value.code == 1
+    said = capsys.readouterr()
+    assert "too-many: frames 99 from start 0" in said.out
+    assert "error: 1 of 2 runs failed (too-many: frames 99" in said.err
+    good, bad = json.loads((tmp_path / "out/batch.json").read_text())
+    assert (good["name"], good["status"], good["frames"], good["attempts"]) == ("box", DONE, 4, 1)
+    assert 0 <= good["ate_m"] < 0.02
+    assert (bad["status"], bad["frames"]) == (FAILED, None)
+    assert (tmp_path / "out/box/mesh.ply").is_file()
+
+
+def test_failures_are_told() -> None:
+    rows = [Row("a", "/a", DONE, None, 10, 0.0123, 5.0, 0), Row("b", "/b", FAILED, "no depth")]
+    assert [told(row) for row in rows] == ["a: 10 frames, 5.00 frames/s, ATE 1.23 cm", "b: failed: no depth"]
+    check_done(rows[:1], Path("out"))
+    with pytest.raises(ResultError, match=r"1 of 2 runs failed \(b: no depth\)"):
+        check_done(rows, Path("out"))
+
+
+def kill_once(find: Callable[[], list[psutil.Process]]) -> threading.Thread:
+    """A thread that kills the first process that `find` finds, a second after it is there: in the middle of its run."""
+
+    def watch() -> None:
+        while not (found := find()):
+            time.sleep(0.1)
+        time.sleep(1)
+        found[0].kill()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    return thread
+
+
+def children_with(word: str) -> list[psutil.Process]:
+    found = []
+    for process in psutil.Process().children(recursive=True):
+        try:
+            if word in " ".join(process.cmdline()):
+                found.append(process)
+        except psutil.Error:
+            continue
+    return found
+
+
+def test_a_process_killed_in_the_middle_is_run_again(box_recording: Path, tmp_path: Path) -> None:
+    killer = kill_once(lambda: children_with("idfslam.cli run"))
+    with LocalEngine(2, retries=1) as engine:
+        rows = batch(items(box_recording, 2), FAST, tmp_path, engine)
+    killer.join(10)
+    assert not killer.is_alive()
+    assert [row.status for row in rows] == [DONE, DONE]
+    assert sorted(row.attempts for row in rows) == [1, 2]
+
+
+def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[cluster\]'"):
+        open_engine("auto", None, jobs=1)
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed: pip install 'idf-slam[cluster]'")
+def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import ray
+
+    monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
+    too_many = Item("too-many", str(box_recording), ("--frames", "99"))
+    with open_engine("auto", 2, jobs=4, retries=2) as engine:
+        killer = kill_once(lambda: children_with("ray::run_here"))
+        rows = batch([*items(box_recording, 3), too_many], FAST, tmp_path, engine)
+    killer.join(10)
+    assert not killer.is_alive()
+    assert [(row.name, row.status) for row in rows] == [("box-0", DONE), ("box-1", DONE), ("box-2", DONE), ("too-many", FAILED)]
+    assert "frames 99 from start 0" in str(rows[-1].error)
+    assert sum(row.attempts for row in rows) == 5
+    assert not ray.is_initialized()
+    for address in ("127.0.0.1:1", "somewhere"):
+        with pytest.raises(ConfigError, match=f"--cluster {address}: .*; expected 'auto' or the address"):
+            open_engine(address, None, jobs=1)
