@@ -62,7 +62,7 @@ def batch(
         for count, row in enumerate(engine.each(one, items), 1):
             report(f"{count} of {len(items)}: {told(row)}")
     except KeyboardInterrupt:
-        report("interrupted: the runs that had begun wrote their results so far")
+        report("interrupted: runs that had begun end with their results so far, no other begins")
     return list(rows.values())
 
 

@@ -36,16 +36,17 @@ def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> 
 
 def print_batch(rows: list[Row], folder: Path, console: Console) -> None:
     """A row for each recording, then why some failed, and where all of it is written."""
-    table = Table("recording", "status")
-    for title in ("ATE RMSE [cm]", "frames/s", "frames", "lost", "seconds"):
+    table = Table()
+    for title in ("recording", "status"):
+        table.add_column(title, overflow="fold")
+    for title in ("ATE [cm]", "frames/s", "seconds"):
         table.add_column(title, justify="right")
-    table.add_column("where")
+    table.add_column("where", overflow="fold")
     for row in rows:
         ate = "-" if row.ate_m is None else f"{row.ate_m * 100:.2f}"
         speed = "-" if row.frames_per_second is None else f"{row.frames_per_second:.2f}"
-        counts = ("-" if count is None else str(count) for count in (row.frames, row.lost_frames))
         again = "" if row.attempts < 2 else f", attempt {row.attempts}"
-        table.add_row(row.name, row.status + again, ate, speed, *counts, f"{row.seconds:.0f}", row.where)
+        table.add_row(row.name, row.status + again, ate, speed, f"{row.seconds:.0f}", row.where)
     console.print(table)
     for row in rows:
         if row.error is not None and row.attempts:
