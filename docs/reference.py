@@ -19,7 +19,7 @@ from idfslam.config import FAST, PAPER, PRETRAIN
 
 log = logging.getLogger("mkdocs.hooks.reference")
 
-_WIDTH = 110  # columns of the help texts
+_WIDTH = 96  # columns of the help texts
 _SECTIONS = tuple(f.name for f in fields(FAST) if is_dataclass(getattr(FAST, f.name)))
 
 
@@ -39,8 +39,8 @@ def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
 def _present(nav: list[Any], folder: str) -> list[Any]:
     kept: list[Any] = []
     for entry in nav:
-        if isinstance(entry, dict):
-            kept.append({title: _present(inner, folder) for title, inner in entry.items()})
+        if isinstance(entry, dict):  # a section, or a page with a title of its own
+            kept.append({title: inner if isinstance(inner, str) else _present(inner, folder) for title, inner in entry.items()})
         elif entry in ("reference/configuration.md", "reference/commands.md") or os.path.exists(os.path.join(folder, entry)):
             kept.append(entry)
         else:
@@ -90,9 +90,8 @@ def help_of(kind: type) -> dict[str, str]:
 def commands() -> str:
     """Every command's --help, without the configuration's values, which have a page of their own."""
     overview = _help()
-    (names,) = re.findall(r"\{([\w,-]+)\}", overview.splitlines()[0])
     parts = ["# Command line", _block(overview)]
-    for name in names.split(","):
+    for name in re.findall(r"• ([\w-]+)", overview):
         text, has_values = _without_values(_help(name))
         parts += [f"## idf-slam {name}", _block(text)]
         if has_values:
@@ -100,8 +99,14 @@ def commands() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+class _Terminal(io.StringIO):
+    """Takes more than ASCII, as help texts with boxes need."""
+
+    encoding = "utf-8"
+
+
 def _help(*arguments: str) -> str:
-    said = io.StringIO()
+    said = _Terminal()
     with redirect_stdout(said), patch.dict(os.environ, {"COLUMNS": str(_WIDTH), "NO_COLOR": "1"}):
         try:
             cli.main([*arguments, "--help"])
@@ -123,5 +128,7 @@ def _block(text: str) -> str:
     for line in text.strip().splitlines():
         title = re.match(r"╭─ (.+?) ─*╮$", line)
         inside = re.match(r"│ (.*) │$", line)
-        lines += [f"{title[1]}:"] if title else [f"  {inside[1].rstrip()}"] if inside else [] if line.startswith("╰") else [line.rstrip()]
-    return "```text\n" + "\n".join(lines) + "\n```"
+        lines += (
+            ["", f"{title[1]}:"] if title else [f"  {inside[1].rstrip()}"] if inside else [] if line.startswith("╰") else [line.rstrip()]
+        )
+    return "```text\n" + re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n```"

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from box_room import BOX_FRAMES, box_poses
 
 from idfslam.geometry.trajectory import Trajectory, save_tum
@@ -39,3 +40,12 @@ def test_evaluate_trajectory(tmp_path: Path) -> None:
     moved[:, :3, 3] += [1, 2, 3]  # taken out by the alignment
     save_tum(tmp_path / "estimate.txt", Trajectory(np.arange(BOX_FRAMES) / 30, moved))
     assert "ATE RMSE 0.00 cm" in example("evaluate_trajectory.py", "estimate.txt", "truth.txt", folder=tmp_path)
+
+
+@pytest.mark.parametrize("name", ["first_run", "own_frames", "look_into_the_map"])
+def test_notebooks_run_and_are_stored_without_output(name: str, tmp_path: Path) -> None:
+    nbformat = pytest.importorskip("nbformat", reason="pip install 'idf-slam[dev]'")
+    nbclient = pytest.importorskip("nbclient", reason="pip install 'idf-slam[dev]'")
+    notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in notebook.cells)
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()

@@ -1,0 +1,58 @@
+"""The documentation site: every value and command is in it, and it builds without a warning."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from idfslam.config import FAST, PRETRAIN
+
+ROOT = Path(__file__).parent.parent
+
+pytestmark = pytest.mark.skipif(
+    find_spec("mkdocs") is None or find_spec("mkdocstrings") is None, reason="mkdocs is not installed: pip install 'idf-slam[docs]'"
+)
+
+
+@pytest.fixture(scope="module")
+def reference() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: ModuleType) -> None:
+    rows = {line.split("`")[1]: line for line in reference.configuration().splitlines() if line.startswith("| `")}
+    names = {key for key, value in asdict(FAST).items() if not isinstance(value, dict)} | set(asdict(PRETRAIN))
+    names |= {f"{section}.{key}" for section, values in asdict(FAST).items() if isinstance(values, dict) for key in values}
+    assert set(rows) == names
+    assert all(len(line.rstrip(" |").rsplit("|", 1)[1]) > 3 for line in rows.values())
+    assert rows["field.width"] == "| `field.width` | `32` | `256` | Width of the trunk (Sec. IV: 256). |"
+    assert rows["tracker.grid"].startswith("| `tracker.grid` | `4` |  | At most K / grid^2")
+
+
+def test_every_command_is_there_without_the_configuration(reference: ModuleType) -> None:
+    text = reference.commands()
+    for name in ("demo", "run", "eval", "mesh", "render", "batch", "bench", "bench-pairs", "pretrain", "doctor"):
+        assert f"## idf-slam {name}\n" in text
+    assert "--retries INT" in text
+    assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
+    assert "╭" not in text
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT / "src")}
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "mapper.sharpness" in (tmp_path / "reference/configuration/index.html").read_text(encoding="utf-8")
+    assert "Track a frame; then refine the map by it" in (tmp_path / "reference/api/index.html").read_text(encoding="utf-8")
