@@ -128,7 +128,10 @@ def _block(text: str) -> str:
     for line in text.strip().splitlines():
         title = re.match(r"╭─ (.+?) ─*╮$", line)
         inside = re.match(r"│ (.*) │$", line)
-        lines += (
-            ["", f"{title[1]}:"] if title else [f"  {inside[1].rstrip()}"] if inside else [] if line.startswith("╰") else [line.rstrip()]
-        )
+        if title:
+            lines += ["", f"{title[1]}:"]
+        elif inside:
+            lines.append(f"  {inside[1].rstrip()}")
+        elif not line.startswith("╰"):
+            lines.append(line.rstrip())
     return "```text\n" + re.sub(r"\n{3,}", "\n\n", "\n".join(lines)) + "\n```"
