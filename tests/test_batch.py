@@ -1,6 +1,7 @@
 """Many runs: the list's grammar, what becomes of failures, and processes that are killed in the middle, here and on Ray."""
 
 import json
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -181,11 +182,43 @@ def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> No
         open_engine("auto", None, jobs=1)
 
 
+SLOW = """
+import time
+from pathlib import Path
+from idfslam.run import stop_on_interrupt
+
+def main(arguments):
+    with stop_on_interrupt() as stop:
+        Path(arguments[0], "begun").touch()
+        while not stop.is_set():  # as between two frames
+            time.sleep(0.05)
+    Path(arguments[0], "results").touch()
+"""
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed: pip install 'idf-slam[cluster]'")
+def test_a_stop_on_ray_lets_runs_write_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "slow_run.py").write_text(SLOW)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv("RAY_worker_niceness", "0")
+    ended: list[Execution] = []
+    with open_engine("auto", 1, jobs=1) as engine:
+        run = threading.Thread(target=lambda: ended.append(engine.execute("slow_run", str(tmp_path))))
+        run.start()
+        while not (tmp_path / "begun").exists():
+            time.sleep(0.1)
+        engine.stop()
+        run.join(60)
+        assert [execution.error for execution in ended] == [None]
+    assert (tmp_path / "results").exists()
+
+
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed: pip install 'idf-slam[cluster]'")
 def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import ray
 
     monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # 15 otherwise: beside another program hardly anything would be left for the workers
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
     too_many = Item("too-many", str(box_recording), ("--frames", "99"))
     with open_engine("auto", 2, jobs=4, retries=2) as engine:
