@@ -3,7 +3,6 @@
 import ast
 import inspect
 import io
-import logging
 import os
 import re
 from contextlib import redirect_stdout
@@ -17,16 +16,8 @@ from mkdocs.structure.files import File, Files
 from idfslam import cli, config
 from idfslam.config import FAST, PAPER, PRETRAIN
 
-log = logging.getLogger("mkdocs.hooks.reference")
-
 _WIDTH = 96  # columns of the help texts
 _SECTIONS = tuple(f.name for f in fields(FAST) if is_dataclass(getattr(FAST, f.name)))
-
-
-def on_config(site: MkDocsConfig, **_: Any) -> MkDocsConfig:
-    """Pages of the navigation that this checkout does not have are left out, and named."""
-    site["nav"] = _present(site["nav"], site["docs_dir"])
-    return site
 
 
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
@@ -34,18 +25,6 @@ def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
     for name, text in {"configuration": configuration(), "commands": commands()}.items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     return files
-
-
-def _present(nav: list[Any], folder: str) -> list[Any]:
-    kept: list[Any] = []
-    for entry in nav:
-        if isinstance(entry, dict):  # a section, or a page with a title of its own
-            kept.append({title: inner if isinstance(inner, str) else _present(inner, folder) for title, inner in entry.items()})
-        elif entry in ("reference/configuration.md", "reference/commands.md") or os.path.exists(os.path.join(folder, entry)):
-            kept.append(entry)
-        else:
-            log.info("%s is not there and is left out of the navigation", entry)
-    return kept
 
 
 def configuration() -> str:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from dataclasses import asdict
@@ -42,8 +43,8 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
 
 def test_every_command_is_there_without_the_configuration(reference: ModuleType) -> None:
     text = reference.commands()
-    for name in ("demo", "run", "eval", "mesh", "render", "batch", "bench", "bench-pairs", "pretrain", "doctor"):
-        assert f"## idf-slam {name}\n" in text
+    files = {path.stem.replace("_", "-") for path in (ROOT / "src/idfslam/commands").glob("*.py")} - {"--init--", "command"}
+    assert set(re.findall(r"## idf-slam ([\w-]+)", text)) == files
     assert "--retries INT" in text
     assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
     assert "╭" not in text

@@ -192,7 +192,8 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float)
         sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]}, depth {raw.shape[1]}x{raw.shape[0]}, camera {camera.width}x{camera.height}"
         raise FrameError(f"frame {index}: {sizes}, expected one size: take the topic of depth registered to colour")
     if any(info.d):
-        bgr, raw = Undistortion(camera, tuple(info.d))(bgr, raw)
+        undistort = Undistortion(camera, tuple(info.d))
+        bgr, raw = undistort.colour(bgr), undistort.depth(raw)
     stamp = colour.header.stamp
     return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(raw, depth_scale), camera)
 
