@@ -191,11 +191,12 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float)
     if not bgr.shape[:2] == raw.shape == (camera.height, camera.width):
         sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]}, depth {raw.shape[1]}x{raw.shape[0]}, camera {camera.width}x{camera.height}"
         raise FrameError(f"frame {index}: {sizes}, expected one size: take the topic of depth registered to colour")
+    straight: Any = raw
     if any(info.d):
         undistort = Undistortion(camera, tuple(info.d))
-        bgr, raw = undistort.colour(bgr), undistort.depth(raw)
+        bgr, straight = undistort.colour(bgr), undistort.depth(raw)
     stamp = colour.header.stamp
-    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(raw, depth_scale), camera)
+    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(straight, depth_scale), camera)
 
 
 def colour_of(message: Any) -> NDArray[np.uint8]:
