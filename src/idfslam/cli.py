@@ -47,7 +47,7 @@ def parse(arguments: Sequence[str]) -> Command:
     values = _starting_values(arguments)
     commands: Any = (
         Annotated[Demo, subcommand("demo", default=Demo(values))]
-        | Annotated[Run, subcommand("run", default=Run(tyro.MISSING, values))]
+        | Annotated[Run, subcommand("run", default=Run(values=values))]
         | Annotated[Record, subcommand("record")]
         | Annotated[Eval, subcommand("eval")]
         | Annotated[Mesh, subcommand("mesh")]

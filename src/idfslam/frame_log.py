@@ -6,7 +6,7 @@ this one; then every loss that came up in the run, empty where a frame has none.
 
 import csv
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
 from idfslam.frame import FrameResult, Status
+from idfslam.state import State
 
 _FIXED = ("index", "timestamp", "status", "keyframe", "ms")
 
@@ -39,6 +40,14 @@ class FrameLog:
     def add(self, result: FrameResult, ms: float) -> None:
         """One more frame, which took `ms`."""
         self.lines.append(FrameLine(result.index, result.timestamp, result.status, result.keyframe, ms, dict(result.losses)))
+
+    def state(self) -> State:
+        """The lines."""
+        return {"lines": [asdict(line) for line in self.lines]}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self.lines[:] = [FrameLine(**(line | {"status": Status(line["status"])})) for line in state["lines"]]
 
     @property
     def losses(self) -> dict[str, NDArray[np.float64]]:

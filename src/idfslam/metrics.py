@@ -1,4 +1,4 @@
-"""How fast a run was and how much memory it took."""
+"""How far a run has come, how fast it was and how much memory it took."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from idfslam.state import State
+
 _BLOCK = 100  # frames over which the course of the speed is given
 
 
 class Meter:
-    """Clock and memory of a run; starts when it is made, which is after all imports."""
+    """Clock, counts and memory of a run; starts when it is made, which is after all imports."""
 
     def __init__(self) -> None:
         self.baseline = peak_memory()
@@ -21,12 +23,30 @@ class Meter:
             torch.cuda.reset_peak_memory_stats()
         self._start = perf_counter()
         self._stamps: list[float] = []  # [s] since the start, at the end of each frame
+        self._unreadable = 0
+        self._resumed_at: list[int] = []  # frames that were done each time the run was gone on with
 
-    def frame(self) -> float:
+    def state(self) -> State:
+        """Times and counts; memory is each process' own."""
+        return {"stamps": self._stamps, "unreadable": self._unreadable, "resumed_at": self._resumed_at}
+
+    def restore(self, state: State) -> None:
+        """What `state` told. The clock goes on from its last frame, so that what was done since this meter was made counts as well."""
+        self._stamps, self._unreadable = state["stamps"], state["unreadable"]
+        self._resumed_at = [*state["resumed_at"], len(self._stamps)]
+        self._start -= self._stamps[-1]
+
+    def frame(self, *, readable: bool = True) -> float:
         """One more frame is done; the milliseconds since the one before."""
         before = self._stamps[-1] if self._stamps else 0.0
         self._stamps.append(perf_counter() - self._start)
+        self._unreadable += not readable
         return (self._stamps[-1] - before) * 1e3
+
+    @property
+    def frames(self) -> int:
+        """How many are done."""
+        return len(self._stamps)
 
     @property
     def frames_per_second(self) -> float:
@@ -43,6 +63,8 @@ class Meter:
             "seconds": seconds,
             "frames_per_second": frames / seconds,
             "frames_per_second_by_100": speed_by_block(self._stamps),
+            "unreadable_frames": self._unreadable,
+            "resumed_at": self._resumed_at,
             "ms_per_frame": {stage: float(np.sum(ms)) / max(frames, 1) for stage, ms in timings.items()},
             "peak_memory_mb": peak,
             "peak_memory_above_imports_mb": peak - self.baseline,

@@ -27,6 +27,11 @@ class ProgressBar:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._progress.stop()
 
+    def resume(self, *, done: int, keyframes: int, lost: int) -> None:
+        """So many frames were done before."""
+        self._keyframes, self._lost = keyframes, lost
+        self._progress.update(self._task, completed=done)
+
     def update(self, result: FrameResult, *, frames_per_second: float) -> None:
         """One more frame."""
         self._keyframes += result.keyframe

@@ -24,6 +24,7 @@ from idfslam.geometry.camera import Camera
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
 FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
+CHECKPOINT = "checkpoint.safetensors"  # of a run that is not over
 FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a run
 EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
 _PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # of a report
@@ -66,25 +67,54 @@ class KeyframeRecord:
 
 
 def prepare(folder: Path) -> None:
-    """Makes the folder and tries to write into it, so that no run is made in vain. Raises ResultError."""
-    trial = folder / f".part-{METRICS}"
+    """Makes the folder and tries to write into it, so that no run is made in vain; takes away half files of a run that was killed.
+
+    Raises ResultError.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        trial.touch()
-        trial.unlink()
+        for name in (*FILES, CHECKPOINT):
+            trial = folder / f".part-{name}"
+            trial.touch()
+            trial.unlink()
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written there ({error.strerror}); choose another folder with --out") from error
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to; it takes the place of `path` once all is written, and is gone after an error."""
+def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """A path beside `path` to write to; it takes the place of `path` once all is written, and is gone after an error.
+
+    durable: it is on the disk before it takes that place, so that a power failure does not leave less than there was.
+    """
     part = path.with_name(f".part-{path.name}")
     try:
         yield part
+        if durable:
+            _to_disk(part)
         os.replace(part, path)
+        if durable and os.name != "nt":  # Windows opens no folders
+            _to_disk(path.parent)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _to_disk(path: Path) -> None:
+    place = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(place)
+    finally:
+        os.close(place)
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Within, a file that cannot be written is a ResultError: a full disk, a folder that was taken away."""
+    try:
+        yield
+    except OSError as error:
+        advice = f"make room or give permission, then `idf-slam run --resume {folder}` goes on from the last checkpoint"
+        raise ResultError(f"{error.filename or folder}: cannot be written ({error.strerror or error}); {advice}") from error
 
 
 def remove_stale(folder: Path, *, written: set[str]) -> None:

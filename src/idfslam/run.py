@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from idfslam import results
+from idfslam.checkpoint import Checkpoints, made_of
 from idfslam.config import Config
 from idfslam.datasets import Dataset, FrameSource, Prefetch, open_recording
-from idfslam.errors import DivergedError, RecordingError
+from idfslam.errors import DivergedError, FrameError, RecordingError, ResultError
 from idfslam.evaluation.report import Evaluation, plot_trajectory
 from idfslam.evaluation.result import evaluate_poses
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.frame_log import FrameLog
 from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.hardware import resolve_device
 from idfslam.live import LiveStream, is_live, open_live
 from idfslam.metrics import Meter
 from idfslam.prior_map import PriorMap
@@ -55,12 +57,16 @@ def run(
     prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
+    checkpoint_every: int = 0,
+    resume: bool = False,
 ) -> Run:
     """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`.
 
     Ctrl-C ends after the frame in hand and writes the results so far; a second one ends at once. A frame that cannot be read is
-    reported and treated as lost. Raises ResultError before anything is computed if the folder cannot be written to, and
-    after the poses so far are written DivergedError, or RecordingError if no frame could be used; CameraError if none came.
+    reported and treated as lost. Every `checkpoint_every` frames (0: never), and on Ctrl-C, the state is kept; with `resume` the run goes
+    on from the last that was, or from its beginning; of a recording alone, and without `prior`. Raises ResultError before anything is
+    computed if the folder cannot be written to or its checkpoint is of another run, later where files cannot be written, and after the
+    poses so far are written DivergedError, or RecordingError if no frame could be used or the recording is gone; CameraError if none came.
     """
     results.prepare(folder)
     if config.field.encoding == "grid":
@@ -71,9 +77,24 @@ def run(
         warm_up(config, make_slam)
     slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
     meter, frame_log = Meter(), FrameLog()
-    with stop_on_interrupt() as stop, ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar:
+    made = None if isinstance(recording, LiveStream) or prior is not None else made_of(config, recording, resolve_device(config.device))
+    checkpoints = Checkpoints(folder, made or {})
+    with (
+        checkpoints,
+        stop_on_interrupt() as stop,
+        ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar,
+    ):
+        if resume:
+            _restore(checkpoints, slam, recording, meter, frame_log, bar)
+        else:
+            _begin(folder, config, source if made else None)
+
+        def keep() -> None:
+            if made and checkpoint_every and (stop.is_set() or meter.frames % checkpoint_every == 0):
+                checkpoints.keep(meter.frames, {"meter": meter.state(), "frame_log": frame_log.state(), "slam": slam.state()})
+
         try:
-            unreadable = _process(slam, recording, meter, frame_log, bar, stop)
+            _process(slam, frames(recording, meter.frames, source), meter, frame_log, bar, stop, keep)
             bar.describe("refining")
             if not slam.graph.keyframes:
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
@@ -83,21 +104,29 @@ def run(
                 folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log)
             )
             raise
-        metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
-        if isinstance(recording, LiveStream):
-            metrics |= {"dropped_frames": recording.dropped, "camera_lost": recording.failure is not None}
-        errors = evaluation(slam, recording)
-        metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
-        if (live := evaluation(slam, recording, live=True)) is not None and live.ate is not None:
-            metrics["live_ate_m"] = live.ate.translation.rmse
+        metrics = _metrics(slam, recording, meter, stop)
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
-        written = (
-            _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh) | _write_log(folder, frame_log)
-        )
-        results.write_json(folder / results.METRICS, metrics)
-        results.remove_stale(folder, written=written | {results.METRICS})
+        with results.writing(folder):
+            written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
+            written |= _write_log(folder, frame_log)
+            results.write_json(folder / results.METRICS, metrics)
+            results.remove_stale(folder, written=written | {results.METRICS})
+        if not stop.is_set():
+            checkpoints.remove()
     return Run(folder, _trajectory(slam, recording), mesh, metrics)
+
+
+def _metrics(slam: Slam, recording: Dataset | LiveStream, meter: Meter, stop: threading.Event) -> dict[str, Any]:
+    """What metrics.json tells."""
+    metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set()}
+    if isinstance(recording, LiveStream):
+        metrics |= {"dropped_frames": recording.dropped, "camera_lost": recording.failure is not None}
+    errors = evaluation(slam, recording)
+    metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
+    if (told := evaluation(slam, recording, live=True)) is not None and told.ate is not None:
+        metrics["live_ate_m"] = told.ate.translation.rmse
+    return metrics
 
 
 def open_feed(source: results.Source) -> Dataset | LiveStream:
@@ -129,31 +158,86 @@ def open_source(source: results.Source) -> Dataset:
     )
 
 
-def frames(recording: Dataset | LiveStream) -> Iterator[tuple[Frame, bool]]:
-    """Each frame, read ahead, and whether it could be read; a blank one stands for one that could not."""
-    for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording):
+def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None) -> Run | None:
+    """Goes on with the run of a folder by its config.yaml, to the same results as without a break; None where that run is over.
+
+    Raises ResultError for a folder without a run, and as `run` does.
+    """
+    config, source = results.read_config(folder)
+    if source is None:
+        raise ResultError(f"{folder / results.CONFIG}: names no recording, expected that of a run; start the run anew")
+    if (folder / results.METRICS).exists() and not (folder / results.CHECKPOINT).exists():
+        return None
+    if is_live(source.path):
+        raise ResultError(f"{folder}: is of a live camera ({source.path}), which cannot be gone on with; start a new run")
+    return run(open_source(source), config, folder, source=source, console=console, checkpoint_every=checkpoint_every, resume=True)
+
+
+def frames(recording: Dataset | LiveStream, first: int = 0, source: results.Source | None = None) -> Iterator[tuple[Frame, bool]]:
+    """Each frame from `first` on, read ahead, and whether it could be read; a blank one stands for one that could not.
+
+    Raises RecordingError where the source as a whole is there no more.
+    """
+    for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording, first=first):
         if isinstance(frame, Frame):
             yield frame, True
+        elif source is not None and Path(source.path).is_absolute() and not Path(source.path).exists():
+            raise RecordingError(f"{source.path}: is gone since frame {i}; bring it back, then `idf-slam run --resume` goes on")
         else:
             log.warning("%s; the frame is treated as lost", frame)
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
 
 
+def _begin(folder: Path, config: Config, source: results.Source | None) -> None:
+    """Makes way for a new run; where it has a source that can be gone on with, its config stands there from now on."""
+    if (folder / results.CHECKPOINT).exists():
+        log.warning("%s: held a run that was not over, which --resume would have gone on with; a new one takes its place", folder)
+    (folder / results.CHECKPOINT).unlink(missing_ok=True)
+    results.remove_stale(folder, written=set())
+    if source is not None:
+        with results.writing(folder):
+            results.write_config(folder, config, source)
+
+
+def _restore(
+    checkpoints: Checkpoints, slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar
+) -> None:
+    """Everything as it was at the last checkpoint; at a run's beginning where it had none."""
+    state = checkpoints.read()
+    if state is None or isinstance(recording, LiveStream):
+        return
+
+    def frame(i: int) -> Frame:
+        try:
+            return recording[i]
+        except FrameError as error:
+            raise RecordingError(f"{error}; the run cannot go on without it, since it is a keyframe") from error
+
+    slam.restore(state["slam"], frame)
+    meter.restore(state["meter"])
+    frame_log.restore(state["frame_log"])
+    found = counts(slam)
+    bar.resume(done=meter.frames, keyframes=found["keyframes"], lost=found["lost_frames"])
+
+
 def _process(
-    slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar, stop: threading.Event
-) -> int:
-    """Frames through Slam until the end or the first Ctrl-C; how many of them could not be read."""
-    unreadable = 0
-    for frame, readable in frames(recording):
-        unreadable += not readable
+    slam: Slam,
+    incoming: Iterator[tuple[Frame, bool]],
+    meter: Meter,
+    frame_log: FrameLog,
+    bar: ProgressBar,
+    stop: threading.Event,
+    keep: Callable[[], None],
+) -> None:
+    """Frames through Slam until the end or the first Ctrl-C; `keep` is called after each."""
+    for frame, readable in incoming:
         result: FrameResult = slam.process(frame)
-        frame_log.add(result, meter.frame())
+        frame_log.add(result, meter.frame(readable=readable))
         bar.update(result, frames_per_second=meter.frames_per_second)
+        keep()
         if stop.is_set():
-            of = "" if isinstance(recording, LiveStream) else f" of {len(recording)}"
-            log.warning("interrupted after frame %d%s: writing the results so far", frame.index, of)
+            log.warning("interrupted after frame %d: writing the results so far", frame.index)
             break
-    return unreadable
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.config import FAST, Config
+from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
@@ -24,6 +25,7 @@ from idfslam.graph.loops import Loop, Loops
 from idfslam.hardware import resolve_device
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
+from idfslam.state import State, Stateful
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.localisation import Localiser, unambiguous
 from idfslam.tracking.motion import Information, MotionModel, change_between, moved
@@ -112,7 +114,8 @@ class Slam:
         refined = max(1, c.final_keyframes // 2)
         updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
-            done = max(i / updates, (perf_counter() - start) / c.final_seconds)
+            spent = (perf_counter() - start) / c.final_seconds
+            done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
             if done >= 1:
                 break
             self.mapper.optimiser.anneal = 1 - done
@@ -146,9 +149,52 @@ class Slam:
         """How the pose of each processed frame was found."""
         return self.graph.statuses()
 
+    def state(self) -> State:
+        """The whole run up to here, without images (`idfslam.state`); a component that changes is named in `_parts`."""
+        return {
+            **{name: part.state() for name, part in self._parts().items()},
+            "graph": self.graph.state(),
+            "unmapped": None if self._unmapped is None else self._unmapped.state(),
+            "in_view": self._in_view,
+            "relocalisations": self.relocalisations,
+            "stale": list(self._stale.items()),
+            "live": torch.from_numpy(self.live_trajectory()),
+            "finished": self._finished,
+            "timings": {stage: torch.tensor(ms, dtype=torch.float64) for stage, ms in self.timings.items()},
+        }
+
+    def restore(self, state: State, frame: Callable[[int], Frame]) -> None:
+        """What `state` told, in a new Slam of the same config: it goes on as the first would have, to the last bit on one machine.
+
+        frame: the frame of an index, as it was processed. Raises RecordingError where its images are others.
+        """
+
+        def revive(kept: State) -> Keyframe:
+            again = self._keyframe(frame(kept["index"]), kept["T_wk"])
+            if again.frame.checksum() != kept["images"]:
+                raise RecordingError(f"frame {again.index} has other images than in the run that is to go on; expected the same recording")
+            again.restore(kept)
+            return again
+
+        self.graph.restore(state["graph"], revive)
+        for name, part in self._parts().items():
+            part.restore(state[name])
+        self._unmapped = None if state["unmapped"] is None else revive(state["unmapped"])
+        self._in_view, self._finished = state["in_view"], state["finished"]
+        self.relocalisations, self._stale = state["relocalisations"], dict(state["stale"])
+        self._live = list(state["live"].numpy())
+        self.timings = defaultdict(list, {stage: ms.tolist() for stage, ms in state["timings"].items()})
+
+    def _parts(self) -> dict[str, Stateful]:
+        """What changes while a run goes on, beside the graph."""
+        localisation: dict[str, Stateful] = {"localiser": self.localiser, "loops": self.loops}
+        return {"tracker": self.tracker, "mapper": self.mapper, "aligner": self.aligner, "motion": self.motion, **localisation}
+
     def _view(self, frame: Frame) -> Keyframe:
         """The frame on the map's device, at the pose that the last motion predicts."""
-        T_wc = self.motion.predict(self.graph.T_wc(-1)) if len(self.graph) else torch.eye(4, dtype=torch.float64)
+        return self._keyframe(frame, self.motion.predict(self.graph.T_wc(-1)) if len(self.graph) else torch.eye(4, dtype=torch.float64))
+
+    def _keyframe(self, frame: Frame, T_wc: Tensor) -> Keyframe:
         return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
 
     def _track(self, current: Keyframe) -> Status:
@@ -259,7 +305,7 @@ class Slam:
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""
         assert self.graph.reference is not None
-        current.neighbours = self.graph.reference.neighbours
+        current.neighbours = set(self.graph.reference.neighbours)
         self.graph.cover(current)
         return self._optimise(current)
 

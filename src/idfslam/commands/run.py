@@ -1,8 +1,9 @@
 """`idf-slam run`."""
 
-from dataclasses import asdict, dataclass
+import sys
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from tyro.conf import Positional
 
@@ -47,11 +48,15 @@ class TopicFlags:
     """The ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
 
 
+_WITH_RESUME = ("resume", "checkpoint_every")  # flags that do not change what a run gives
+_USAGE = 2
+
+
 @dataclass(frozen=True)
 class Run:
     """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
 
-    path: Positional[Path]
+    path: Positional[Path | None] = None
     """The recording, in any layout that is known; which one is seen from what lies in it. Or a generated one: synthetic[:SEED][:kinect],
     corridor[:SEED][:kinect][:Nlaps]; kidnap: before any of these carries the camera off, five times. Or a live camera:
     realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER], orbbec[:NUMBER];
@@ -76,7 +81,18 @@ class Run:
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
 
+    checkpoint_every: int = 300
+    """Every so many frames all that a run needs to go on is written into the result folder; 0: never. It goes when the run is
+    over. Not of a live camera, nor with --map."""
+    resume: Path | None = None
+    """Instead of a recording: the result folder of a run that was ended by Ctrl-C, a crash or a power failure, to go on with."""
+
     def __call__(self, console: "Console") -> None:
+        if self.resume is not None:
+            self._go_on(self.resume, console)
+            return
+        if self.path is None:
+            _wrong_usage("expected a recording, or --resume and the result folder of a run")
         values = check(self.values)
         from idfslam.live import LiveStream, located
         from idfslam.prior_map import load_prior
@@ -92,7 +108,27 @@ class Run:
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        done = run(recording, values, folder, source=source, prior=prior, console=console)
+        done = run(recording, values, folder, source=source, prior=prior, console=console, checkpoint_every=self.checkpoint_every)
         if self.report:
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
+
+    def _go_on(self, folder: Path, console: "Console") -> None:
+        given = [f.name for f in fields(self) if f.name not in _WITH_RESUME and getattr(self, f.name) != getattr(Run(), f.name)]
+        if given:
+            _wrong_usage(
+                f"--resume goes on with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
+            )
+        from idfslam.run import resume
+        from idfslam.tables import print_run
+
+        done = resume(folder, checkpoint_every=self.checkpoint_every, console=console)
+        if done is None:
+            output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
+        else:
+            print_run(done, output())
+
+
+def _wrong_usage(message: str) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    raise SystemExit(_USAGE)

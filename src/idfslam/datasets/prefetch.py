@@ -10,23 +10,24 @@ from idfslam.frame import Frame
 
 
 class Prefetch:
-    """Iterates over (index, Frame), or (index, FrameError) for a bad frame, with up to `depth` frames read ahead.
+    """Iterates over (index, Frame), or (index, FrameError) for a bad frame, from `first` on, with up to `depth` frames read ahead.
 
     The thread ends with the iteration: also on break, on an error and on Ctrl-C. Any other error of the dataset reaches the caller.
     """
 
-    def __init__(self, dataset: Dataset, *, depth: int = 4) -> None:
-        self._dataset, self._depth = dataset, depth
+    def __init__(self, dataset: Dataset, *, depth: int = 4, first: int = 0) -> None:
+        self._dataset, self._depth, self._first = dataset, depth, first
 
     def __len__(self) -> int:
-        return len(self._dataset)
+        return len(self._dataset) - self._first
 
     def __iter__(self) -> Iterator[tuple[int, Frame | FrameError]]:
         pending: deque[Future[Frame | FrameError]] = deque()
         with ThreadPoolExecutor(1, thread_name_prefix="prefetch") as pool:
             try:
-                for i in range(len(self)):
-                    while len(pending) <= self._depth and i + len(pending) < len(self):
+                end = len(self._dataset)
+                for i in range(self._first, end):
+                    while len(pending) <= self._depth and i + len(pending) < end:
                         pending.append(pool.submit(self._load, i + len(pending)))
                     yield i, pending.popleft().result()
             finally:

@@ -2,8 +2,8 @@
 
 import bisect
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.mapping.meshing import View, reduced_view
 from idfslam.mapping.sampling import CellPixels
+from idfslam.state import State
 
 _COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt from
 _COVERAGE_MOST = 1000
@@ -40,6 +41,7 @@ class Keyframe:
         self._images: tuple[Frame, Tensor, Tensor] | None = (frame, depth, colour)
         self._device = depth.device
         self._archive: Archive | None = None
+        self._checksum: int | None = None  # of the images
         self.described: Any = None  # the tracker's features of it
         self.pixels: CellPixels | None = None  # those with depth, by cell
         self.appearance: Any = None  # the aligner's image pyramid of it
@@ -86,6 +88,26 @@ class Keyframe:
         self._images = self.described = self.pixels = self.appearance = None
         return frame
 
+    def state(self) -> State:
+        """All but the images and what is worked out from them."""
+        if self._checksum is None:
+            self._checksum = self.frame.checksum()
+        links = {"neighbours": sorted(self.neighbours), "linked": sorted(self.linked), "unlinked": self.unlinked, "alike": self.alike}
+        own = {"T_wk": self.T_wk, "cell_losses": self.cell_losses, "place": self.place, "anchor": self.anchor}
+        return {"index": self.index, "images": self._checksum, **own, **links}
+
+    def restore(self, state: State) -> None:
+        """What `state` told, for a keyframe of the same frame."""
+        self.T_wk, self.anchor, self._checksum = state["T_wk"], state["anchor"], state["images"]
+        self.neighbours, self.linked = set(state["neighbours"]), set(state["linked"])
+        self.unlinked, self.alike = state["unlinked"], state["alike"]
+        for name in ("cell_losses", "place"):
+            setattr(self, name, None if state[name] is None else state[name].to(self._device))
+
+
+Revive = Callable[[State], Keyframe]
+"""A keyframe's state -> the keyframe, with its images again."""
+
 
 @dataclass(frozen=True)
 class _Link:
@@ -95,6 +117,20 @@ class _Link:
     T_kc: Tensor
     status: Status
     timestamp: float
+
+
+def _columns(links: list[_Link]) -> State:
+    return {
+        "keyframe": [link.keyframe for link in links],
+        "T_kc": torch.stack([link.T_kc for link in links]) if links else torch.zeros(0, 4, 4, dtype=torch.float64),
+        "status": [link.status.value for link in links],
+        "timestamp": [link.timestamp for link in links],
+    }
+
+
+def _rows(columns: State) -> list[_Link]:
+    values = zip(columns["keyframe"], columns["T_kc"], columns["status"], columns["timestamp"])
+    return [_Link(k, T_kc.clone(), Status(status), timestamp) for k, T_kc, status, timestamp in values]
 
 
 class KeyframeGraph:
@@ -112,6 +148,36 @@ class KeyframeGraph:
 
     def __len__(self) -> int:
         return len(self._links)
+
+    def state(self) -> State:
+        """Keyframes, frames and coverage. The reference is the number of a stored keyframe, or its own state where it was culled."""
+        stored = self.reference in self.keyframes
+        culled = None if stored or self.reference is None else self.reference.state()
+        return {
+            "keyframes": [keyframe.state() for keyframe in self.keyframes],
+            "reference": self.keyframes.index(self.reference) if self.reference is not None and stored else culled,
+            "chosen_at": self._chosen_at,
+            "links": _columns(self._links),
+            "coverage": [
+                {"keyframe": k, "T_kc": torch.from_numpy(view.T_wc), "depth": torch.from_numpy(view.depth), "camera": asdict(view.camera)}
+                for k, view in self._coverage
+            ],
+            "generator": self._generator.get_state(),
+        }
+
+    def restore(self, state: State, revive: Revive) -> None:
+        """What `state` told; `revive` gives the keyframes their images again."""
+        for kept in state["keyframes"]:
+            self.keyframes.append(revive(kept))
+            self.keyframes[-1].keep_in(self.archive)
+        reference = state["reference"]
+        self.reference = self.keyframes[reference] if isinstance(reference, int) else reference and revive(reference)
+        self._chosen_at = state["chosen_at"]
+        self._links = _rows(state["links"])
+        self._coverage = [
+            (kept["keyframe"], View(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"]))) for kept in state["coverage"]
+        ]
+        self._generator.set_state(state["generator"])
 
     def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
         """A tracked frame, to be remembered relative to the stored keyframe that the last chosen one hangs on."""

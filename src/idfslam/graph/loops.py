@@ -20,6 +20,7 @@ from idfslam.config import LoopConfig
 from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
 from idfslam.graph.pose_graph import Edge, optimise
+from idfslam.state import State
 
 log = logging.getLogger(__name__)
 
@@ -42,6 +43,10 @@ class Loop:
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
 
 
+def _plain(loop: Loop) -> State:
+    return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab}
+
+
 class Loops:
     """The loops of a run: those believed, one that waits to be confirmed, and how many were refused."""
 
@@ -50,6 +55,16 @@ class Loops:
         self.closed: list[Loop] = []
         self.refused = 0
         self.waiting: Loop | None = None
+
+    def state(self) -> State:
+        """Loops by their keyframes' numbers."""
+        closed, waiting = [_plain(loop) for loop in self.closed], None if self.waiting is None else _plain(self.waiting)
+        return {"closed": closed, "waiting": waiting, "refused": self.refused}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self.closed, self.refused = [Loop(**loop) for loop in state["closed"]], state["refused"]
+        self.waiting = None if state["waiting"] is None else Loop(**state["waiting"])
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
         """Stored keyframes not linked with a chosen one that may yet see the same, whatever drift there may be between the two."""

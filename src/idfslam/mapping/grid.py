@@ -36,5 +36,9 @@ class GridEncoding(nn.Module):
 
     def grow(self) -> None:
         """Twice the entries, the same function."""
-        self.tables = nn.Parameter(torch.cat([self.tables.detach(), self.tables.detach()], 1), requires_grad=self.tables.requires_grad)
+        self.replace(torch.cat([self.tables.detach(), self.tables.detach()], 1))
+
+    def replace(self, tables: Tensor) -> None:
+        """Other tables, of any size."""
+        self.tables = nn.Parameter(tables.to(self.tables.device), requires_grad=self.tables.requires_grad)
         self.gradient = torch.zeros_like(self.tables.detach())

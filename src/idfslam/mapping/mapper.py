@@ -12,12 +12,14 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe
 from idfslam.hardware import resolve_precision
 from idfslam.mapping.field import Field
+from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
 from idfslam.mapping.rendering import RayMarch, render, world_rays
 from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
+from idfslam.state import State
 
 _VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays there know nothing of the depth
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
@@ -32,6 +34,18 @@ class Mapper:
         self.field = Field(field_config, bf16=bf16).to(device)
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
+
+    def state(self) -> State:
+        """The map, its optimiser and the generator. Gradients are no part of it: each step begins with none."""
+        return {"field": dict(self.field.state_dict()), "optimiser": self.optimiser.state(), "generator": self.generator.get_state()}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        if isinstance(self.field.encoding, GridEncoding):
+            self.field.encoding.replace(state["field"]["encoding.tables"])  # they may have grown
+        self.field.load_state_dict(state["field"])
+        self.optimiser.restore(state["optimiser"])
+        self.generator.set_state(state["generator"])
 
     def take_over(self, field: Field) -> None:
         """Go on from another field of the same config."""
@@ -103,8 +117,9 @@ class Mapper:
     def _draw(self, keyframe: Keyframe, count: int, *, invert: bool) -> Tensor:
         """`count` pixels of a keyframe in random order (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
         cells = self.config.cells
-        if keyframe.pixels is None or keyframe.cell_losses is None:
+        if keyframe.pixels is None:
             keyframe.pixels = group_pixels(keyframe.depth > 0, cells)
+        if keyframe.cell_losses is None:
             keyframe.cell_losses = initial_cell_losses(cells, self.device)
         losses = keyframe.cell_losses if self.config.active_sampling else torch.ones_like(keyframe.cell_losses)
         drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), count, self.generator)

@@ -9,6 +9,7 @@ from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import load, sparse_adam
+from idfslam.state import State, adam_dict, plain_adam
 
 _SAYS_SOMETHING = 1e-3  # an entry's value that is not what it was initialised with
 _LITTLE = 1e-12  # squared gradient that is not zero, yet less than any that comes
@@ -26,6 +27,18 @@ class MapOptimiser:
         if self.grid is not None:
             self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)
         field.requires_grad_(False)
+
+    def state(self) -> State:
+        """Moments, steps and rates."""
+        tables = {} if self.grid is None else {"m": self.m, "v": self.v}
+        return {"steps": self.steps, "anneal": self.anneal, "adam": plain_adam(self.adam.state_dict()), **tables}
+
+    def restore(self, state: State) -> None:
+        """What `state` told, for a field that is restored already."""
+        self.steps, self.anneal = state["steps"], state["anneal"]
+        self.adam.load_state_dict(adam_dict(state["adam"]))
+        if self.grid is not None:
+            self.m, self.v = state["m"].to(self.grid.tables.device), state["v"].to(self.grid.tables.device)
 
     def zero_grad(self) -> None:
         """Forget the gradients of the networks; those of the tables are zeroed as they are used."""

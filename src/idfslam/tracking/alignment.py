@@ -17,6 +17,7 @@ from idfslam.graph.keyframes import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio
+from idfslam.state import State
 from idfslam.tracking.motion import Information, moved
 from idfslam.tracking.normals import smoothed_normals
 from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
@@ -89,6 +90,15 @@ class Aligner:
         self._usual_brightness = 0.0
         self.truncation = field.config.truncation
         self.query: MapQuery = distance_query(field)
+
+    def state(self) -> State:
+        """How well colours usually fit, and the generator."""
+        return {"usual_brightness": self._usual_brightness, "generator": self._generator.get_state()}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self._usual_brightness = state["usual_brightness"]
+        self._generator.set_state(state["generator"])
 
     def align(self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, near: bool = False) -> Alignment:
         """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth.

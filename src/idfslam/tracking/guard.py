@@ -1,12 +1,15 @@
 """The guard of finetuning: what it made worse on pairs of keyframes that it never trains on is undone."""
 
 import copy
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from idfslam.geometry import se3
+from idfslam.state import State, adam_dict, plain_adam
 from idfslam.tracking.description import Described
 from idfslam.tracking.partners import partners
 
@@ -22,8 +25,17 @@ class Guard:
 
     def __init__(self, learning: nn.Module, optimiser: torch.optim.Optimizer, margin: float) -> None:
         self._learning, self._optimiser, self._margin = learning, optimiser, margin
-        self._best = self._state()
+        self._best: tuple[dict[str, Tensor], dict[str, Any]] = self._state()
         self.undone = 0  # how often it went back
+
+    def state(self) -> State:
+        """The best weights, their optimiser, and how often it went back."""
+        weights, optimiser = self._best
+        return {"weights": dict(weights), "adam": plain_adam(optimiser), "undone": self.undone}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self._best, self.undone = (OrderedDict(state["weights"]), adam_dict(state["adam"])), state["undone"]
 
     @torch.no_grad()
     def examine(self, score: Callable[[], float]) -> bool:
@@ -42,10 +54,10 @@ class Guard:
             self._best = state
         return True
 
-    def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    def _state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         return copy.deepcopy((self._learning.state_dict(), self._optimiser.state_dict()))
 
-    def _restore(self, state: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
+    def _restore(self, state: tuple[dict[str, Tensor], dict[str, Any]]) -> None:
         self._learning.load_state_dict(state[0])
         self._optimiser.load_state_dict(copy.deepcopy(state[1]))
 

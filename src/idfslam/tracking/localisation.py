@@ -12,6 +12,7 @@ from torch import Tensor
 
 from idfslam.frame import Status
 from idfslam.graph.keyframes import Keyframe
+from idfslam.state import State
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.description import Described
 from idfslam.tracking.motion import change_between
@@ -29,6 +30,14 @@ class Localiser:
     def __init__(self, tracker: Tracker, aligner: Aligner) -> None:
         self.tracker, self.aligner = tracker, aligner
         self._words: Tensor | None = None
+
+    def state(self) -> State:
+        """The visual words."""
+        return {"words": self._words}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self._words = None if state["words"] is None else state["words"].to(self.tracker.device)
 
     def described(self, view: Keyframe) -> Described:
         """What the tracker keeps of a view, worked out once."""

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry import se3
+from idfslam.state import State
 
 _VELOCITY = 4.0  # a direction teaches the velocity from so many times the information on that teaches the pose: errors of one
 #                  pose are forgotten with the next, but a wrong velocity is carried through the whole of a bare wall
@@ -66,6 +67,14 @@ class MotionModel:
 
     def __init__(self) -> None:
         self.T_step = torch.eye(4, dtype=torch.float64)  # T_c(i-1)_c(i)
+
+    def state(self) -> State:
+        """The motion."""
+        return {"T_step": self.T_step}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self.T_step = state["T_step"]
 
     def predict(self, T_last: Tensor) -> Tensor:
         """The pose (4, 4) of the frame after `T_last`."""

@@ -1,5 +1,6 @@
 """The neural tracker (Sec. V): features, matches and robust Procrustes give a frame's pose in its reference keyframe."""
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.config import FinetuneConfig, TrackerConfig
+from idfslam.errors import ConfigError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.hardware import resolve_precision
+from idfslam.state import State, adam_dict, plain_adam
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.description import Described, reduced
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
@@ -60,6 +63,30 @@ class Tracker:
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
         self.guard = Guard(learning, self.optimiser, finetune.margin)
         self._steps = 0  # of finetuning
+
+    def state(self) -> State:
+        """What is finetuned, its optimiser and the generator; of the rest a checksum."""
+        learnt = dict(self.extractor.out_conv.state_dict())
+        optimiser = {"adam": plain_adam(self.optimiser.state_dict()), "steps": self._steps, "guard": self.guard.state()}
+        return {"weights": self._checksum(), "learnt": learnt, "generator": self.generator.get_state(), **optimiser}
+
+    def restore(self, state: State) -> None:
+        """What `state` told. Raises ConfigError where the weights that this tracker began with are others."""
+        if state["weights"] != self._checksum():
+            found = "the file has changed" if self.config.weights else "this version ships others"
+            raise ConfigError(f"the tracker's weights are not those that the run began with ({found}); start the run anew")
+        self.extractor.out_conv.load_state_dict(state["learnt"])
+        self.optimiser.load_state_dict(adam_dict(state["adam"]))
+        self.guard.restore(state["guard"])
+        self._steps = state["steps"]
+        self.generator.set_state(state["generator"])
+
+    def _checksum(self) -> int:
+        """Of the weights that stay as they are."""
+        total = 0
+        for weights in self.inference.state_dict().values():
+            total = zlib.crc32(weights.float().cpu().numpy().tobytes(), total)
+        return total
 
     @torch.no_grad()
     def describe(self, frame: Frame) -> Described:
