@@ -117,7 +117,7 @@ def _run(engine: Engine, entry: Entry, seed: int, *, folder: Path, mesh: bool, r
     count = [] if entry.frames is None else ["--frames", str(entry.frames)]
     values = ["--config", str(folder / VALUES), "--seed", str(seed)]
     try:
-        _process(engine, "idfslam.cli", "run", entry.path, "--out", str(out), *count, *values)
+        _process(engine, "idfslam.cli", "run", entry.path, "--out", str(out), *count, "--no-report", *values)
         metrics = loads((out / results.METRICS).read_text(encoding="utf-8"))
         evaluation: dict[str, Any] = {}
         if mesh and "ate_m" in metrics:
