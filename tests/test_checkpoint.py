@@ -133,7 +133,7 @@ def test_what_is_forgotten_would_be_found(box_recording: Path) -> None:
 def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> None:
     data, slam, again = open_recording(box_recording), Slam(busy()), Slam(busy())
     slam.process(data[0])
-    loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64)) for i in (3, 5)]
+    loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64), 10 * i) for i in (3, 5)]
     slam.loops.closed, slam.loops.waiting, slam.loops.refused, slam.relocalisations = loops[:1], loops[1], 2, 3
     slam._stale = {7: 2, 1: 1}
     slam.tracker._steps, slam.tracker.guard.undone = 4, 1

@@ -337,7 +337,7 @@ class LoopConfig:
     """Look for places seen before, and correct all poses where one shows drift (alignment to the map)."""
     relocalise: bool = True
     """Look for a lost camera among all keyframes; off: frames are mapped where the last motion leads, as in the paper."""
-    tries: int = 2
+    tries: int = 3
     """Keyframes that a new keyframe is compared with in search of a loop ..."""
     relocalisation_tries: int = 4
     """... and a lost frame."""

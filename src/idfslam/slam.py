@@ -264,7 +264,7 @@ class Slam:
         keyframes, answers = self.graph.keyframes, []
         with self._timed("relocalise"):
             for i in self.localiser.most_alike(current, keyframes, self.config.loops.relocalisation_tries):
-                if found := self._located(current, i):
+                if found := self.localiser.locate(current, keyframes[i], self._beside(keyframes[i])):
                     answers.append((i, found))
         if (answer := unambiguous(answers)) is None:
             return None
@@ -273,11 +273,9 @@ class Slam:
         self.relocalisations += 1
         return answer[1]
 
-    def _located(self, view: Keyframe, i: int) -> Alignment | None:
-        """The view's pose as it follows from stored keyframe i."""
-        keyframe = self.graph.keyframes[i]
-        references = [keyframe, *self.graph.earlier(keyframe, self.config.alignment.references - 1)]
-        return self.localiser.locate(view, keyframe, references)
+    def _beside(self, keyframe: Keyframe) -> list[Keyframe]:
+        """What a view found beside a stored keyframe is held against."""
+        return [keyframe, *self.graph.earlier(keyframe, self.config.alignment.references - 1)]
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
@@ -335,13 +333,15 @@ class Slam:
             return
         with self._timed("loops"):
             for i in keyframe.unlinked[: self.config.loops.tries]:
-                if self.localiser.agrees(keyframe, self.graph.keyframes[i]):  # no drift: the pose is right already
+                if self.localiser.agrees(keyframe, self.graph.keyframes[i], keyframe.T_wk):  # no drift: the pose is right already
                     self.graph.link(keyframe, i)
             for i in self._loop_candidates(keyframe):
-                if found := self._located(keyframe, i):
+                other = self.graph.keyframes[i]
+                T_wc = self.localiser.seen_again(keyframe, other, self._beside(other))
+                if T_wc is not None:
                     T_wb = self.graph.keyframes[keyframe.anchor].T_wk
-                    T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ found.T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-                    moved = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab))
+                    T_ab = se3.inverse(other.T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
+                    moved = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab, keyframe.index))
                     if moved is not None:
                         self._stale |= {k: self.config.loops.relearnt for k, change in enumerate(moved) if change > _MOVED}
                     break
@@ -349,7 +349,7 @@ class Slam:
     def _loop_candidates(self, keyframe: Keyframe) -> list[int]:
         """Stored keyframes that should see the same by their pose, or that look alike, and that are not linked with this one."""
         apart = self.loops.within_reach(self.graph, keyframe)
-        overlapping = [i for i in keyframe.unlinked if i in apart][:1]
+        overlapping = [i for i in keyframe.unlinked if i in apart][:2]
         alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.loops.tries)]
         return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.loops.tries]
 

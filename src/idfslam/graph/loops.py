@@ -37,6 +37,7 @@ class Loop:
     a: int
     b: int
     T_ab: Tensor  # (4, 4) float64, measured
+    view: int  # the frame that showed it: b, or one that hangs on b
 
     def disagreement(self, graph: KeyframeGraph) -> Tensor:
         """(4, 4) what the loop would turn the present pose of b into, in b's own frame."""
@@ -44,7 +45,7 @@ class Loop:
 
 
 def _plain(loop: Loop) -> State:
-    return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab}
+    return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab, "view": loop.view}
 
 
 class Loops:
@@ -104,8 +105,8 @@ class Loops:
         return self._close(graph, [self.waiting, loop] if self.waiting else [loop])
 
     def _confirmed(self, graph: KeyframeGraph, loop: Loop) -> bool:
-        """Whether the loop that waits, of another keyframe, asks for the same correction."""
-        if self.waiting is None or self.waiting.b == loop.b:
+        """Whether the loop that waits, of another frame, asks for the same correction."""
+        if self.waiting is None or self.waiting.view == loop.view:
             return False
         other = se3.inverse(self.waiting.disagreement(graph))
         T_between = se3.inverse(graph.keyframes[self.waiting.b].T_wk) @ graph.keyframes[loop.b].T_wk
@@ -136,7 +137,7 @@ class Loops:
 
     def summary(self, graph: KeyframeGraph) -> dict[str, Any]:
         """Links and loops between keyframes, as metrics.json tells them; loops by the frames' indices."""
-        closed = [[graph.keyframes[loop.a].index, graph.keyframes[loop.b].index] for loop in self.closed]
+        closed = [[graph.keyframes[loop.a].index, loop.view] for loop in self.closed]
         links = sum(len(keyframe.linked) for keyframe in graph.keyframes) // 2
         return {"links": links, "loops": closed, "loops_refused": self.refused}
 

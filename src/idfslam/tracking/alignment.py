@@ -196,10 +196,10 @@ class Aligner:
             brightness, seen = brightness + term.seen * term.noise, seen + term.seen
         return H, b, brightness / max(seen, 1), in_view / count if count else 1.0
 
-    def compare(self, view: Keyframe, reference: Keyframe) -> tuple[float, float]:
-        """The share of a reference's landmarks that a view sees at its pose, and the typical difference of their brightness."""
+    def compare(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
+        """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the typical difference of their brightness."""
         marks, noise, widest = self.landmarks(reference), self.config.colour_noise, self.config.colour_robust
-        term = photometric_term(self.appearance(view), marks, reference.T_wk, view.T_wk, 0, floor=noise, widest=widest)
+        term = photometric_term(self.appearance(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
 
     def appearance(self, view: Keyframe) -> Appearance:

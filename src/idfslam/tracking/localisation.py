@@ -66,21 +66,37 @@ class Localiser:
         likeness = torch.stack([self.place(k) for k in keyframes]) @ self.place(view)
         return likeness.topk(min(count, len(keyframes))).indices.tolist()
 
+    def registered(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
+        """The view's pose T_wc (4, 4) by the neural tracker against a keyframe."""
+        found = self.tracker.track(self.described(view), self.described(keyframe))
+        return None if found.status is Status.LOST else keyframe.T_wk @ torch.from_numpy(found.T_kc)
+
     def locate(self, view: Keyframe, keyframe: Keyframe, references: Sequence[Keyframe]) -> Alignment | None:
         """The view's pose as it follows from a keyframe, held to the map there and to the images of `references`; None if in doubt."""
-        found = self.tracker.track(self.described(view), self.described(keyframe))
-        if found.status is Status.LOST:
+        T_guess = self.registered(view, keyframe)
+        if T_guess is None:
             return None
-        aligned = self.aligner.align(view, keyframe.T_wk @ torch.from_numpy(found.T_kc), references)
+        aligned = self.aligner.align(view, T_guess, references)
         return aligned if self.convincing(aligned) else None
+
+    def seen_again(self, view: Keyframe, keyframe: Keyframe, references: Sequence[Keyframe]) -> Tensor | None:
+        """The view's pose T_wc (4, 4) beside a keyframe from which it may have drifted away; None if in doubt.
+
+        The two alone decide where their images agree: around them the map may hold both the surface and its drifted double.
+        """
+        T_wc = self.registered(view, keyframe)
+        if T_wc is None or self.agrees(view, keyframe, T_wc):
+            return T_wc
+        aligned = self.aligner.align(view, T_wc, references)
+        return aligned.T_wc if self.convincing(aligned) else None
 
     def convincing(self, aligned: Alignment) -> bool:
         """Whether an alignment could not well be an accident."""
         return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.doubtful(aligned)
 
-    def agrees(self, view: Keyframe, keyframe: Keyframe) -> bool:
-        """Whether the view, at its present pose, shows the keyframe's landmarks where they are."""
-        seen, noise = self.aligner.compare(view, keyframe)
+    def agrees(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
+        """Whether the view, at `T_wc` (4, 4), shows the keyframe's landmarks where they are."""
+        seen, noise = self.aligner.compare(view, keyframe, T_wc)
         return seen > _MIN_IN_VIEW and 0 < noise <= self.aligner.doubtful_brightness
 
 
