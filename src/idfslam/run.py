@@ -31,9 +31,12 @@ from idfslam.metrics import Meter
 from idfslam.prior_map import PriorMap
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
+from idfslam.viewer import NullViewer, Viewer
 from idfslam.warm_up import warm_up
 
 log = logging.getLogger(__name__)
+
+_NOTHING = NullViewer()
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +58,10 @@ def run(
     prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
+    viewer: Viewer = _NOTHING,
 ) -> Run:
-    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`.
+    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`, and before
+    the eyes of `viewer`.
 
     Ctrl-C ends after the frame in hand and writes the results so far; a second one ends at once. A frame that cannot be read is
     reported and treated as lost. Raises ResultError before anything is computed if the folder cannot be written to, and
@@ -71,16 +76,17 @@ def run(
         warm_up(config, make_slam)
     slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
     meter, frame_log = Meter(), FrameLog()
-    with stop_on_interrupt() as stop, ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar:
+    total = None if isinstance(recording, LiveStream) else len(recording)
+    with viewer.opened(folder, recording.name), stop_on_interrupt() as stop, ProgressBar(total, console) as bar:
         try:
-            unreadable = _process(slam, recording, meter, frame_log, bar, stop)
+            unreadable = _process(slam, recording, meter, frame_log, bar, stop, viewer)
             bar.describe("refining")
             if not slam.graph.keyframes:
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
             results.remove_stale(
-                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log)
+                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log) | viewer.files
             )
             raise
         metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set(), "unreadable_frames": unreadable}
@@ -92,8 +98,12 @@ def run(
             metrics["live_ate_m"] = live.ate.translation.rmse
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
+        viewer.finish(slam, mesh)
         written = (
-            _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh) | _write_log(folder, frame_log)
+            _write_poses(folder, slam, recording, config, source, prior)
+            | _write_map(folder, slam, mesh)
+            | _write_log(folder, frame_log)
+            | viewer.files
         )
         results.write_json(folder / results.METRICS, metrics)
         results.remove_stale(folder, written=written | {results.METRICS})
@@ -140,13 +150,14 @@ def frames(recording: Dataset | LiveStream) -> Iterator[tuple[Frame, bool]]:
 
 
 def _process(
-    slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar, stop: threading.Event
+    slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar, stop: threading.Event, viewer: Viewer
 ) -> int:
     """Frames through Slam until the end or the first Ctrl-C; how many of them could not be read."""
     unreadable = 0
     for frame, readable in frames(recording):
         unreadable += not readable
         result: FrameResult = slam.process(frame)
+        viewer.frame(frame, result, slam)
         frame_log.add(result, meter.frame())
         bar.update(result, frames_per_second=meter.frames_per_second)
         if stop.is_set():

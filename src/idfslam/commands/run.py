@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
@@ -11,6 +11,8 @@ from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from idfslam.viewer import Viewer
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,11 @@ class Run:
     """Whether report.html and its pictures are made at the end."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    viewer: Literal["none", "auto", "window", "web", "file"] = "none"
+    """Look on as it goes: in a window, in a browser (also from another machine), or later (file); --viewer alone is a window where there
+    is a display, else the browser. recording.rrd keeps it for `idf-slam view`."""
+    port: int = 9090
+    """Of the page for --viewer web; the data come from the next one."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
@@ -92,7 +99,18 @@ class Run:
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        done = run(recording, values, folder, source=source, prior=prior, console=console)
+        done = run(recording, values, folder, source=source, prior=prior, console=console, viewer=self._viewer(console))
         if self.report:
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
+
+    def _viewer(self, console: "Console") -> "Viewer":
+        from idfslam.viewer import NullViewer, RerunViewer, has_display
+
+        if self.viewer == "none":
+            return NullViewer()
+        place = ("window" if has_display() else "web") if self.viewer == "auto" else self.viewer
+        viewer = RerunViewer(place, port=self.port)
+        if place == "web":
+            console.print(f"live view: {viewer.address()}", highlight=False, soft_wrap=True, markup=False)
+        return viewer
