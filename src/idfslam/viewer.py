@@ -328,7 +328,7 @@ def _blueprint(name: str) -> Any:
     """What is where when it opens: the scene large, the images beside it, plots below."""
     import rerun.blueprint as rrb
 
-    eye = rrb.EyeControls3D(kind="orbital", position=(0.9, -2.1, -2.1), look_target=(0.2, 0.2, 1.4), eye_up=(0, -1, 0))
+    eye = rrb.EyeControls3D(kind="orbital", position=(0.8, -2.4, -2.3), look_target=(0.1, 0.0, 1.9), eye_up=(0, -1, 0))
     scene = rrb.Spatial3DView(
         origin="world",
         contents=["$origin/**", "- $origin/camera/image/depth"],  # or its points would lie over the mesh
