@@ -32,6 +32,7 @@ from idfslam.commands.record import Record
 from idfslam.commands.render import Render
 from idfslam.commands.report import Report
 from idfslam.commands.run import Run
+from idfslam.commands.view import View
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
 from idfslam.machine import default_threads
@@ -44,6 +45,7 @@ _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 def parse(arguments: Sequence[str]) -> Command:
     """The command with its flags. Raises ConfigError for a config file that cannot be used; exits with 2 on wrong usage."""
+    arguments = _with_viewer(arguments)
     values = _starting_values(arguments)
     commands: Any = (
         Annotated[Demo, subcommand("demo", default=Demo(values))]
@@ -55,6 +57,7 @@ def parse(arguments: Sequence[str]) -> Command:
         | Annotated[Render, subcommand("render")]
         | Annotated[Batch, subcommand("batch", default=Batch(tyro.MISSING, values))]
         | Annotated[Report, subcommand("report")]
+        | Annotated[View, subcommand("view")]
         | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
         | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
         | Annotated[BenchOdometry, subcommand("bench-odometry", default=BenchOdometry(tyro.MISSING, values))]
@@ -75,6 +78,13 @@ def _starting_values(arguments: Sequence[str]) -> Config:
     found, _ = parser.parse_known_args(arguments)
     preset = found.preset if found.preset in PRESETS else None  # the parser proper complains of another one
     return load(found.config, base=preset) if found.config else PRESETS[preset or FAST.preset]
+
+
+def _with_viewer(arguments: Sequence[str]) -> list[str]:
+    """`--viewer` with no place behind it is `--viewer auto`."""
+    places = ("none", "auto", "window", "web", "file")
+    bare = [i for i, word in enumerate(arguments) if word == "--viewer" and arguments[i + 1 : i + 2] not in [[place] for place in places]]
+    return [word for i, argument in enumerate(arguments) for word in ((argument, "auto") if i in bare else (argument,))]
 
 
 def prepare_process() -> None:

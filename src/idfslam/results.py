@@ -26,6 +26,7 @@ KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.
 FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
 CHECKPOINT = "checkpoint.safetensors"  # of a run that is not over
 FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a run
+RECORDING = "recording.rrd"  # of what the viewer showed, where there was one
 EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
 _PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # of a report
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
@@ -119,7 +120,7 @@ def writing(folder: Path) -> Iterator[None]:
 
 def remove_stale(folder: Path, *, written: set[str]) -> None:
     """Takes away the files of an earlier run that this one did not write, and nothing else."""
-    for name in {*FILES, *EVALUATION_FILES, REPORT} - written:
+    for name in {*FILES, *EVALUATION_FILES, REPORT, RECORDING} - written:
         (folder / name).unlink(missing_ok=True)
     if REPORT not in written:
         remove_pictures(folder)

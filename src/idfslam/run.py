@@ -33,9 +33,12 @@ from idfslam.metrics import Meter
 from idfslam.prior_map import PriorMap
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
+from idfslam.viewer import NullViewer, Viewer
 from idfslam.warm_up import warm_up
 
 log = logging.getLogger(__name__)
+
+_NOTHING = NullViewer()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +62,10 @@ def run(
     make_slam: Callable[[Config], Slam] = Slam,
     checkpoint_every: int = 0,
     resume: bool = False,
+    viewer: Viewer = _NOTHING,
 ) -> Run:
-    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`.
+    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`, and before
+    the eyes of `viewer`.
 
     Ctrl-C ends after the frame in hand and writes the results so far; a second one ends at once. A frame that cannot be read is
     reported and treated as lost. Every `checkpoint_every` frames (0: never), and on Ctrl-C, the state is kept; with `resume` the run goes
@@ -80,6 +85,7 @@ def run(
     made = None if isinstance(recording, LiveStream) or prior is not None else made_of(config, recording, resolve_device(config.device))
     checkpoints = Checkpoints(folder, made or {})
     with (
+        viewer.opened(folder, recording.name),
         checkpoints,
         stop_on_interrupt() as stop,
         ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar,
@@ -87,29 +93,30 @@ def run(
         if resume:
             _restore(checkpoints, slam, recording, meter, frame_log, bar)
         else:
-            _begin(folder, config, source if made else None)
+            _begin(folder, config, source if made else None, viewer.files)
 
         def keep() -> None:
             if made and checkpoint_every and (stop.is_set() or meter.frames % checkpoint_every == 0):
                 checkpoints.keep(meter.frames, {"meter": meter.state(), "frame_log": frame_log.state(), "slam": slam.state()})
 
         try:
-            _process(slam, frames(recording, meter.frames, source), meter, frame_log, bar, stop, keep)
+            _process(slam, frames(recording, meter.frames, source), meter, frame_log, bar, stop, keep, viewer)
             bar.describe("refining")
             if not slam.graph.keyframes:
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
             results.remove_stale(
-                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log)
+                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log) | viewer.files
             )
             raise
         metrics = _metrics(slam, recording, meter, stop)
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
+        viewer.finish(slam, mesh)
         with results.writing(folder):
             written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
-            written |= _write_log(folder, frame_log)
+            written |= _write_log(folder, frame_log) | viewer.files
             results.write_json(folder / results.METRICS, metrics)
             results.remove_stale(folder, written=written | {results.METRICS})
         if not stop.is_set():
@@ -188,12 +195,12 @@ def frames(recording: Dataset | LiveStream, first: int = 0, source: results.Sour
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
 
 
-def _begin(folder: Path, config: Config, source: results.Source | None) -> None:
+def _begin(folder: Path, config: Config, source: results.Source | None, keep: set[str]) -> None:
     """Makes way for a new run; where it has a source that can be gone on with, its config stands there from now on."""
     if (folder / results.CHECKPOINT).exists():
         log.warning("%s: held a run that was not over, which --resume would have gone on with; a new one takes its place", folder)
     (folder / results.CHECKPOINT).unlink(missing_ok=True)
-    results.remove_stale(folder, written=set())
+    results.remove_stale(folder, written=keep)
     if source is not None:
         with results.writing(folder):
             results.write_config(folder, config, source)
@@ -228,10 +235,12 @@ def _process(
     bar: ProgressBar,
     stop: threading.Event,
     keep: Callable[[], None],
+    viewer: Viewer,
 ) -> None:
     """Frames through Slam until the end or the first Ctrl-C; `keep` is called after each."""
     for frame, readable in incoming:
         result: FrameResult = slam.process(frame)
+        viewer.frame(frame, result, slam)
         frame_log.add(result, meter.frame(readable=readable))
         bar.update(result, frames_per_second=meter.frames_per_second)
         keep()

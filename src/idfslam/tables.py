@@ -25,7 +25,9 @@ def print_run(run: Run, console: Console) -> None:
     if "ate_m" in m:
         lines.append(f"ATE RMSE {m['ate_m']['rmse'] * 100:.2f} cm")
     console.print("\n".join(lines), highlight=False)
-    print_files(run.folder, sorted(name for name in (*results.FILES, results.REPORT) if (run.folder / name).is_file()), console)
+    print_files(
+        run.folder, sorted(name for name in (*results.FILES, results.REPORT, results.RECORDING) if (run.folder / name).is_file()), console
+    )
 
 
 def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> None:

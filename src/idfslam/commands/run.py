@@ -3,7 +3,7 @@
 import sys
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 from tyro.conf import Positional
 
@@ -12,6 +12,8 @@ from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from idfslam.viewer import Viewer
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,11 @@ class Run:
     """Whether report.html and its pictures are made at the end."""
     config: Path | None = None
     """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    viewer: Literal["none", "auto", "window", "web", "file"] = "none"
+    """Look on as it goes: in a window, in a browser (also from another machine), or later (file); --viewer alone is a window where there
+    is a display, else the browser. recording.rrd keeps it for `idf-slam view`."""
+    port: int = 9090
+    """Of the page for --viewer web; the data come from the next one."""
 
     checkpoint_every: int = 300
     """Every so many frames all that a run needs to go on is written into the result folder; 0: never. It goes when the run is
@@ -108,7 +115,8 @@ class Run:
         recording = open_feed(source)
         folder = self.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        done = run(recording, values, folder, source=source, prior=prior, console=console, checkpoint_every=self.checkpoint_every)
+        viewer, every = self._viewer(console), self.checkpoint_every
+        done = run(recording, values, folder, source=source, prior=prior, console=console, checkpoint_every=every, viewer=viewer)
         if self.report:
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
@@ -127,6 +135,17 @@ class Run:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
         else:
             print_run(done, output())
+
+    def _viewer(self, console: "Console") -> "Viewer":
+        from idfslam.viewer import NullViewer, RerunViewer, has_display
+
+        if self.viewer == "none":
+            return NullViewer()
+        place = ("window" if has_display() else "web") if self.viewer == "auto" else self.viewer
+        viewer = RerunViewer(place, port=self.port)
+        if place == "web":
+            console.print(f"live view: {viewer.address()}", highlight=False, soft_wrap=True, markup=False)
+        return viewer
 
 
 def _wrong_usage(message: str) -> NoReturn:
