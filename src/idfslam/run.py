@@ -195,13 +195,13 @@ def frames(recording: Dataset | LiveStream, first: int = 0, source: results.Sour
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
 
 
-def _begin(folder: Path, config: Config, source: results.Source | None, keep: set[str]) -> None:
+def _begin(folder: Path, config: Config, source: results.Source | None, keep: frozenset[str]) -> None:
     """Makes way for a new run; where it has a source that can be gone on with, its config stands there from now on."""
     if (folder / results.CHECKPOINT).exists():
         log.warning("%s: held a run that was not over, which --resume would have gone on with; a new one takes its place", folder)
     (folder / results.CHECKPOINT).unlink(missing_ok=True)
-    results.remove_stale(folder, written=keep)
-    if source is not None:
+    if source is not None:  # a camera may yet give nothing, and then an earlier run's files stay
+        results.remove_stale(folder, written={*keep})
         with results.writing(folder):
             results.write_config(folder, config, source)
 
