@@ -382,7 +382,8 @@ def test_killed_twice(box_recording: Path, whole: Path, tmp_path: Path) -> None:
     values.write_text(yaml.safe_dump(dump(replace(busy(), mesh=replace(busy().mesh, resolution=0.1)))))
     begin = [sys.executable, "-m", "idfslam.cli", "run"]
     given = [str(box_recording), "--config", str(values), "--checkpoint-every", "3", "--out"]
-    subprocess.run([*begin, *given, str(tmp_path / "whole")], check=True, capture_output=True)
+    for folder in ("compiled", "whole"):  # a process that compiles a kernel may round otherwise than one that finds it in the cache
+        subprocess.run([*begin, *given, str(tmp_path / folder), "--no-report"], check=True, capture_output=True)
 
     folder, arguments, stamp = tmp_path / "killed", [*given, str(tmp_path / "killed")], 0
     for _ in range(2):
