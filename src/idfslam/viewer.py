@@ -339,7 +339,7 @@ def _blueprint(name: str) -> Any:
     )
     image = "world/camera/image"
     colour, depth = (rrb.Spatial2DView(origin=image, contents=f"$origin/{kind}", name=kind) for kind in ("colour", "depth"))
-    legend = rrb.PlotLegend(corner="righttop")
+    legend = rrb.PlotLegend(corner="lefttop")  # over what is oldest
     losses = rrb.TimeSeriesView(origin="losses", name="losses", plot_legend=legend)
     milliseconds = rrb.TimeSeriesView(origin="milliseconds", name="milliseconds a frame", plot_legend=legend)
     status = rrb.Tabs(rrb.StateTimelineView(origin="status", name="status of frames"), rrb.TextLogView(origin="events", name="loops"))
