@@ -19,7 +19,7 @@ RED = (220, 30, 30, 255)
 class KnownSlam:
     def __init__(self, config: Config) -> None:
         self.graph: Any = SimpleNamespace(keyframes=[])
-        self.loops: Any = SimpleNamespace(closed=[])
+        self.loop_closer: Any = SimpleNamespace(loops=SimpleNamespace(closed=[]))
         self.timings: dict[str, list[float]] = {"track": [], "map": []}
         self.processed = 0
 

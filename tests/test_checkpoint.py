@@ -134,8 +134,13 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     data, slam, again = open_recording(box_recording), Slam(busy()), Slam(busy())
     slam.process(data[0])
     loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64), 10 * i) for i in (3, 5)]
-    slam.loops.closed, slam.loops.waiting, slam.loops.refused, slam.relocalisations = loops[:1], loops[1], 2, 3
-    slam._stale = {7: 2, 1: 1}
+    slam.loop_closer.loops.closed, slam.loop_closer.loops.waiting, slam.loop_closer.loops.refused, slam.relocalisations = (
+        loops[:1],
+        loops[1],
+        2,
+        3,
+    )
+    slam.loop_closer._stale = {7: 2, 1: 1}
     slam.tracker._steps, slam.tracker.guard.undone = 4, 1
     for weights in slam.tracker.guard._best[0].values():
         weights += 1
@@ -148,7 +153,7 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     assert state is not None
     again.restore(state, lambda i: data[i])
     assert list(differences(slam, again, "slam")) == []
-    assert list(again._stale) == [7, 1]
+    assert list(again.loop_closer._stale) == [7, 1]
 
 
 def test_chance_comes_from_generators_that_are_kept(box_recording: Path) -> None:

@@ -39,6 +39,17 @@ def test_the_camera_is_found_at_once(kidnapped: tuple[Slam, list[FrameResult]], 
     np.testing.assert_allclose(slam.trajectory()[seen, :3, 3], truth[:, :3, 3], atol=0.02)
 
 
+def test_where_it_was_found_is_no_motion(room: Selection) -> None:
+    """The frame after a jump of a metre is expected where the last one was, not a metre farther on."""
+    slam = Slam(FAST)
+    blank = Frame.blank(0, 0.0, room.camera)
+    for i, j in enumerate((0, 1, 2, 30, -1, 1)):
+        told = slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30))
+    assert told.status is Status.OK
+    torch.testing.assert_close(slam.motion.T_step, torch.eye(4, dtype=torch.float64))
+    np.testing.assert_array_equal(slam._view(room[2]).T_wk.numpy(), told.T_wc)
+
+
 def test_the_gap_is_filled_and_marked(kidnapped: tuple[Slam, list[FrameResult]]) -> None:
     slam, _ = kidnapped
     assert [i for i, status in enumerate(slam.statuses()) if status is Status.INTERPOLATED] == list(DARK)

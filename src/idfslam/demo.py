@@ -14,6 +14,7 @@ from idfslam.evaluation.pictures import draw_mesh
 from idfslam.evaluation.report import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures import View, draw_views
+from idfslam.report.writing import write_report
 from idfslam.run import Run, open_source, run
 
 VIEWS = "views.png"
@@ -21,8 +22,10 @@ _VIEWS = 4
 _DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
 
 
-def demo(config: Config, folder: Path, *, room: int, frames: int, console: Console | None = None) -> tuple[Run, Evaluation, list[Path]]:
-    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the pictures' paths.
+def demo(
+    config: Config, folder: Path, *, room: int, frames: int, report: bool = True, console: Console | None = None
+) -> tuple[Run, Evaluation, list[Path]]:
+    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the paths of the pictures and the report.
 
     Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
     """
@@ -34,7 +37,8 @@ def demo(config: Config, folder: Path, *, room: int, frames: int, console: Conso
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
     with results.replacing(folder / VIEWS) as part:
         draw_views(part, list(_views(recording, poses, folder)))
-    return done, evaluation, [*pictures, folder / VIEWS]
+    page = write_report(folder, recording=recording)[:1] if report else []
+    return done, evaluation, [*pictures, folder / VIEWS, *page]
 
 
 def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:

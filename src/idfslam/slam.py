@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,22 +19,20 @@ from torch import Tensor
 from idfslam.config import FAST, Config
 from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
-from idfslam.geometry import se3
 from idfslam.graph.keyframes import Keyframe, KeyframeGraph
-from idfslam.graph.loops import Loop, Loops
 from idfslam.hardware import resolve_device
+from idfslam.loop_closing import LoopCloser
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.state import State, Stateful
 from idfslam.tracking.alignment import Aligner, Alignment
-from idfslam.tracking.localisation import Localiser, unambiguous
+from idfslam.tracking.localisation import Descriptions, Localiser, unambiguous
 from idfslam.tracking.motion import Information, MotionModel, change_between, moved
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
 
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
-_MOVED = 0.005  # [m] a keyframe must be moved by a loop for the map to learn it anew
 
 
 class Slam:
@@ -53,9 +51,8 @@ class Slam:
         self.aligner = Aligner(config.alignment, self.mapper.field, host)
         self.localiser = Localiser(self.tracker, self.aligner)
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
-        self.loops = Loops(config.loops)
+        self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph, self.mapper)
         self.relocalisations = 0
-        self._stale: dict[int, int] = {}  # keyframes that a loop has moved, and how often the map has yet to learn them anew
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
         self._unmapped: Keyframe | None = None  # the last frame, if it is no keyframe
@@ -92,7 +89,9 @@ class Slam:
             losses = self._refresh(current)
         else:
             losses = self._finetune()
-        self._relearn(current, status)
+        if self.loop_closer.relearning and status is not Status.LOST:
+            with self._timed("relearn"):
+                self.loop_closer.relearn(current, self.config.mapper.iterations)
         self._live.append(self.graph.T_wc(-1).numpy())
         return FrameResult(frame.index, frame.timestamp, self._live[-1], status, chosen, losses)
 
@@ -143,7 +142,7 @@ class Slam:
     def figures(self) -> dict[str, Any]:
         """What metrics.json tells: links and loops (pairs of frames) of the keyframes, lost cameras found again, finetuning undone."""
         found = {"relocalisations": self.relocalisations, "finetuning_undone": self.tracker.guard.undone}
-        return self.loops.summary(self.graph) | found
+        return self.loop_closer.loops.summary(self.graph) | found
 
     def statuses(self) -> list[Status]:
         """How the pose of each processed frame was found."""
@@ -157,7 +156,6 @@ class Slam:
             "unmapped": None if self._unmapped is None else self._unmapped.state(),
             "in_view": self._in_view,
             "relocalisations": self.relocalisations,
-            "stale": list(self._stale.items()),
             "live": torch.from_numpy(self.live_trajectory()),
             "finished": self._finished,
             "timings": {stage: torch.tensor(ms, dtype=torch.float64) for stage, ms in self.timings.items()},
@@ -181,13 +179,13 @@ class Slam:
             part.restore(state[name])
         self._unmapped = None if state["unmapped"] is None else revive(state["unmapped"])
         self._in_view, self._finished = state["in_view"], state["finished"]
-        self.relocalisations, self._stale = state["relocalisations"], dict(state["stale"])
+        self.relocalisations = state["relocalisations"]
         self._live = list(state["live"].numpy())
         self.timings = defaultdict(list, {stage: ms.tolist() for stage, ms in state["timings"].items()})
 
     def _parts(self) -> dict[str, Stateful]:
         """What changes while a run goes on, beside the graph."""
-        localisation: dict[str, Stateful] = {"localiser": self.localiser, "loops": self.loops}
+        localisation: dict[str, Stateful] = {"localiser": self.localiser, "loop_closer": self.loop_closer}
         return {"tracker": self.tracker, "mapper": self.mapper, "aligner": self.aligner, "motion": self.motion, **localisation}
 
     def _view(self, frame: Frame) -> Keyframe:
@@ -205,12 +203,13 @@ class Slam:
         if not self.graph.keyframes:
             return Status.OK if bool((current.depth > 0).any()) else Status.LOST
         last, information = self._last_pose(current), None
+        was_lost, found_before = self._lost, self.relocalisations
         if self.config.alignment.enabled:
             current.T_wk, status, information = self._align(current)
         else:
             current.T_wk, status = self._register(current)
-        if status is Status.LOST:
-            self.motion.stop()
+        if status is Status.LOST or was_lost or self.relocalisations > found_before:
+            self.motion.stop()  # from where it was last known to where it was found is not the motion of one frame
         else:
             self.motion.update(last, current.T_wk, information, self.config.alignment.hold)
         return status
@@ -264,18 +263,13 @@ class Slam:
         keyframes, answers = self.graph.keyframes, []
         with self._timed("relocalise"):
             for i in self.localiser.most_alike(current, keyframes, self.config.loops.relocalisation_tries):
-                if found := self.localiser.locate(current, keyframes[i], self._beside(keyframes[i])):
+                if found := self.localiser.locate(current, keyframes[i], self.graph.beside(keyframes[i], self.localiser.references)):
                     answers.append((i, found))
         if (answer := unambiguous(answers)) is None:
             return None
         self.graph.settle(current, keyframes[answer[0]])
-        self.motion.stop()
         self.relocalisations += 1
         return answer[1]
-
-    def _beside(self, keyframe: Keyframe) -> list[Keyframe]:
-        """What a view found beside a stored keyframe is held against."""
-        return [keyframe, *self.graph.earlier(keyframe, self.config.alignment.references - 1)]
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
@@ -293,7 +287,9 @@ class Slam:
         if self.graph.promote(keyframe):
             self.mapper.optimiser.grow()
         self._described(keyframe)
-        self._close_loops(keyframe)
+        if self.graph.verify:
+            with self._timed("loops"):
+                self.loop_closer.close(keyframe)
         self.graph.cover(keyframe)
         if first:
             with self._timed("map"):
@@ -327,52 +323,13 @@ class Slam:
                 keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
             keyframe.appearance = None
 
-    def _close_loops(self, keyframe: Keyframe) -> None:
-        """Has the new keyframe's place been seen before, from a pose that it was not measured against? Then drift is undone."""
-        if not self.graph.verify:
-            return
-        with self._timed("loops"):
-            for i in keyframe.unlinked[: self.config.loops.tries]:
-                if self.localiser.agrees(keyframe, self.graph.keyframes[i], keyframe.T_wk):  # no drift: the pose is right already
-                    self.graph.link(keyframe, i)
-            for i in self._loop_candidates(keyframe):
-                other = self.graph.keyframes[i]
-                T_wc = self.localiser.seen_again(keyframe, other, self._beside(other))
-                if T_wc is not None:
-                    T_wb = self.graph.keyframes[keyframe.anchor].T_wk
-                    T_ab = se3.inverse(other.T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-                    moved = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab, keyframe.index))
-                    if moved is not None:
-                        self._stale |= {k: self.config.loops.relearnt for k, change in enumerate(moved) if change > _MOVED}
-                    break
-
-    def _loop_candidates(self, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes that should see the same by their pose, or that look alike, and that are not linked with this one."""
-        apart = self.loops.within_reach(self.graph, keyframe)
-        overlapping = [i for i in keyframe.unlinked if i in apart][:2]
-        alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.loops.tries)]
-        return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.loops.tries]
-
-    def _relearn(self, current: Keyframe, status: Status) -> None:
-        """The map follows keyframes that a loop has moved: a few of them, with each of the frames to come."""
-        if not self._stale or status is Status.LOST:
-            return
-        near = sorted(self._stale, key=lambda i: float((self.graph.keyframes[i].T_wk - current.T_wk)[:3, 3].norm()))
-        chosen = near[: self.config.loops.relearnt_at_once]  # the camera's surroundings first
-        with self._timed("relearn"):
-            self.mapper.optimise_map([current, *(self.graph.keyframes[i] for i in chosen)], self.config.mapper.iterations)
-        for i in chosen:
-            self._stale[i] -= 1
-            if self._stale[i] <= 0:
-                del self._stale[i]
-
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""
         config = self.config.finetune
         if not config.enabled or len(self.graph.keyframes) < config.keyframes or len(self.graph) % config.every:
             return {}
         with self._timed("finetune"):
-            described = _Descriptions(self.localiser, self.graph.keyframes)
+            described = Descriptions(self.localiser, self.graph.keyframes)
             T_wk = np.stack([k.T_wk.numpy() for k in self.graph.keyframes])
             losses = self.tracker.finetune(described, T_wk, self.mapper.renderer(self.graph.keyframes))
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
@@ -398,23 +355,3 @@ class Slam:
         start = perf_counter()
         yield
         self.timings[stage].append((perf_counter() - start) * 1e3)
-
-
-class _Descriptions(Sequence[Described]):
-    """What the tracker keeps of keyframes, worked out for those that are asked for."""
-
-    def __init__(self, localiser: Localiser, keyframes: Sequence[Keyframe]) -> None:
-        self._localiser, self._keyframes = localiser, keyframes
-
-    def __len__(self) -> int:
-        return len(self._keyframes)
-
-    @overload
-    def __getitem__(self, i: int) -> Described: ...
-
-    @overload
-    def __getitem__(self, i: slice) -> Sequence[Described]: ...
-
-    def __getitem__(self, i: int | slice) -> Described | Sequence[Described]:
-        chosen = self._keyframes[i]
-        return self._localiser.described(chosen) if isinstance(chosen, Keyframe) else _Descriptions(self._localiser, chosen)

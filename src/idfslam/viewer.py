@@ -241,7 +241,7 @@ class RerunViewer:
 
 def _loops(slam: "Slam") -> set[tuple[int, int]]:
     """Pairs of stored keyframes between which a loop stands."""
-    return {(loop.a, loop.b) for loop in slam.loops.closed}
+    return {(loop.a, loop.b) for loop in slam.loop_closer.loops.closed}
 
 
 def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) -> tuple[list[NDArray[np.float64]], list[Status]]:

@@ -30,12 +30,9 @@ class Demo:
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.demo import demo
-        from idfslam.report.writing import write_report
         from idfslam.tables import print_evaluation, print_files, print_run
 
-        done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, console=console)
-        if self.report:
-            write_report(self.out)
+        done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, report=self.report, console=console)
         print_run(done, output())
         print_evaluation(evaluation, self.out, output())
         print_files(self.out, [path.name for path in pictures], output())

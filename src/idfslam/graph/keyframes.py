@@ -247,7 +247,7 @@ class KeyframeGraph:
             self.keyframes[i].linked.add(keyframe.anchor)
 
     def _reach(self) -> Collection[int]:
-        """Stored keyframes whose pose relative to the last chosen one was measured, in no more than three steps."""
+        """Stored keyframes whose pose relative to the last chosen one was measured, in no more than two steps."""
         if not self.verify or self.reference is None:
             return range(len(self.keyframes))
         near = {self.reference.anchor, *self.reference.linked}
@@ -256,7 +256,7 @@ class KeyframeGraph:
     def link(self, keyframe: Keyframe, i: int) -> None:
         """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
         keyframe.linked.add(i)
-        if i not in keyframe.alike:
+        if i < keyframe.anchor and i not in keyframe.alike:
             bisect.insort(keyframe.alike, i)
         if self.keyframes[keyframe.anchor] is keyframe:
             self.keyframes[i].linked.add(keyframe.anchor)
@@ -344,7 +344,7 @@ class KeyframeGraph:
 
     def references(self, count: int) -> list[Keyframe]:
         """The last chosen frame and, up to `count` in all, `earlier` ones."""
-        return [] if self.reference is None else [self.reference, *self.earlier(self.reference, count - 1)][:count]
+        return [] if self.reference is None else self.beside(self.reference, count)[:count]
 
     def tracking_references(self, frame: Keyframe) -> list[Keyframe]:
         """The keyframes to register a frame against, the next where it is lost against one: by `KeyframeConfig.reference`.
@@ -369,6 +369,10 @@ class KeyframeGraph:
     def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
         """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
         return [self.keyframes[i] for i in keyframe.alike if i in keyframe.linked][:count]
+
+    def beside(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
+        """What a view found beside a stored keyframe is held against: that one and, up to `count` in all, `earlier` ones."""
+        return [keyframe, *self.earlier(keyframe, count - 1)]
 
     def replay(self, keyframe: Keyframe) -> list[Keyframe]:
         """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).

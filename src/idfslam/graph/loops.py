@@ -84,8 +84,8 @@ class Loops:
         c = self.config
         return c.slack + c.drift * way, np.radians(c.turn_slack + c.turn_drift * way)
 
-    def offer(self, graph: KeyframeGraph, loop: Loop) -> list[float] | None:
-        """A verified loop. Where it closes, the graph's poses follow: how far [m] each keyframe moved; None where nothing moved.
+    def offer(self, graph: KeyframeGraph, loop: Loop) -> list[float]:
+        """A verified loop. Where it closes, the graph's poses follow: how far [m] each keyframe moved; nothing where none did.
 
         Without drift to speak of there is nothing to close: the two keyframes are linked.
         """
@@ -93,16 +93,17 @@ class Loops:
         shift, turn = float(change[:3, 3].norm()), float(se3.angle(change))
         if shift < _SETTLED[0] and turn < _SETTLED[1]:
             graph.link(graph.keyframes[loop.b], loop.a)
-            return None
+            return []
         way = ways_from(graph, loop.a)[loop.b]
         allowed, turn_allowed = self._allowed(way)
         if shift > allowed or turn > turn_allowed:
             self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
-            return None
+            return []
         if not self._confirmed(graph, loop):
             self.waiting = loop
-            return None
-        return self._close(graph, [self.waiting, loop] if self.waiting else [loop])
+            return []
+        assert self.waiting is not None
+        return self._close(graph, [self.waiting, loop])
 
     def _confirmed(self, graph: KeyframeGraph, loop: Loop) -> bool:
         """Whether the loop that waits, of another frame, asks for the same correction."""
@@ -115,7 +116,7 @@ class Loops:
         near = float(difference[:3, 3].norm()) < 0.02 + 0.05 * apart and float(se3.angle(difference)) < math.radians(1.0)
         return near and apart < self.config.confirmed_within
 
-    def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float] | None:
+    def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
         """The pose graph with all loops, old and new; those that it cannot be reconciled with are dropped."""
         self.waiting = None
         loops = [*self.closed, *new]
@@ -123,7 +124,7 @@ class Loops:
         poses, believed = optimise([k.T_wk for k in graph.keyframes], edges)
         if not any(believed[len(self.closed) :]):
             self._refuse(new[-1], "the pose graph contradicts it")
-            return None
+            return []
         for loop, stands in zip(loops, believed, strict=True):
             if not stands:
                 self._refuse(loop, "the pose graph contradicts it")

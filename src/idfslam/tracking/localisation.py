@@ -6,6 +6,7 @@ images there has the last word: a pose counts only if it explains what is seen, 
 
 import math
 from collections.abc import Sequence
+from typing import overload
 
 import torch
 from torch import Tensor
@@ -38,6 +39,11 @@ class Localiser:
     def restore(self, state: State) -> None:
         """What `state` told."""
         self._words = None if state["words"] is None else state["words"].to(self.tracker.device)
+
+    @property
+    def references(self) -> int:
+        """How many keyframes' images a view is held against."""
+        return self.aligner.config.references
 
     def described(self, view: Keyframe) -> Described:
         """What the tracker keeps of a view, worked out once."""
@@ -111,3 +117,23 @@ def unambiguous(answers: Sequence[tuple[int, Alignment]]) -> tuple[int, Alignmen
         if apart and other.score > _RIVAL * best[1].score:
             return None
     return best
+
+
+class Descriptions(Sequence[Described]):
+    """What the tracker keeps of keyframes, worked out for those that are asked for."""
+
+    def __init__(self, localiser: Localiser, keyframes: Sequence[Keyframe]) -> None:
+        self._localiser, self._keyframes = localiser, keyframes
+
+    def __len__(self) -> int:
+        return len(self._keyframes)
+
+    @overload
+    def __getitem__(self, i: int) -> Described: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> Sequence[Described]: ...
+
+    def __getitem__(self, i: int | slice) -> Described | Sequence[Described]:
+        chosen = self._keyframes[i]
+        return self._localiser.described(chosen) if isinstance(chosen, Keyframe) else Descriptions(self._localiser, chosen)
