@@ -13,7 +13,7 @@ from idfslam.evaluation.report import plot_trajectory
 from idfslam.frame import FrameResult, Status
 from idfslam.frame_log import FrameLog
 from idfslam.geometry.trajectory import Trajectory, save_tum
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.meshing import View
 from idfslam.mapping.saved_map import load_map, save_map

@@ -11,7 +11,7 @@ from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system
 from idfslam.tracking.normals import plain_smoothed, smoothed_normals

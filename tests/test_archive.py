@@ -7,7 +7,7 @@ import torch
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 

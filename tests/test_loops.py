@@ -9,7 +9,8 @@ from idfslam.config import KeyframeConfig, LoopConfig
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.loops import Loop, Loops, ways_from
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)

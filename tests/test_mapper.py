@@ -13,7 +13,7 @@ from idfslam.errors import DivergedError
 from idfslam.frame import Frame
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.objectives import RenderingObjective

@@ -13,7 +13,7 @@ from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import ResultError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.meshing import View

@@ -5,7 +5,8 @@
 
 from idfslam.config import LoopConfig
 from idfslam.geometry import se3
-from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.loops import Loop, Loops
 from idfslam.mapping.mapper import Mapper
 from idfslam.state import State

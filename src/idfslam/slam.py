@@ -19,7 +19,8 @@ from torch import Tensor
 from idfslam.config import FAST, Config
 from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
-from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.hardware import resolve_device
 from idfslam.loop_closing import LoopCloser
 from idfslam.mapping.mapper import Mapper

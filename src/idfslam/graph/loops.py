@@ -18,7 +18,8 @@ from torch import Tensor
 
 from idfslam.config import LoopConfig
 from idfslam.geometry import se3
-from idfslam.graph.keyframes import Keyframe, KeyframeGraph
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.pose_graph import Edge, optimise
 from idfslam.state import State
 

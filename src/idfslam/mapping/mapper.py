@@ -9,7 +9,7 @@ from torch import Tensor
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry import se3
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.hardware import resolve_precision
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding

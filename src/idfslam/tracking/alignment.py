@@ -13,7 +13,7 @@ from torch import Tensor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from idfslam.frame import Status
-from idfslam.graph.keyframes import Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.state import State
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.description import Described
