@@ -25,7 +25,8 @@ from idfslam.evaluate import evaluate_folder
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
 from idfslam.metrics import speed_by_block
-from idfslam.run import Run, open_source, run
+from idfslam.run import Run, run
+from idfslam.source import open_source
 from idfslam.tables import print_evaluation
 
 

@@ -36,7 +36,7 @@ from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera
-from idfslam.run import open_source
+from idfslam.source import open_source
 
 STORAGES = ("ros1", "sqlite3", "mcap")
 CAMERA = Camera(WIDTH, HEIGHT, 15.0, 15.0, 7.5, 5.5)

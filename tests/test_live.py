@@ -24,8 +24,9 @@ from idfslam.evaluate import evaluate_folder
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
 from idfslam.live import Capture, LiveStream, is_live, located, open_live
-from idfslam.run import Run, open_feed, run
+from idfslam.run import Run, run
 from idfslam.slam import Slam
+from idfslam.source import open_feed
 from idfslam.warm_up import made_up
 
 

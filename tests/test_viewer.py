@@ -194,7 +194,7 @@ def recorded_folder(tmp_path: Path) -> Path:
 
 def test_without_a_display_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason=NO_RERUN)
-    monkeypatch.setattr("idfslam.viewer.has_display", lambda: False)
+    monkeypatch.setattr("idfslam.rerun_program.has_display", lambda: False)
     with pytest.raises(ConfigError, match="--viewer web"):
         RerunViewer("window")
 

@@ -15,7 +15,8 @@ from idfslam.evaluation.report import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures import View, draw_views
 from idfslam.report.writing import write_report
-from idfslam.run import Run, open_source, run
+from idfslam.run import Run, run
+from idfslam.source import open_source
 
 VIEWS = "views.png"
 _VIEWS = 4

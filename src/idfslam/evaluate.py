@@ -13,7 +13,7 @@ from idfslam.evaluation.report import Evaluation
 from idfslam.evaluation.result import evaluate, load_mesh
 from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.live import is_live, replayed
-from idfslam.run import open_source
+from idfslam.source import open_source
 
 log = logging.getLogger(__name__)
 

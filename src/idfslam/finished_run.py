@@ -14,7 +14,7 @@ from idfslam.frame import Status
 from idfslam.frame_log import FrameLog
 from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.mapping.saved_map import SavedMap, load_map
-from idfslam.run import open_source
+from idfslam.source import open_source
 
 
 class FinishedRun:

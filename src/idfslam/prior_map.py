@@ -8,10 +8,11 @@ from pathlib import Path
 import torch
 
 from idfslam import results
-from idfslam.datasets import Dataset, open_recording
+from idfslam.datasets import Dataset
 from idfslam.errors import FrameError, RecordingError, ResultError
 from idfslam.frame import Frame
 from idfslam.mapping.saved_map import SavedMap, load_map
+from idfslam.source import open_source
 
 log = logging.getLogger(__name__)
 
@@ -71,7 +72,7 @@ def _read(records: Sequence[results.EarlierKeyframe]) -> list[PriorKeyframe]:
 
 def _opened(source: results.Source) -> Dataset | None:
     try:
-        return open_recording(**asdict(source))
+        return open_source(source)
     except RecordingError as error:
         log.warning("%s; its keyframes are left out", error)
         return None

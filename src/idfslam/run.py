@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,7 +20,7 @@ from rich.console import Console
 from idfslam import results
 from idfslam.checkpoint import Checkpoints, made_of
 from idfslam.config import Config
-from idfslam.datasets import Dataset, FrameSource, Prefetch, open_recording
+from idfslam.datasets import Dataset, FrameSource, Prefetch
 from idfslam.errors import DivergedError, FrameError, RecordingError, ResultError
 from idfslam.evaluation.report import Evaluation, plot_trajectory
 from idfslam.evaluation.result import evaluate_poses
@@ -28,11 +28,12 @@ from idfslam.frame import Frame, FrameResult, Status
 from idfslam.frame_log import FrameLog
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.hardware import resolve_device
-from idfslam.live import LiveStream, is_live, open_live
+from idfslam.live import LiveStream, is_live
 from idfslam.metrics import Meter
 from idfslam.prior_map import PriorMap
 from idfslam.progress import ProgressBar
 from idfslam.slam import Slam
+from idfslam.source import open_source
 from idfslam.viewer import NullViewer, Viewer
 from idfslam.warm_up import warm_up
 
@@ -136,33 +137,11 @@ def _metrics(slam: Slam, recording: Dataset | LiveStream, meter: Meter, stop: th
     return metrics
 
 
-def open_feed(source: results.Source) -> Dataset | LiveStream:
-    """What a run is to be made of: a live camera, or else a recording. Raises as `open_live` and `open_source`."""
-    if not is_live(source.path):
-        return open_source(source)
-    options = asdict(source)
-    return open_live(options.pop("path"), **options)
-
-
 def started_in(prior: PriorMap, config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
     """A system whose map is an earlier run's; the field is as it was there, whatever the config says."""
     slam = make_slam(replace(config, field=prior.saved.field.config))
     slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
     return slam
-
-
-def open_source(source: results.Source) -> Dataset:
-    """The recording and the frames of it that a run was, or is to be, made of. Raises RecordingError or ConfigError."""
-    return open_recording(
-        source.path,
-        format=source.format,
-        camera=source.camera,
-        depth_scale=source.depth_scale,
-        topics=source.topics,
-        start=source.start,
-        frames=source.frames,
-        stride=source.stride,
-    )
 
 
 def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None) -> Run | None:

@@ -1,9 +1,7 @@
 """The live view of a run: what is shown of it, in a window, in a browser and as recording.rrd (rerun; `pip install 'idf-slam[viewer]'`)."""
 
 import os
-import socket
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from itertools import groupby
@@ -16,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam import results
+from idfslam import rerun_program, results
 from idfslam.budget import Budget
 from idfslam.errors import ConfigError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
@@ -81,11 +79,11 @@ class RerunViewer:
     files = frozenset({results.RECORDING})
 
     def __init__(self, place: Place, *, port: int = PORT) -> None:
-        self._rr = _rerun()
+        self._rr = rerun_program.rerun()
         self.place, self.port = place, port
         if place == "web":
-            _check_ports(port)
-        if place == "window" and not has_display():
+            rerun_program.check_ports(port)
+        if place == "window" and not rerun_program.has_display():
             raise ConfigError("there is no display to open a window on; `--viewer web` shows the run in a browser, on any machine")
         self._recorded: Any = None
         self._budgets: dict[str, Budget] = {}
@@ -151,11 +149,11 @@ class RerunViewer:
         """Where the run goes besides the file."""
         rr = self._rr
         if self.place == "web":
-            sink = rr.GrpcServerSink(port=self.port + 1, cors_allow_origin=[_pages(self.port)])
-            rr.serve_web_viewer(web_port=self.port, open_browser=has_display(), connect_to=self._data())
+            sink = rr.GrpcServerSink(port=self.port + 1, cors_allow_origin=[rerun_program.pages(self.port)])
+            rr.serve_web_viewer(web_port=self.port, open_browser=rerun_program.has_display(), connect_to=self._data())
             return [sink]
         if self.place == "window":
-            rr.spawn(connect=False, executable_path=_program())
+            rr.spawn(connect=False, executable_path=rerun_program.program())
             return [rr.GrpcSink()]
         return []
 
@@ -274,54 +272,23 @@ def show(folder: Path, *, web: bool, port: int = PORT) -> None:
         found = "no such folder" if not folder.is_dir() else f"has no {results.RECORDING}"
         raise ResultError(f"{folder}: {found}; expected the results of `idf-slam run PATH --viewer`, which records what it shows")
     viewer = RerunViewer("web" if web else "window", port=port)
-    command = [_program(), str(path)]
+    command = [rerun_program.program(), str(path)]
     if web:
         print(f"{viewer.address()}   (Ctrl-C ends)", flush=True)
-        command += ["--serve-web", "--web-viewer-port", str(port), "--port", str(port + 1), "--cors-allow-origin", _pages(port)]
+        command += [
+            "--serve-web",
+            "--web-viewer-port",
+            str(port),
+            "--port",
+            str(port + 1),
+            "--cors-allow-origin",
+            rerun_program.pages(port),
+        ]
     environment = {"RUST_LOG": "warn"} | os.environ
     if os.name == "posix":
         os.execve(command[0], command, environment)  # no parent that could end without it
     with suppress(KeyboardInterrupt):
         subprocess.run(command, env=environment, check=False)
-
-
-def has_display() -> bool:
-    """Whether a window can be opened."""
-    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _check_ports(port: int) -> None:
-    for number in (port, port + 1):
-        with socket.socket() as trial:
-            if os.name != "nt":  # where it would let two programs share a port
-                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                trial.bind(("0.0.0.0", number))
-            except (OSError, OverflowError) as error:
-                raise ConfigError(f"port {number} cannot be served on ({error}); choose another one, and the next, with --port") from error
-
-
-def _pages(port: int) -> str:
-    """The pages that may ask for the data: ours, by whatever name of this machine they were found."""
-    return f"http://*:{port}"
-
-
-def _program() -> str:
-    """The viewer's binary in rerun's package, whether the environment is activated or not."""
-    import rerun_cli
-
-    name = {"nt": "rerun.exe"}.get(os.name, "rerun")
-    bundle = Path("Rerun.app", "Contents", "MacOS", "Rerun")  # on a Mac
-    places = [Path(rerun_cli.__file__).parent / place for place in (bundle, name)]
-    return str(next(place for place in places if place.exists()))
-
-
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError:
-        raise ConfigError("the viewer needs rerun, which is not installed: pip install 'idf-slam[viewer]'") from None
-    return rerun
 
 
 def _blueprint(name: str) -> Any:

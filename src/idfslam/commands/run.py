@@ -105,7 +105,8 @@ class Run:
         from idfslam.prior_map import load_prior
         from idfslam.report.writing import write_report
         from idfslam.results import Source
-        from idfslam.run import open_feed, run
+        from idfslam.run import run
+        from idfslam.source import open_feed
         from idfslam.tables import print_run
 
         camera = self.camera.given()
@@ -137,7 +138,8 @@ class Run:
             print_run(done, output())
 
     def _viewer(self, console: "Console") -> "Viewer":
-        from idfslam.viewer import NullViewer, RerunViewer, has_display
+        from idfslam.rerun_program import has_display
+        from idfslam.viewer import NullViewer, RerunViewer
 
         if self.viewer == "none":
             return NullViewer()

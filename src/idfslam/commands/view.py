@@ -22,6 +22,7 @@ class View:
     """Of the page; the data come from the next one."""
 
     def __call__(self, console: "Console") -> None:
-        from idfslam.viewer import has_display, show
+        from idfslam.rerun_program import has_display
+        from idfslam.viewer import show
 
         show(self.folder, web=self.web or not has_display(), port=self.port)
