@@ -1,6 +1,11 @@
 """The small network's kernels against torch's autograd: learning, distance with gradient, and the T-SDF alone."""
 
+import hashlib
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -125,3 +130,19 @@ def test_other_networks_take_the_plain_path(changes: dict[str, int | str]) -> No
     assert not fused.fusable(other)
     where = points(7)
     assert torch.equal(fused.distance_query(other)(where)[0], other.distance(where)[0])
+
+
+def fingerprint() -> str:
+    """Of all numbers that a step of learning gives."""
+    losses, by_name = learnt_fused(3 * BLOCK + 1)
+    numbers = [losses.total.detach(), *(by_name[name] for name in sorted(by_name))]
+    return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in numbers)).hexdigest()
+
+
+def test_code_fresh_from_the_compiler_gives_what_cached_code_gives(tmp_path: Path) -> None:
+    """To the bit, or a run that is resumed in another process would end elsewhere."""
+    command = [sys.executable, "-c", "import test_fused; print(test_fused.fingerprint())"]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parent)}
+    compiled, cached = (subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout for _ in range(2))
+    assert any(tmp_path.rglob("*.nbc"))
+    assert compiled == cached

@@ -11,9 +11,10 @@ Floats = NDArray[np.float32]
 
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
 
 
-@_compiled
+@_inlined
 def _add(H, b, J, w, r) -> None:  # type: ignore[no-untyped-def]
     """H += w J J^T (upper triangle), b -= w r J."""
     for i in range(6):
@@ -23,7 +24,7 @@ def _add(H, b, J, w, r) -> None:  # type: ignore[no-untyped-def]
             H[i, j] += scaled * J[j]
 
 
-@_compiled
+@_inlined
 def _mirror(H) -> None:  # type: ignore[no-untyped-def]
     for i in range(6):
         for j in range(i):
@@ -89,7 +90,7 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
     return total, squares, known, radius / len(distance)
 
 
-@_compiled
+@_inlined
 def _bilinear(image: Floats, u: float, v: float) -> float:
     h, w = image.shape
     u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)

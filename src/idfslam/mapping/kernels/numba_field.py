@@ -4,7 +4,8 @@ Between a grid's features and a loss the network's own arithmetic is small; what
 waking threads for every layer. Here points go through the whole network, and back, in blocks that stay in the first-level
 cache, transposed so that each loop runs over points and vectorises. `tests/test_fused.py` holds it against torch's autograd.
 
-Sums over points are gathered in a fixed number of parts, whatever the number of threads, so that results repeat exactly.
+Sums over points are gathered in a fixed number of parts, whatever the number of threads, so that results repeat exactly; helpers are
+inlined by force for the same reason (`numba_grid`).
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ PARTS = 8  # separate sums of the weights' gradients
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
-_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)
 _parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
 
 

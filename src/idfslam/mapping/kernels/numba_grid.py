@@ -7,6 +7,9 @@ and no atomics are needed.
 Kernels are compiled at the first call and cached on disk. `fastmath` leaves infinities and NaN alone: a field that has
 diverged must be seen to have diverged. A point that is not finite reads some valid entry and yields NaN. Coordinates are counted in int32:
 |x| / cell must stay below 2^31.
+
+Helpers are inlined by force. Left as functions, each would exist once by itself and once more in every caller, optimised differently; which
+copy a process runs depends on what it happens to load first, and their sums round differently: a run would not repeat to the bit.
 """
 
 import math
@@ -31,7 +34,7 @@ _UNIT = np.uint32(1)
 _ONE = np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
-_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)
 _parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
 
 
