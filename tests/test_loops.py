@@ -11,7 +11,8 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.graph.loops import Loop, Loops, ways_from
+from idfslam.graph.loops import Loop, Loops
+from idfslam.graph.ways import ways_from
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 CONFIG = LoopConfig(slack=0.1, drift=0.03, confirmed_within=1.0)
@@ -39,7 +40,7 @@ def graph() -> KeyframeGraph:
 
 def test_keyframes_are_linked_one_after_the_other(graph: KeyframeGraph) -> None:
     assert [sorted(k.linked) for k in graph.keyframes[:3]] == [[1], [0, 2], [1, 3]]
-    np.testing.assert_allclose(ways_from(graph, 0)[[0, 1, 20, 40]], [0, 0.5, 10, 20], atol=0.11)
+    np.testing.assert_allclose(ways_from(graph.keyframes, 0)[[0, 1, 20, 40]], [0, 0.5, 10, 20], atol=0.11)
 
 
 def test_what_may_be_a_loop(graph: KeyframeGraph) -> None:

@@ -132,6 +132,8 @@ class KeyframeConfig:
     """sigma_cull: covisibility above which a new keyframe is dropped ..."""
     cull_reach: float = 0.4
     """... unless it stands farther from the other than this share of its median depth, from where it shows more; 0: always (paper)."""
+    linked_within: float = 4.0
+    """Way [m] over links up to which covisible keyframes count as measured against each other."""
     covisible: float = 0.3
     """sigma_covis: covisibility above which two keyframes are connected."""
     shared: float = 0.6

@@ -40,10 +40,11 @@ class LoopCloser:
 
     def close(self, keyframe: Keyframe) -> None:
         """Has a chosen keyframe's place been seen before, from a pose that it was not measured against? Then drift is undone."""
-        for i in keyframe.unlinked[: self.config.tries]:
+        apart = self.loops.within_reach(self.graph, keyframe)
+        for i in [i for i in keyframe.unlinked if i not in apart][: self.config.tries]:
             if self.localiser.agrees(keyframe, self.graph.keyframes[i], keyframe.T_wk):  # no drift: the pose is right already
                 self.graph.link(keyframe, i)
-        for i in self._candidates(keyframe):
+        for i in self._candidates(keyframe, apart):
             other = self.graph.keyframes[i]
             T_wc = self.localiser.seen_again(keyframe, other, self.graph.beside(other, self.localiser.references))
             if T_wc is not None:
@@ -53,9 +54,8 @@ class LoopCloser:
                 self._stale |= {k: self.config.relearnt for k, change in enumerate(changes) if change > _MOVED}
                 break
 
-    def _candidates(self, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes that should see the same by their pose, or that look alike, and that are not linked with this one."""
-        apart = self.loops.within_reach(self.graph, keyframe)
+    def _candidates(self, keyframe: Keyframe, apart: list[int]) -> list[int]:
+        """Of stored keyframes that are not linked with this one, those that should see the same by their pose, or that look alike."""
         overlapping = [i for i in keyframe.unlinked if i in apart][:_OVERLAPPING]
         alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.tries)]
         return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.tries]

@@ -17,6 +17,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.ways import ways_from
 from idfslam.mapping.meshing import View, reduced_view
 from idfslam.state import State
 
@@ -167,11 +168,15 @@ class KeyframeGraph:
             self.keyframes[i].linked.add(keyframe.anchor)
 
     def _reach(self) -> Collection[int]:
-        """Stored keyframes whose pose relative to the last chosen one was measured, in no more than two steps."""
+        """Stored keyframes whose pose relative to the last chosen one was measured, over no long way."""
         if not self.verify or self.reference is None:
             return range(len(self.keyframes))
-        near = {self.reference.anchor, *self.reference.linked}
-        return near.union(*(self.keyframes[i].linked for i in near))
+        return self._near(self.reference)
+
+    def _near(self, keyframe: Keyframe) -> set[int]:
+        """Stored keyframes to which only a short way of measured relations leads from a chosen one."""
+        ways = ways_from(self.keyframes, keyframe.anchor, self.config.linked_within)
+        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(np.isfinite(ways)).tolist()}
 
     def link(self, keyframe: Keyframe, i: int) -> None:
         """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
@@ -182,9 +187,8 @@ class KeyframeGraph:
             self.keyframes[i].linked.add(keyframe.anchor)
 
     def apart(self, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes that no chain of two measured relations connects with a chosen one."""
-        near = {keyframe.anchor, *keyframe.linked}
-        near = near.union(*(self.keyframes[i].linked for i in near))
+        """Stored keyframes that no short way of measured relations connects with a chosen one."""
+        near = self._near(keyframe)
         return [i for i in range(len(self.keyframes)) if i not in near]
 
     def status(self) -> Status:

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from idfslam.config import LoopConfig
@@ -21,6 +19,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.pose_graph import Edge, optimise
+from idfslam.graph.ways import ways_from
 from idfslam.state import State
 
 log = logging.getLogger(__name__)
@@ -76,7 +75,7 @@ class Loops:
         T = torch.stack([graph.keyframes[i].T_wk for i in apart])
         change = se3.inverse(keyframe.T_wk) @ T
         shift, turn = change[:, :3, 3].norm(dim=1).numpy(), se3.angle(change).numpy()
-        allowed, turn_allowed = self._allowed(ways_from(graph, keyframe.anchor)[apart])
+        allowed, turn_allowed = self._allowed(ways_from(graph.keyframes, keyframe.anchor)[apart])
         near = (shift < allowed + _OVERLAP[0]) & (turn < turn_allowed + _OVERLAP[1])
         return [i for i, reachable in zip(apart, near) if reachable]
 
@@ -95,7 +94,7 @@ class Loops:
         if shift < _SETTLED[0] and turn < _SETTLED[1]:
             graph.link(graph.keyframes[loop.b], loop.a)
             return []
-        way = ways_from(graph, loop.a)[loop.b]
+        way = ways_from(graph.keyframes, loop.a)[loop.b]
         allowed, turn_allowed = self._allowed(way)
         if shift > allowed or turn > turn_allowed:
             self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
@@ -157,16 +156,3 @@ def links(graph: KeyframeGraph) -> list[Edge]:
             distance, angle = float(T_ab[:3, 3].norm()), float(se3.angle(T_ab))
             edges.append(Edge(a, b, T_ab, _LINK[0][0] + _LINK[0][1] * distance, _LINK[1][0] + _LINK[1][1] * angle))
     return edges
-
-
-def ways_from(graph: KeyframeGraph, a: int) -> NDArray[np.float64]:
-    """(K,) the shortest ways [m] over links from keyframe a to each; a turn counts as far as a point two metres ahead moves."""
-    pairs = [(i, j) for j, keyframe in enumerate(graph.keyframes) for i in keyframe.linked if i < j]
-    if not pairs:
-        return np.zeros(len(graph.keyframes))
-    T = torch.stack([k.T_wk for k in graph.keyframes])
-    i, j = torch.tensor(pairs).T
-    T_ij = se3.inverse(T[i]) @ T[j]
-    length = (T_ij[:, :3, 3].norm(dim=1) + 2 * se3.angle(T_ij)).clamp(min=1e-3).numpy()
-    ways = coo_array((length, (i.numpy(), j.numpy())), shape=(len(T), len(T))).tocsr()
-    return np.asarray(dijkstra(ways, directed=False, indices=a))
