@@ -311,6 +311,8 @@ class AlignmentConfig:
     """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
     hold: float = 8e-3
     """Information, per unit weight of depth, below which a direction is held to the guess (a bare wall leaves three open)."""
+    hold_registered: float = 0.1
+    """The same for a keyframe that the neural tracker has registered with the last one: held to that; 0: it is not asked."""
     converged: float = 1e-4
     """Steps below this [m, rad] end the iteration."""
     refined: int = 1

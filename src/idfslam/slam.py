@@ -1,7 +1,6 @@
 """iDF-SLAM (Fig. 2): the neural tracker in front, the neural implicit mapper behind, keyframes between them."""
 
 import logging
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.bundle_adjustment import BundleAdjustment
 from idfslam.config import FAST, Config
 from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
@@ -28,7 +28,7 @@ from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.state import State, Stateful
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.localisation import Descriptions, Localiser, unambiguous
-from idfslam.tracking.motion import Information, MotionModel, change_between, moved
+from idfslam.tracking.motion import Information, MotionModel
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
@@ -53,6 +53,7 @@ class Slam:
         self.localiser = Localiser(self.tracker, self.aligner)
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
         self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph, self.mapper)
+        self.adjustment = BundleAdjustment(config, self.graph, self.mapper, self.aligner, self.localiser)
         self.relocalisations = 0
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
@@ -106,23 +107,7 @@ class Slam:
         if self._unmapped is not None:
             self._map(self._unmapped)  # or what came into view in the last frames would be in no keyframe
         with self._timed("finish"):
-            self._polish()
-
-    def _polish(self) -> None:
-        """Bundle adjustment in turns over all keyframes, in steps that shrink to nothing, within the budget of time."""
-        c, start = self.config.mapper, perf_counter()
-        refined = max(1, c.final_keyframes // 2)
-        updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
-        for i in range(updates):
-            spent = (perf_counter() - start) / c.final_seconds
-            done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
-            if done >= 1:
-                break
-            self.mapper.optimiser.anneal = 1 - done
-            keyframes = self.graph.sample(c.final_keyframes)
-            self._refine(keyframes[:refined])
-            self.mapper.optimise_map(keyframes, c.iterations)
-        self.mapper.optimiser.anneal = 1.0
+            self.adjustment.polish()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
@@ -285,6 +270,9 @@ class Slam:
         if self.config.mapper.pose_optimisation and not first:
             with self._timed("pose"):
                 losses |= self.mapper.optimise_pose(keyframe)
+        if self.config.alignment.enabled and not first:
+            with self._timed("register"):
+                self.adjustment.register(keyframe)
         if self.graph.promote(keyframe):
             self.mapper.optimiser.grow()
         self._described(keyframe)
@@ -308,21 +296,9 @@ class Slam:
         """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all."""
         replayed = self.graph.replay(current)
         with self._timed("refine"):
-            self._refine(replayed[: self.config.alignment.refined])
+            self.adjustment.refine(replayed[: self.config.alignment.refined])
         with self._timed("map"):
             return self.mapper.optimise_map([current, *replayed], self.config.mapper.iterations)
-
-    def _refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Keyframes' poses against the map as it has become since, and earlier keyframes' images. The first stays: it is the world."""
-        for keyframe in keyframes if self.config.alignment.enabled else []:
-            if keyframe is self.graph.keyframes[0]:
-                continue
-            aligned = self.aligner.align(keyframe, keyframe.T_wk, self.graph.earlier(keyframe, self.config.alignment.references), near=True)
-            change = change_between(keyframe.T_wk, aligned.T_wc)
-            near = float(change[:3].norm()) < self.config.alignment.refine_reach
-            if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
-                keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
-            keyframe.appearance = None
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""

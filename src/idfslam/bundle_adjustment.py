@@ -1,0 +1,74 @@
+"""Bundle adjustment in turns: keyframes' poses against the map as it has become since, then the map against all of them."""
+
+import math
+from collections.abc import Sequence
+from time import perf_counter
+
+from torch import Tensor
+
+from idfslam.config import Config
+from idfslam.frame import Status
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
+from idfslam.mapping.mapper import Mapper
+from idfslam.tracking.alignment import Aligner
+from idfslam.tracking.localisation import Localiser
+from idfslam.tracking.motion import change_between, moved
+
+
+class BundleAdjustment:
+    """Refines keyframes of a graph together with the map."""
+
+    def __init__(self, config: Config, graph: KeyframeGraph, mapper: Mapper, aligner: Aligner, localiser: Localiser) -> None:
+        self.config, self.graph, self.mapper, self.aligner, self.localiser = config, graph, mapper, aligner, localiser
+
+    def register(self, keyframe: Keyframe) -> None:
+        """A new keyframe's pose and the neural tracker's, which knows best where the map is bare or noisy and images are few.
+
+        It counts only where the images of the two keyframes agree with it, and is remembered for `refine`.
+        """
+        reference = self.graph.reference
+        if reference is None or not self.config.alignment.hold_registered:
+            return
+        T_wc = self.localiser.registered(keyframe, reference)
+        if T_wc is None or not self.localiser.agrees(keyframe, reference, T_wc):
+            return
+        keyframe.registered = reference.anchor, self.graph.relative(T_wc)
+        aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.localiser.references), near=True, T_registered=T_wc)
+        if aligned.status is not Status.LOST:
+            keyframe.T_wk = aligned.T_wc
+
+    def refine(self, keyframes: Sequence[Keyframe]) -> None:
+        """Keyframes' poses against the map, earlier keyframes' images and their registration. The first stays: it is the world."""
+        for keyframe in keyframes if self.config.alignment.enabled else []:
+            if keyframe is self.graph.keyframes[0]:
+                continue
+            references, T_registered = self.graph.earlier(keyframe, self.config.alignment.references), self._registered(keyframe)
+            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, near=True, T_registered=T_registered)
+            change = change_between(keyframe.T_wk, aligned.T_wc)
+            near = float(change[:3].norm()) < self.config.alignment.refine_reach
+            if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
+                keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
+            keyframe.appearance = None
+
+    def _registered(self, keyframe: Keyframe) -> Tensor | None:
+        if keyframe.registered is None:
+            return None
+        i, T_ik = keyframe.registered
+        return self.graph.keyframes[i].T_wk @ T_ik
+
+    def polish(self) -> None:
+        """After the last frame: all keyframes, in steps that shrink to nothing, within the budget of time."""
+        c, start = self.config.mapper, perf_counter()
+        refined = max(1, c.final_keyframes // 2)
+        updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
+        for i in range(updates):
+            spent = (perf_counter() - start) / c.final_seconds
+            done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
+            if done >= 1:
+                break
+            self.mapper.optimiser.anneal = 1 - done
+            keyframes = self.graph.sample(c.final_keyframes)
+            self.refine(keyframes[:refined])
+            self.mapper.optimise_map(keyframes, c.iterations)
+        self.mapper.optimiser.anneal = 1.0
