@@ -14,6 +14,7 @@ from idfslam.evaluation.pictures import draw_mesh
 from idfslam.evaluation.report import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures import View, draw_views
+from idfslam.precompile import compiling_beside
 from idfslam.report.writing import write_report
 from idfslam.run import Run, run
 from idfslam.source import open_source
@@ -31,8 +32,11 @@ def demo(
     Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
     """
     source = results.Source(f"synthetic:{room}", frames=frames)
-    recording = open_source(source)
-    done = run(recording, config, folder, source=source, console=console)
+    with compiling_beside(config) as until_compiled:
+        recording = open_source(source)
+        recording[0]  # compiles what renders it
+        until_compiled()
+        done = run(recording, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     poses = done.trajectory.poses
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
