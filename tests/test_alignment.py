@@ -201,14 +201,14 @@ def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
 def test_what_a_bare_wall_leaves_open_is_held_to_the_registration(wall: Mapper) -> None:
     slid = pose(0.03, -0.02, 0, 0, 0, 0)
     alone = aligner(wall).align(view(WALL, EYE), EYE, [], near=True)
-    held = aligner(wall).align(view(WALL, EYE), EYE, [], near=True, T_registered=slid)
+    held = aligner(wall).align(view(WALL, EYE), slid, [], registered=True)
     assert error(alone.T_wc, EYE)[0] < 0.005
     assert error(held.T_wc, slid)[0] < 0.005
 
 
 def test_in_a_corner_it_has_the_lesser_say(corner: Mapper) -> None:
     off = pose(0.03, -0.02, 0.02, 0, 0, 0)
-    held = aligner(corner).align(view(CORNER, EYE), off, [], near=True, T_registered=off)
+    held = aligner(corner).align(view(CORNER, EYE), off, [], registered=True)
     assert error(held.T_wc, EYE)[0] < 0.5 * error(off, EYE)[0]
 
 

@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from time import perf_counter
 
-from torch import Tensor
-
 from idfslam.config import Config
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
@@ -25,7 +23,7 @@ class BundleAdjustment:
     def register(self, keyframe: Keyframe) -> None:
         """A new keyframe's pose and the neural tracker's, which knows best where the map is bare or noisy and images are few.
 
-        It counts only where the images of the two keyframes agree with it, and is remembered for `refine`.
+        It counts only where the images of the two keyframes agree with it.
         """
         reference = self.graph.reference
         if reference is None or not self.config.alignment.hold_registered:
@@ -33,29 +31,22 @@ class BundleAdjustment:
         T_wc = self.localiser.registered(keyframe, reference)
         if T_wc is None or not self.localiser.agrees(keyframe, reference, T_wc):
             return
-        keyframe.registered = reference.anchor, self.graph.relative(T_wc)
-        aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.localiser.references), near=True, T_registered=T_wc)
+        aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.localiser.references), registered=True)
         if aligned.status is not Status.LOST:
             keyframe.T_wk = aligned.T_wc
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Keyframes' poses against the map, earlier keyframes' images and their registration. The first stays: it is the world."""
+        """Keyframes' poses against the map and earlier keyframes' images. The first stays: it is the world."""
         for keyframe in keyframes if self.config.alignment.enabled else []:
             if keyframe is self.graph.keyframes[0]:
                 continue
-            references, T_registered = self.graph.earlier(keyframe, self.config.alignment.references), self._registered(keyframe)
-            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, near=True, T_registered=T_registered)
+            references = self.graph.earlier(keyframe, self.config.alignment.references)
+            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, near=True)
             change = change_between(keyframe.T_wk, aligned.T_wc)
             near = float(change[:3].norm()) < self.config.alignment.refine_reach
             if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
                 keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
             keyframe.appearance = None
-
-    def _registered(self, keyframe: Keyframe) -> Tensor | None:
-        if keyframe.registered is None:
-            return None
-        i, T_ik = keyframe.registered
-        return self.graph.keyframes[i].T_wk @ T_ik
 
     def polish(self) -> None:
         """After the last frame: all keyframes, in steps that shrink to nothing, within the budget of time."""

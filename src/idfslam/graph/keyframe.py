@@ -35,7 +35,6 @@ class Keyframe:
         self.landmarks: Any = None  # the aligner's landmarks in it
         self.place: Tensor | None = None  # what the place looks like (tracking/place.py)
         self.anchor = 0  # the stored keyframe that it is, or that it hangs on
-        self.registered: tuple[int, Tensor] | None = None  # a stored keyframe, and the pose (4, 4) relative to it, by the tracker
         self.neighbours: set[int] = set()  # stored keyframes it is connected with, by its pose
         self.linked: set[int] = set()  # of these, those whose pose relative to it was measured, not merely carried on
         self.unlinked: list[int] = []  # the others, most covisible first
@@ -81,14 +80,12 @@ class Keyframe:
             self._checksum = self.frame.checksum()
         links = {"neighbours": sorted(self.neighbours), "linked": sorted(self.linked), "unlinked": self.unlinked, "alike": self.alike}
         own = {"T_wk": self.T_wk, "cell_losses": self.cell_losses, "place": self.place, "anchor": self.anchor}
-        registered = self.registered and list(self.registered)
-        return {"index": self.index, "images": self._checksum, "registered": registered, **own, **links}
+        return {"index": self.index, "images": self._checksum, **own, **links}
 
     def restore(self, state: State) -> None:
         """What `state` told, for a keyframe of the same frame."""
         self.T_wk, self.anchor, self._checksum = state["T_wk"], state["anchor"], state["images"]
         self.neighbours, self.linked = set(state["neighbours"]), set(state["linked"])
         self.unlinked, self.alike = state["unlinked"], state["alike"]
-        self.registered = state["registered"] and tuple(state["registered"])
         for name in ("cell_losses", "place"):
             setattr(self, name, None if state[name] is None else state[name].to(self._device))

@@ -136,7 +136,7 @@ class KeyframeGraph:
         if stored:
             self._store(keyframe)
         last = self._links[-1]
-        self._links[-1] = _Link(keyframe.anchor, self.relative(keyframe.T_wk), last.status, last.timestamp)
+        self._links[-1] = _Link(keyframe.anchor, self._relative(keyframe), last.status, last.timestamp)
         return stored
 
     def _cover(self, keyframe: Keyframe, scores: Tensor) -> int | None:
@@ -195,10 +195,10 @@ class KeyframeGraph:
         """How the newest frame's pose was found."""
         return self._links[-1].status
 
-    def relative(self, T_wc: Tensor) -> Tensor:
-        """A pose (4, 4), relative to the stored keyframe that the last chosen one hangs on."""
+    def _relative(self, view: Keyframe) -> Tensor:
+        """A view's pose in the keyframe that the last chosen one hangs on."""
         assert self.reference is not None
-        return se3.inverse(self.keyframes[self.reference.anchor].T_wk) @ T_wc
+        return se3.inverse(self.keyframes[self.reference.anchor].T_wk) @ view.T_wk
 
     def settle(self, view: Keyframe, keyframe: Keyframe) -> None:
         """A lost view was found again beside a stored keyframe: frames to come are held against that one."""
@@ -227,7 +227,7 @@ class KeyframeGraph:
         """New poses T_wk of all stored keyframes; what hangs on them follows. How far [m] each moves a point two metres ahead, at most."""
         changes = []
         if self.reference is not None and self.keyframes[self.reference.anchor] is not self.reference:
-            self.reference.T_wk = poses[self.reference.anchor] @ self.relative(self.reference.T_wk)
+            self.reference.T_wk = poses[self.reference.anchor] @ self._relative(self.reference)
         for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
             T = se3.inverse(keyframe.T_wk) @ T_wk
             changes.append(float(T[:3, 3].norm() + 2 * se3.angle(T)))
@@ -245,7 +245,7 @@ class KeyframeGraph:
     def cover(self, view: Keyframe) -> None:
         """Remember what a view that the map learnt from has seen: its depth, reduced, relative to a stored keyframe."""
         assert self.reference is not None
-        small = reduced_view(self.relative(view.T_wk).numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
+        small = reduced_view(self._relative(view).numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
         self._coverage.append((self.reference.anchor, small))
         if len(self._coverage) > _COVERAGE_MOST:
             del self._coverage[1::2]  # every other: what is left still spreads over the whole run

@@ -18,7 +18,7 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio
 from idfslam.state import State
-from idfslam.tracking.motion import Information, change_between, moved
+from idfslam.tracking.motion import Information, moved
 from idfslam.tracking.normals import smoothed_normals
 from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
 
@@ -101,20 +101,18 @@ class Aligner:
         self._generator.set_state(state["generator"])
 
     def align(
-        self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, near: bool = False, T_registered: Tensor | None = None
+        self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, near: bool = False, registered: bool = False
     ) -> Alignment:
         """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth.
 
-        near: the guess is as good as the answer, and only the finest images are looked at. T_registered (4, 4): the neural tracker's
-        pose; directions that map and images know little of are held to it, and more firmly than otherwise to the guess.
+        near: the guess is as good as the answer, and only the finest images are looked at. registered: so it is, and it comes from the
+        neural tracker: directions that map and images know little of are held to it more firmly than to another guess.
         """
+        near, hold = near or registered, self.config.hold_registered if registered else self.config.hold
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        T, T_held, hold = T_guess.double(), T_guess.double(), self.config.hold
-        if T_registered is not None:
-            T_held, hold = T_registered, self.config.hold_registered
-        change = change_between(T_held, T)
+        T, change = T_guess.double(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         coarse, normals = surface.every(3), None
         for step in range(min(coarse_steps, self.config.iterations - 1) if near else 0, self.config.iterations):
