@@ -86,10 +86,14 @@ def test_render_of_a_frame_that_is_not_there(finished: Path, capsys: pytest.Capt
     assert "the trajectory has frames 0 to 13" in capsys.readouterr().err
 
 
-def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command("demo", "--frames", "5", "--out", tmp_path, "--device", "cpu", "--mesh.resolution", "0.05")
+@pytest.mark.parametrize(
+    ("flag", "pictures"), [("--report", ["report.html", "pictures"]), ("--no-report", ["mesh_overview.png", "views.png"])]
+)
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str, pictures: list[str]) -> None:
+    command("demo", "--frames", "5", "--out", tmp_path, "--device", "cpu", "--mesh.resolution", "0.05", flag)
     printed = capsys.readouterr().out
-    for name in (*results.FILES, *results.EVALUATION_FILES, "mesh_overview.png", "views.png"):
-        assert (tmp_path / name).is_file()
+    for name in (*results.FILES, *results.EVALUATION_FILES, *pictures):
+        assert (tmp_path / name).exists()
         assert str(tmp_path / name) in printed
+    assert (tmp_path / "pictures" / "mesh_1.png").is_file() == (flag == "--report")
     assert json.loads((tmp_path / "evaluation.json").read_text())["mesh"]["protocol"] == "seen"

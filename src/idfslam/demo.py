@@ -27,7 +27,9 @@ _DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
 def demo(
     config: Config, folder: Path, *, room: int, frames: int, report: bool = True, console: Console | None = None
 ) -> tuple[Run, Evaluation, list[Path]]:
-    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the paths of the pictures and the report.
+    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the paths of the report and its pictures.
+
+    Without the report two pictures stand for it: the mesh from outside, and frames beside what the map shows.
 
     Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
     """
@@ -38,12 +40,13 @@ def demo(
         until_compiled()
         done = run(recording, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
+    if report:
+        return done, evaluation, [write_report(folder, recording=recording)[0], folder / results.PICTURES]
     poses = done.trajectory.poses
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
     with results.replacing(folder / VIEWS) as part:
         draw_views(part, list(_views(recording, poses, folder)))
-    page = write_report(folder, recording=recording)[:1] if report else []
-    return done, evaluation, [*pictures, folder / VIEWS, *page]
+    return done, evaluation, [*pictures, folder / VIEWS]
 
 
 def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:
