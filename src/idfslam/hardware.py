@@ -1,5 +1,7 @@
 """What this machine has, and what is best used of it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 import torch
@@ -28,3 +30,18 @@ def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.devic
     if name == "auto":
         return torch.bfloat16 if bf16_pays(device) else torch.float32
     return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]
+
+
+@contextmanager
+def repeatable(device: torch.device) -> Iterator[None]:
+    """Within, gradients on the CPU are summed in one order; torch would add those of indexed tensors as its threads happen to come.
+
+    How many threads it has is not only its own setting: Numba and torch share OpenMP's.
+    """
+    before, warn_only = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+    if device.type == "cpu":
+        torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before, warn_only=warn_only)

@@ -10,7 +10,7 @@ from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
-from idfslam.hardware import resolve_precision
+from idfslam.hardware import repeatable, resolve_precision
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.losses import Losses
@@ -92,7 +92,8 @@ class Mapper:
             losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
             numbers = named(losses, keyframe.index)
             self._remember([keyframe], [uv], losses)
-            losses.total.backward()
+            with repeatable(losses.total.device):
+                losses.total.backward()
             adam.step()
             schedule.step()
         keyframe.T_wk = se3.orthonormal(keyframe.T_wk @ se3.exp(xi.detach().double().cpu()))

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from idfslam.config import MapperConfig
+from idfslam.hardware import repeatable
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import fusable
 from idfslam.mapping.fused import learn as fused_learn
@@ -47,7 +48,8 @@ class RenderingObjective:
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
         """The loss, its gradients added to the field's."""
         losses = self(field, rays, generator)
-        losses.total.backward()
+        with repeatable(losses.total.device):
+            losses.total.backward()
         return losses
 
 
@@ -95,7 +97,8 @@ class SampleObjective:
             terms, colour_terms = fused_learn(field, samples, self.config.free_margin)
             return self._losses(samples, len(rays), terms, colour_terms)
         losses = self(field, rays, generator)
-        losses.total.backward()
+        with repeatable(losses.total.device):
+            losses.total.backward()
         return losses
 
     def samples(self, rays: Rays, generator: torch.Generator) -> Samples:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
+from idfslam.hardware import repeatable
 from idfslam.mapping.losses import correspondence_loss, depth_loss, photometric_residuals
 from idfslam.tracking.description import Described
 from idfslam.tracking.matching import Matches
@@ -54,6 +55,7 @@ def finetune_step(optimiser: torch.optim.Optimizer, losses: dict[str, Tensor], c
     weights = {"photometric": config.photometric_weight, "depth": config.depth_weight, "correspondence": config.correspondence_weight}
     total = torch.stack([weights[name] * loss.double() for name, loss in losses.items()]).sum()
     optimiser.zero_grad(set_to_none=True)
-    total.backward()
+    with repeatable(total.device):
+        total.backward()
     optimiser.step()
     return values
