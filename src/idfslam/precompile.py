@@ -52,19 +52,12 @@ def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
 def main() -> None:
     """What `compiling_beside` starts: a config on stdin; a line on stdout once a frame can be processed."""
     from idfslam.evaluation.mesh_error import mesh_error
-    from idfslam.slam import Slam
     from idfslam.warm_up import warm_up
 
-    made: list[Slam] = []
-
-    def make(config: Config) -> Slam:
-        made.append(Slam(config))
-        return made[0]
-
-    warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"), make)
+    slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"))
     print("ready", flush=True)
-    mesh = made[0].mesh(_COARSE)
-    mesh_error(mesh, mesh, poses=made[0].trajectory(), camera=made[0].graph.keyframes[0].camera, samples=100, views=1)
+    mesh = slam.mesh(_COARSE)
+    mesh_error(mesh, mesh, poses=slam.trajectory(), camera=slam.graph.keyframes[0].camera, samples=100, views=1)
 
 
 if __name__ == "__main__":

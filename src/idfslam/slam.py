@@ -270,7 +270,7 @@ class Slam:
         if self.config.mapper.pose_optimisation and not first:
             with self._timed("pose"):
                 losses |= self.mapper.optimise_pose(keyframe)
-        if self.config.alignment.enabled and not first:
+        if self.config.alignment.enabled:
             with self._timed("register"):
                 self.adjustment.register(keyframe)
         if self.graph.promote(keyframe):

@@ -13,11 +13,12 @@ _CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 _FRAMES = 4
 
 
-def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> None:
-    """A few made-up frames through a Slam that is thrown away: the first map, the alignment, doubt and with it the tracker."""
+def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
+    """A few made-up frames through a Slam, to be thrown away: the first map, the alignment, doubt and with it the tracker."""
     slam = make_slam(config)
     for i in range(_FRAMES):
         slam.process(made_up(i))
+    return slam
 
 
 def made_up(i: int) -> Frame:
