@@ -115,6 +115,13 @@ def test_a_users_mistake_is_one_line_and_ends_with_1(
     assert not list(tmp_path.iterdir())
 
 
+def test_output_that_nobody_reads_on_is_no_crash() -> None:
+    command = f"{sys.executable} -m idfslam.cli --help | head -c 1"
+    done = subprocess.run(command, shell=True, check=True, capture_output=True, text=True)
+    assert len(done.stdout) == 1
+    assert done.stderr == ""
+
+
 def test_threads_that_the_user_chose_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
     cli.prepare_process()

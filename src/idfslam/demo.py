@@ -27,9 +27,9 @@ _DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
 def demo(
     config: Config, folder: Path, *, room: int, frames: int, report: bool = True, console: Console | None = None
 ) -> tuple[Run, Evaluation, list[Path]]:
-    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and the paths of the report and its pictures.
+    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and where the pictures are.
 
-    Without the report two pictures stand for it: the mesh from outside, and frames beside what the map shows.
+    These are the report's; without it two stand for them: the mesh from outside, and frames beside what the map shows.
 
     Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
     """
@@ -41,7 +41,8 @@ def demo(
         done = run(recording, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     if report:
-        return done, evaluation, [write_report(folder, recording=recording)[0], folder / results.PICTURES]
+        write_report(folder, recording=recording)
+        return done, evaluation, [folder / results.PICTURES]
     poses = done.trajectory.poses
     pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
     with results.replacing(folder / VIEWS) as part:
