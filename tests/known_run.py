@@ -20,10 +20,11 @@ from idfslam.mapping.saved_map import load_map, save_map
 
 KNOWN_KEYFRAMES = (0, 6, 13)
 KNOWN_LOST = 4  # the frame whose status is lost
+KNOWN_INTERPOLATED = 5  # the one that was lost, and lies between known ones now
 
 
 def write_known_run(folder: Path, box_recording: Path) -> Path:
-    """All that `idf-slam run` would write; frame 4 is lost."""
+    """All that `idf-slam run` would write; frame 4 is lost, frame 5 interpolated."""
     torch.manual_seed(0)
     recording, poses = open_recording(box_recording), box_poses()
     folder.mkdir(parents=True)
@@ -48,10 +49,10 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
 
 
 def known_log() -> FrameLog:
-    """Frame 4 is lost, the keyframes have losses."""
+    """Frame 4 is lost, frame 5 interpolated, the keyframes have losses."""
     log = FrameLog()
     for i, T_wc in enumerate(box_poses()):
         losses = {"total": 0.5 / (i + 1), "photometric": 0.125} if i in KNOWN_KEYFRAMES else {"finetune_depth": 0.25} if i == 9 else {}
-        status = Status.LOST if i == KNOWN_LOST else Status.OK
+        status = {KNOWN_LOST: Status.LOST, KNOWN_INTERPOLATED: Status.INTERPOLATED}.get(i, Status.OK)
         log.add(FrameResult(i, i / 30, T_wc, status, i in KNOWN_KEYFRAMES, losses), ms=100.0 + i)
     return log

@@ -317,6 +317,16 @@ def test_incomplete_result_folders(tmp_path: Path) -> None:
         evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)
 
 
+def test_a_mesh_of_which_nothing_is_seen_leaves_the_trajectory_s_error(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    result_folder(tmp_path, np.eye(4))
+    room().apply_translation([100.0, 0.0, 0.0]).export(tmp_path / "mesh.ply")
+    truth = Trajectory(np.arange(50) / 10, turning())
+    evaluation = evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)
+    assert evaluation.mesh is None and evaluation.ate.translation.max < 1e-6
+    assert "the mesh is not evaluated: nothing of the reconstruction is visible" in caplog.text
+    assert "mesh" not in json.loads((tmp_path / "evaluation.json").read_text())
+
+
 def test_distance_to_a_triangle_by_hand() -> None:
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     needle = np.array([[0.0, 0, 0], [1e-17, 0, 0], [0, 0, 1]])  # no area: a line along z

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from box_room import BOX, BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH, box_poses
-from known_run import KNOWN_KEYFRAMES, KNOWN_LOST
+from known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -121,10 +121,10 @@ def test_colmap_itself_reads_it(exported: Path) -> None:
         np.testing.assert_allclose(image.cam_from_world().matrix(), np.linalg.inv(own)[:3], atol=1e-9)
 
 
-def test_more_images_leave_out_the_lost_frame(known_run: Path, tmp_path: Path) -> None:
+def test_more_images_leave_out_frames_whose_pose_was_not_measured(known_run: Path, tmp_path: Path) -> None:
     export(known_run, "--to", "nerfstudio", "--images", "99", "--out", tmp_path)
     names = sorted(path.name for path in (tmp_path / "nerfstudio" / "images").iterdir())
-    assert names == [f"{i:06d}.png" for i in range(BOX_FRAMES) if i != KNOWN_LOST]
+    assert names == [f"{i:06d}.png" for i in range(BOX_FRAMES) if i not in (KNOWN_LOST, KNOWN_INTERPOLATED)]
 
 
 @pytest.mark.parametrize("name", ["mesh.ply", "mesh.obj", "mesh.glb"])

@@ -61,7 +61,7 @@ class FinishedRun:
         return recording
 
     def spread(self, count: int | None) -> NDArray[np.int64]:
-        """`count` frames (fewer, where the run has fewer) evenly spread over those that are not lost; None: the keyframes.
+        """`count` frames (fewer, where the run has fewer) evenly spread over those whose pose was measured; None: the keyframes.
 
         Raises ConfigError for a count below 1, ResultError where there is no such frame.
         """
@@ -71,8 +71,8 @@ class FinishedRun:
             raise ConfigError(f"--images {count}, expected at least 1")
         else:
             lines = self.frames.lines if self.frames else ()
-            lost = [line.index for line in lines if line.status is Status.LOST]
-            known = np.setdiff1d(np.arange(len(self.trajectory)), lost)
+            guessed = [line.index for line in lines if line.status in (Status.LOST, Status.INTERPOLATED)]
+            known = np.setdiff1d(np.arange(len(self.trajectory)), guessed)
             found = known[np.unique(np.linspace(0, len(known) - 1, count).round().astype(int))] if len(known) else known
         if not len(found):
             raise ResultError(f"{self.folder}: the run has no {'keyframes' if count is None else 'frame that is not lost'}")

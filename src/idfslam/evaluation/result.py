@@ -38,6 +38,7 @@ def evaluate(
     The mesh is moved into the truth's frame by the trajectories' alignment; the true mesh must lie in the true trajectory's frame. Stamps
     within `tolerance` [s] belong together. Camera and `readings` (the depths that the recording holds) tell what it could see. `keyframes`
     (K,) are marked in the plot. `samples`: points on each surface; `views`: of depth L1.
+    A mesh of which nothing counts under the protocol is reported, and left out.
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
     unknown protocol.
     """
@@ -51,19 +52,23 @@ def evaluate(
             raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point, they tell what was seen")
         if not is_rotation_determined(truth[ate.frames, :3, 3]):
             log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
-        mesh = mesh_error(
-            load_mesh(folder / "mesh.ply"),
-            gt_mesh,
-            poses=truth,
-            camera=camera,
-            protocol=protocol,
-            T_gt_est=ate.T_gt_est,
-            readings=readings,
-            samples=samples,
-            views=views,
-            seed=seed,
-        )
-        result = replace(result, mesh=mesh)
+        reconstruction = load_mesh(folder / "mesh.ply")
+        try:
+            mesh = mesh_error(
+                reconstruction,
+                gt_mesh,
+                poses=truth,
+                camera=camera,
+                protocol=protocol,
+                T_gt_est=ate.T_gt_est,
+                readings=readings,
+                samples=samples,
+                views=views,
+                seed=seed,
+            )
+            result = replace(result, mesh=mesh)
+        except ResultError as error:  # such as a trajectory so wrong that nothing of the mesh is seen: its error is still worth knowing
+            log.warning("%s: the mesh is not evaluated: %s", folder, error)
     save_json(folder / "evaluation.json", result)
     plot_trajectory(folder / "trajectory.png", estimate.poses, truth, T_gt_est=ate.T_gt_est, keyframes=keyframes)
     plot_error(folder / "error.png", ate, estimate.timestamps)

@@ -65,10 +65,9 @@ class Mapper:
                 each = self.config.step_pixels // len(keyframes) if self.config.step_pixels else self.config.pixels
                 pixels = [self._draw(k, each * steps, invert=False) for k in keyframes]
                 rays = join([cast(k, uv) for k, uv in zip(keyframes, pixels)])
-                for step in range(steps):
-                    losses = self._step(rays.every(steps, step))
-                    self._remember(keyframes, [uv[step::steps] for uv in pixels], losses)
-                numbers = named(losses, keyframes[0].index)  # before losses that are not finite decide on pixels
+                losses = [self._step(rays.every(steps, step)) for step in range(steps)]
+                numbers = named(losses[-1], keyframes[0].index)  # before losses that are not finite decide on pixels
+                self._remember(keyframes, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
         return numbers
 
     def _step(self, rays: Rays) -> Losses:
@@ -91,7 +90,7 @@ class Mapper:
             uv = self._draw(keyframe, c.pixels, invert=True)
             losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
             numbers = named(losses, keyframe.index)
-            self._remember([keyframe], [uv], losses)
+            self._remember([keyframe], [[uv]], [losses])
             with repeatable(losses.total.device):
                 losses.total.backward()
             adam.step()
@@ -126,13 +125,14 @@ class Mapper:
         drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), count, self.generator)
         return drawn[torch.randperm(len(drawn), generator=self.generator, device=self.device)]
 
-    def _remember(self, keyframes: Sequence[Keyframe], pixels: Sequence[Tensor], losses: Losses) -> None:
-        """How the loss is spread over each image, for active sampling."""
+    def _remember(self, keyframes: Sequence[Keyframe], pixels: Sequence[Sequence[Tensor]], losses: Sequence[Losses]) -> None:
+        """How the loss is spread over each image, for active sampling: of several steps the losses, and the pixels of each keyframe."""
         if not self.config.active_sampling:
             return
-        for keyframe, uv, per_ray in zip(keyframes, pixels, losses.per_ray.split([len(uv) for uv in pixels])):
+        per_ray = [step.per_ray.split([len(uv) for uv in drawn]) for step, drawn in zip(losses, pixels)]
+        for keyframe, uv, found in zip(keyframes, zip(*pixels), zip(*per_ray)):
             assert keyframe.cell_losses is not None
-            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, uv, per_ray, *keyframe.depth.shape)
+            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, torch.cat(uv), torch.cat(found), *keyframe.depth.shape)
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:

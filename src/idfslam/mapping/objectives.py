@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,7 +14,7 @@ from idfslam.mapping.fused import fusable
 from idfslam.mapping.fused import learn as fused_learn
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.rays import Rays
-from idfslam.mapping.rendering import RayMarch, render, stratified_depths
+from idfslam.mapping.rendering import RayMarch, render
 
 
 class Objective(Protocol):
@@ -103,21 +104,19 @@ class SampleObjective:
 
     def samples(self, rays: Rays, generator: torch.Generator) -> Samples:
         """S near the surface, the first of them on it, and S' in free space, of each ray."""
-        c, tr = self.config, self.truncation
-        depth, count = rays.depth[:, None], len(rays)
-        near = depth - tr + stratified_depths(0.0, torch.full_like(rays.depth, 2 * tr), c.samples, generator)
-        near[:, 0] = rays.depth
-        free = stratified_depths(0.05, (rays.depth - tr).clamp(min=0.1), c.importance_samples, generator)
-        points = torch.cat([_points(rays, near), _points(rays, free)])
-        target = ((depth - near) * rays.facing[:, None] / tr).clamp(-1, 1).flatten()
-        certainty = noise_ratio(rays.depth) ** -c.certainty
-        certainty = certainty / certainty.mean().clamp(min=1e-6)
-        weight = (c.truncation_weight / near.numel() * certainty)[:, None].expand_as(near).flatten()
-        free_weight = torch.full((free.numel(),), c.free_space_weight / max(free.numel(), 1), device=points.device)
-        colour = rays.colour[:, None].expand(count, c.samples, 3).reshape(-1, 3)
-        colour_weight = torch.full((near.numel(),), c.photometric_weight / near.numel(), device=points.device)
-        targets, weights = torch.cat([target, torch.ones_like(free_weight)]), torch.cat([weight, free_weight])
-        return Samples(points, near.numel(), targets, weights, colour, colour_weight)
+        c = self.config
+        like = rays.depth
+        chance, free_chance = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
+        plain = like.device.type != "cpu" or rays.origins.requires_grad or rays.directions.requires_grad
+        points, target = (placed if plain else compiled_placed)(rays, chance, free_chance, self.truncation)
+        near, free = chance.numel(), free_chance.numel()
+        weight = like.new_full((near + free,), c.free_space_weight / max(free, 1))
+        weight[:near] = c.truncation_weight / near
+        if c.certainty:
+            certainty = noise_ratio(rays.depth) ** -c.certainty
+            weight[:near] *= (certainty / certainty.mean().clamp(min=1e-6)).repeat_interleave(c.samples)
+        colour = rays.colour[:, None].expand(-1, c.samples, 3).reshape(-1, 3)
+        return Samples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 
     def _losses(self, samples: Samples, rays: int, terms: Tensor, colour_terms: Tensor) -> Losses:
         near, free = terms[: samples.near], terms[samples.near :]
@@ -131,6 +130,44 @@ class SampleObjective:
             truncation=near.sum() / c.truncation_weight,
             per_ray=per_ray.detach() * rays,
         )
+
+
+def uniform(like: Tensor, rays: int, samples: int, generator: torch.Generator) -> Tensor:
+    """(rays, samples) in [0, 1) of the generator's device and then of the tensor's."""
+    return torch.rand(rays, samples, generator=generator, device=generator.device).to(like)
+
+
+def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+    """Points (B * (S + S'), 3) on B rays and their T-SDF [tr], as far as it is known: in free space 1.
+
+    S of each ray lie within `truncation` of the surface, the first on it, and S' before that; each in its own part, where chance (B, S)
+    and free_chance (B, S') say.
+    """
+    depth = rays.depth[:, None]
+    near = depth - truncation + 2 * truncation * parts(chance)
+    near[:, 0] = rays.depth
+    first, last = 0.05, (depth - truncation).clamp(min=0.1)
+    free = first + (last - first) * parts(free_chance)
+    target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()
+    return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])
+
+
+def parts(chance: Tensor) -> Tensor:
+    """Places in [0, 1) of S samples (B, S), one in each of S equal parts."""
+    samples = chance.shape[1]
+    return (torch.arange(samples, dtype=chance.dtype, device=chance.device) + chance) / samples
+
+
+def compiled_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+    """`placed` by Numba, on the CPU, without gradients."""
+    from idfslam.mapping.kernels import numba_rays
+
+    points = torch.empty(chance.numel() + free_chance.numel(), 3)
+    target = torch.empty(len(points))
+    along = [t.contiguous().numpy() for t in (rays.origins, rays.directions, rays.depth, rays.facing)]
+    outputs = points.numpy(), target.numpy()
+    numba_rays.place(*along, chance.numpy(), free_chance.numpy(), np.float32(truncation), *outputs)  # type: ignore[call-arg]
+    return points, target
 
 
 def _points(rays: Rays, depths: Tensor) -> Tensor:

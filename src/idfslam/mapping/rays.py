@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,11 +40,19 @@ class Rays:
 
     def every(self, step: int, first: int) -> "Rays":
         """Each `step`-th ray from `first` on."""
-        return Rays(*(getattr(self, name)[first::step] for name in Rays.__dataclass_fields__))
+        return Rays(*(getattr(self, name)[first::step].contiguous() for name in Rays.__dataclass_fields__))
+
+
+_REACH = 2  # [px] to the neighbours that a surface's normal comes from
 
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
+    return compiled_cast(view, uv) if T_wc is None and uv.device.type == "cpu" else plain_cast(view, uv, T_wc)
+
+
+def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
+    """`cast` in torch, on any device."""
     T = (view.T_wk if T_wc is None else T_wc).to(view.depth)
     u, v = uv.unbind(-1)
     camera = view.camera
@@ -52,13 +61,25 @@ def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     return Rays(origins, directions, view.depth[v, u], view.colour[v, u], facing(view.depth, uv, camera))
 
 
+def compiled_cast(view: View, uv: Tensor) -> Rays:
+    """`cast` by Numba, on the CPU, from the view's pose."""
+    from idfslam.mapping.kernels import numba_rays
+
+    T = view.T_wk.float()
+    directions, colour, depth, slope = torch.empty(len(uv), 3), torch.empty(len(uv), 3), torch.empty(len(uv)), torch.empty(len(uv))
+    camera = [np.float32(value) for value in (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)]
+    images, outputs = (view.depth.numpy(), view.colour.numpy()), [t.numpy() for t in (directions, depth, colour, slope)]
+    numba_rays.cast(uv.numpy(), *images, *camera, T[:3, :3].contiguous().numpy(), _REACH, *outputs)  # type: ignore[call-arg]
+    return Rays(T[:3, 3].expand_as(directions), directions, depth, colour, slope)
+
+
 def join(rays: list[Rays]) -> Rays:
     """Several bundles as one."""
     columns = ([getattr(r, name) for r in rays] for name in Rays.__dataclass_fields__)
     return Rays(*(torch.cat(column) for column in columns))
 
 
-def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = 2) -> Tensor:
+def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = _REACH) -> Tensor:
     """(B,) |n . d| of the surface's unit normal n and the ray d (z = 1): turns a difference of depth into a distance.
 
     The normal comes from the neighbours `reach` pixels away; 1 where they are missing or lie across an edge.

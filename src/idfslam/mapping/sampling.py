@@ -27,13 +27,28 @@ def cell_of(uv: Tensor, height: int, width: int, cells: int) -> Tensor:
 
 
 def group_pixels(allowed: Tensor, cells: int) -> CellPixels:
-    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells."""
+    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells; on the CPU by Numba."""
+    return (compiled_group_pixels if allowed.device.type == "cpu" else plain_group_pixels)(allowed, cells)
+
+
+def plain_group_pixels(allowed: Tensor, cells: int) -> CellPixels:
+    """`group_pixels` in torch, on any device."""
     height, width = allowed.shape
     v, u = allowed.nonzero(as_tuple=True)
     cell = cell_of(torch.stack([u, v], -1), height, width, cells)
     order = cell.argsort(stable=True)
     counts = torch.bincount(cell, minlength=cells * cells)
     return CellPixels((v * width + u)[order].int(), counts.cumsum(0) - counts, counts, height, width, cells)
+
+
+def compiled_group_pixels(allowed: Tensor, cells: int) -> CellPixels:
+    """`group_pixels` by counting, which no general sort is as fast as."""
+    from idfslam.mapping.kernels import numba_rays
+
+    height, width = allowed.shape
+    order, counts = torch.empty(allowed.numel(), dtype=torch.int32), torch.empty(cells * cells, dtype=torch.int64)
+    total = numba_rays.group_pixels(allowed.numpy(), cells, order.numpy(), counts.numpy())
+    return CellPixels(order[:total].clone(), counts.cumsum(0) - counts, counts, height, width, cells)
 
 
 def initial_cell_losses(cells: int, device: torch.device | str = "cpu") -> Tensor:

@@ -36,15 +36,43 @@ def _transpose(rows: Floats, start: int, count: int, columns: Floats) -> None:
 
 
 @_inlined
+def _add_product(weight: Floats, x: Floats, y: Floats) -> None:  # noqa: C901 (tiles, and what is left beside them)
+    """y (O, BLOCK) += weight (O, K) x (K, BLOCK), four by four weights at a time: each vector that is loaded serves four."""
+    outputs, inputs = weight.shape
+    rows, columns = outputs // 4 * 4, inputs // 4 * 4
+    for o in range(0, rows, 4):
+        for k in range(0, columns, 4):
+            a0, a1, a2, a3 = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
+            b0, b1, b2, b3 = weight[o + 1, k], weight[o + 1, k + 1], weight[o + 1, k + 2], weight[o + 1, k + 3]
+            c0, c1, c2, c3 = weight[o + 2, k], weight[o + 2, k + 1], weight[o + 2, k + 2], weight[o + 2, k + 3]
+            d0, d1, d2, d3 = weight[o + 3, k], weight[o + 3, k + 1], weight[o + 3, k + 2], weight[o + 3, k + 3]
+            for p in range(BLOCK):
+                x0, x1, x2, x3 = x[k, p], x[k + 1, p], x[k + 2, p], x[k + 3, p]
+                y[o, p] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                y[o + 1, p] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+                y[o + 2, p] += c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3
+                y[o + 3, p] += d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3
+        for k in range(columns, inputs):
+            for r in range(4):
+                for p in range(BLOCK):
+                    y[o + r, p] += weight[o + r, k] * x[k, p]
+    for o in range(rows, outputs):
+        for k in range(0, columns, 4):
+            a0, a1, a2, a3 = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
+            for p in range(BLOCK):
+                y[o, p] += a0 * x[k, p] + a1 * x[k + 1, p] + a2 * x[k + 2, p] + a3 * x[k + 3, p]
+        for k in range(columns, inputs):
+            for p in range(BLOCK):
+                y[o, p] += weight[o, k] * x[k, p]
+
+
+@_inlined
 def _linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
     """y (O, BLOCK) = weight (O, K) x (K, BLOCK) + bias (O,)."""
-    for o in range(weight.shape[0]):
+    for o in range(len(bias)):
         for p in range(BLOCK):
             y[o, p] = bias[o]
-        for k in range(0, weight.shape[1], 4):
-            a, b, c, d = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
-            for p in range(BLOCK):
-                y[o, p] += a * x[k, p] + b * x[k + 1, p] + c * x[k + 2, p] + d * x[k + 3, p]
+    _add_product(weight, x, y)
 
 
 @_inlined
@@ -55,18 +83,12 @@ def _relu(x: Floats) -> None:
 
 
 @_inlined
-def _linear_back(weight: Floats, g_y: Floats, g_x: Floats) -> None:
-    """g_x (K, BLOCK) = weight^T g_y."""
-    for k in range(weight.shape[1]):
+def _linear_back(transposed: Floats, g_y: Floats, g_x: Floats) -> None:
+    """g_x (K, BLOCK) = weight^T (K, O) g_y (O, BLOCK)."""
+    for k in range(len(g_x)):
         for p in range(BLOCK):
             g_x[k, p] = _ZERO
-        for o in range(0, weight.shape[0] - 3, 4):
-            a, b, c, d = weight[o, k], weight[o + 1, k], weight[o + 2, k], weight[o + 3, k]
-            for p in range(BLOCK):
-                g_x[k, p] += a * g_y[o, p] + b * g_y[o + 1, p] + c * g_y[o + 2, p] + d * g_y[o + 3, p]
-        for o in range(weight.shape[0] // 4 * 4, weight.shape[0]):
-            for p in range(BLOCK):
-                g_x[k, p] += weight[o, k] * g_y[o, p]
+    _add_product(transposed, g_y, g_x)
 
 
 @_inlined
@@ -79,12 +101,28 @@ def _masked(g: Floats, activation: Floats) -> None:
 
 @_inlined
 def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats, g_bias: Floats) -> None:
-    for o in range(g_y.shape[0]):
+    """Adds g_y (O, BLOCK) x^T to g_weight (O, K), two rows by four columns at a time, and the sums of g_y to g_bias (O,)."""
+    outputs, inputs = g_weight.shape
+    for o in range(outputs):
         total = _ZERO
         for p in range(BLOCK):
             total += g_y[o, p]
         g_bias[o] += total
-        for k in range(x.shape[0]):
+    rows = outputs // 2 * 2
+    for o in range(0, rows, 2):
+        for k in range(0, inputs, 4):
+            a0, a1, a2, a3 = _ZERO, _ZERO, _ZERO, _ZERO
+            b0, b1, b2, b3 = _ZERO, _ZERO, _ZERO, _ZERO
+            for p in range(BLOCK):
+                g, h = g_y[o, p], g_y[o + 1, p]
+                x0, x1, x2, x3 = x[k, p], x[k + 1, p], x[k + 2, p], x[k + 3, p]
+                a0, a1, a2, a3 = a0 + g * x0, a1 + g * x1, a2 + g * x2, a3 + g * x3
+                b0, b1, b2, b3 = b0 + h * x0, b1 + h * x1, b2 + h * x2, b3 + h * x3
+            for j, (a, b) in enumerate(((a0, b0), (a1, b1), (a2, b2), (a3, b3))):
+                g_weight[o, k + j] += a
+                g_weight[o + 1, k + j] += b
+    for o in range(rows, outputs):
+        for k in range(inputs):
             total = _ZERO
             for p in range(BLOCK):
                 total += g_y[o, p] * x[k, p]
@@ -118,6 +156,7 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
 def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> None:  # type: ignore[no-untyped-def]
     """scale * T-SDF (N,) and its derivative (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
     inputs, hidden = w1.shape[1], w1.shape[0]
+    w1_t = w1.T.copy()
     for block in prange((len(features) + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(len(features) - start, BLOCK)
@@ -130,7 +169,7 @@ def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> Non
         for k in range(hidden):
             for p in range(BLOCK):
                 h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
-        _linear_back(w1, h, g_x)
+        _linear_back(w1_t, h, g_x)
         for p in range(count):
             distance[start + p] = scale * s[0, p]
             for axis in range(3):
@@ -153,6 +192,7 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
     """
     inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
     n = len(features)
+    w1_t, wc1_t, wc2_t = w1.T.copy(), wc1.T.copy(), wc2.T.copy()
     near_blocks = (coloured + BLOCK - 1) // BLOCK
     blocks = near_blocks + (n - coloured + BLOCK - 1) // BLOCK
     for part in prange(PARTS):
@@ -195,16 +235,16 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
                     for p in range(count, BLOCK):
                         o[k, p] = _ZERO
                 _weight_gradient(o, c, g_wc2[part], g_bc2[part])
-                _linear_back(wc2, o, g_c)
+                _linear_back(wc2_t, o, g_c)
                 _masked(g_c, c)
                 _weight_gradient(g_c, h, g_wc1[part], g_bc1[part])
-                _linear_back(wc1, g_c, g_more)
+                _linear_back(wc1_t, g_c, g_more)
                 for k in range(hidden):
                     for p in range(BLOCK):
                         g_h[k, p] += g_more[k, p]
             _masked(g_h, h)
             _weight_gradient(g_h, x, g_w1[part], g_b1[part])
-            _linear_back(w1, g_h, g_x)
+            _linear_back(w1_t, g_h, g_x)
             for p in range(count):
                 for k in range(inputs):
                     g_features[start + p, k] = g_x[k, p]
