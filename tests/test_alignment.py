@@ -13,7 +13,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import Aligner, Alignment, depth_system, plain_depth_system
+from idfslam.tracking.alignment import Aligner, Alignment, damped_step, depth_system, plain_damped_step, plain_depth_system
 from idfslam.tracking.normals import plain_smoothed, smoothed_normals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
@@ -69,6 +69,21 @@ def error(T: Tensor, truth: Tensor) -> tuple[float, float]:
     """[m], [degrees]"""
     difference = se3.inverse(truth) @ T
     return float(difference[:3, 3].norm()), float(torch.rad2deg(se3.angle(difference)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-9])
+def test_the_compiled_step_is_the_plain_one(scale: float) -> None:
+    generator = torch.Generator().manual_seed(0)
+    J = torch.randn(40, 6, generator=generator, dtype=torch.float64)
+    J[:, 0] *= 0.01  # a direction that little is known of
+    H, b = J.T @ J, scale * torch.randn(6, generator=generator, dtype=torch.float64)
+    start, before = se3.exp(torch.randn(6, generator=generator, dtype=torch.float64)), 0.01 * torch.ones(6, dtype=torch.float64)
+    T, change, plain_T, plain_change = start.clone(), before.clone(), start.clone(), before.clone()
+    largest = damped_step(H, b, 40.0, 2.0, 0.008, change, T)
+    assert largest == pytest.approx(plain_damped_step(H, b, 40.0, 2.0, 0.008, plain_change, plain_T))
+    torch.testing.assert_close(change, plain_change)
+    torch.testing.assert_close(T, plain_T)
+    assert not torch.equal(T, start)
 
 
 def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
@@ -200,7 +215,7 @@ def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
 
 def test_what_a_bare_wall_leaves_open_is_held_to_the_registration(wall: Mapper) -> None:
     slid = pose(0.03, -0.02, 0, 0, 0, 0)
-    alone = aligner(wall).align(view(WALL, EYE), EYE, [], near=True)
+    alone = aligner(wall).align(view(WALL, EYE), EYE, [], within=0.0)
     held = aligner(wall).align(view(WALL, EYE), slid, [], registered=True)
     assert error(alone.T_wc, EYE)[0] < 0.005
     assert error(held.T_wc, slid)[0] < 0.005
@@ -236,15 +251,15 @@ def test_doubt(corner: Mapper) -> None:
     judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6, doubtful_brightness=1.5, colour_noise=0.01))
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
     assert judge.doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
-    judge.accept(good)
+    judge.accept(good, EYE)
     assert not judge.doubtful(good)
     assert not judge.doubtful(replace(good, brightness=0.029))  # 1.5 * 0.02 = 0.03
     assert judge.doubtful(replace(good, brightness=0.031))
     assert judge.doubtful(replace(good, overlap=0.5))
     assert judge.doubtful(replace(good, status=Status.LOST))
-    judge.accept(replace(good, brightness=0.04))  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
+    judge.accept(replace(good, brightness=0.04), EYE)  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
     assert not judge.doubtful(replace(good, brightness=0.032))
-    judge.accept(replace(good, brightness=0.0))  # no landmark in view says nothing
+    judge.accept(replace(good, brightness=0.0), EYE)  # no landmark in view says nothing
     assert judge.doubtful(replace(good, brightness=0.034))
 
 

@@ -35,33 +35,40 @@ def grid(implementation: str, *, features: int = 2, size: int = 256, count: int 
 
 
 def test_hash_by_hand() -> None:
-    # Modulo 8 the primes are 1, 1 (..761 = 95 * 8 + 1) and 5 (..861 = 107 * 8 + 5); 3 ^ 1 ^ 5 = 7, and -1 is all ones.
-    vertices = torch.tensor([[3, 0, 0], [0, 1, 0], [0, 0, 1], [3, 1, 1], [-1, 0, 0], [0, 0, -1]])
-    assert torch_grid.hash_vertices(vertices, 8).tolist() == [3, 1, 5, 7, 7, 3]
+    # Three bits say where in its block of 2 x 2 x 2 a vertex lies. Blocks, modulo 4: the primes are 1, 1 (..761 = 190 * 4 + 1) and
+    # 1 (..861 = 215 * 4 + 1); -1 is the last place of block -1, which is 3 modulo 4.
+    vertices = torch.tensor([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [2, 0, 0], [2, 2, 3], [-1, 0, 0]])
+    assert torch_grid.hash_vertices(vertices, 32).tolist() == [1, 2, 4, 7, 8, 8 * (1 ^ 1 ^ 1) + 4, 8 * 3 + 1]
 
 
 def test_hash_wraps_like_uint32() -> None:
     vertices = torch.randint(-(2**20), 2**20, (1000, 3), generator=torch.Generator().manual_seed(0))
-    x, y, z = vertices.numpy().astype(np.int32).view(np.uint32).T
-    expected = (x ^ (y * np.uint32(2_654_435_761)) ^ (z * np.uint32(805_459_861))) & np.uint32(2**17 - 1)
+    x, y, z = (vertices.numpy().astype(np.int32) >> 1).view(np.uint32).T
+    block = x ^ (y * np.uint32(2_654_435_761)) ^ (z * np.uint32(805_459_861))
+    expected = (block * np.uint32(8) + (vertices.numpy() & 1) @ np.array([1, 2, 4], np.uint32)) & np.uint32(2**17 - 1)
     assert np.array_equal(torch_grid.hash_vertices(vertices, 2**17).numpy(), expected)
+
+
+def test_a_block_lies_in_one_cache_line() -> None:
+    block = torch.tensor([[2 * 5 + i, 2 * -3 + j, 2 * 8 + k] for k in (0, 1) for j in (0, 1) for i in (0, 1)])
+    entries = torch_grid.hash_vertices(block, 2**12)
+    assert entries.tolist() == list(range(int(entries[0]), int(entries[0]) + 8)) and int(entries[0]) % 8 == 0
 
 
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])
 def test_value_by_hand(implementation: str) -> None:
     # One level, cell 2 m, point (-0.5, 1, 3) m: position (-0.25, 0.5, 1.5), lower vertex (-1, 0, 1), fraction (0.75, 0.5, 0.5).
-    # With a table of two entries a vertex is hashed to the parity of x + y + z (all primes are odd): half of the weight of every x falls
-    # on each entry whatever x is, so the feature is the mean of 10 and 30 and the derivative by every coordinate is 0.
+    # A table of eight entries holds one block: a vertex is hashed to the parities p of x, y, z, where the table has p_x + 2 p_y + 4 p_z.
+    # Of x a quarter is odd, of y and z a half: 0.25 + 1 + 2.
     where = device(implementation)
-    tables = torch.tensor([[[10.0], [30.0]]], device=where)
+    tables = torch.arange(8.0, device=where).view(1, 8, 1)
     point, cells = torch.tensor([[-0.5, 1.0, 3.0]], device=where), torch.tensor([2.0], device=where)
-    assert grid_encode(point, tables, cells, implementation=implementation).item() == pytest.approx(20.0)
-    # At (-0.5, 0, 2) only x is between vertices: (-1, 0, 1) is even, entry 0, weight 0.25; (0, 0, 1) odd, entry 1, weight 0.75: 25.
-    # By x the feature rises by 20 in 2 m; by y and z, forward from the plane, from 25 to its mirror image 15 in 2 m.
+    assert grid_encode(point, tables, cells, implementation=implementation).item() == pytest.approx(3.25)
+    # At (-0.5, 0, 2) only x is between vertices: 0.25 + 0 + 4. In 2 m, forward from there, x falls by 1, y rises by 2, z falls by 4.
     point = torch.tensor([[-0.5, 0.0, 2.0]], device=where)
     value, slope = grid_jacobian(point, tables, cells, implementation=implementation)
-    assert value.item() == pytest.approx(25.0)
-    assert slope.flatten().tolist() == pytest.approx([10.0, -5.0, -5.0])
+    assert value.item() == pytest.approx(4.25)
+    assert slope.flatten().tolist() == pytest.approx([-0.5, 1.0, -2.0])
 
 
 @pytest.mark.parametrize("features", [2, 4])

@@ -8,7 +8,16 @@ from torch import Tensor
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, plain_photometric_term, pyramid
+from idfslam.tracking.photometric import (
+    Appearance,
+    Landmarks,
+    compiled_steepest,
+    landmarks,
+    photometric_term,
+    plain_photometric_term,
+    plain_steepest,
+    pyramid,
+)
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 EYE = torch.eye(4, dtype=torch.float64)
@@ -80,6 +89,16 @@ def test_landmarks_avoid_edges_of_depth_and_holes() -> None:
     assert not ((u >= 9) & (u <= 30) & (v >= 19) & (v <= 40)).any()  # neither in the hole nor at its rim
     assert [len(level) for level in marks.luminance] == [len(u)] * 2
     torch.testing.assert_close(marks.luminance[0], colour.mean(-1)[v, u], atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(("height", "cell"), [(72, 3), (36, 5)])
+def test_the_same_pixels_are_steepest(height: int, cell: int) -> None:
+    colour, depth = view(EYE, noise=0.02)
+    depth[20:40, 30:60] += 1.0  # edges, and holes beside
+    depth[torch.rand(72, 96, generator=torch.Generator().manual_seed(1)) < 0.02] = 0
+    fine = pyramid(colour, CAMERA, height=height, levels=1)[0]
+    for found, plain in zip(compiled_steepest(fine, depth, cell, 0.025), plain_steepest(fine, depth, cell, 0.025)):
+        assert 50 < len(plain) and torch.equal(found, plain)
 
 
 def test_a_plain_image_has_no_landmarks() -> None:

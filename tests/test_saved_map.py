@@ -124,7 +124,7 @@ def rewritten(saved: Path, path: Path, *, drop: str = "", **metadata: str) -> Pa
 
 
 def test_another_version(saved: Path, tmp_path: Path) -> None:
-    assert "map format 99, expected 1; use the version" in refused(rewritten(saved, tmp_path / "map.safetensors", format="99"))
+    assert "map format 99, expected 2; use the version" in refused(rewritten(saved, tmp_path / "map.safetensors", format="99"))
 
 
 def test_truncated(saved: Path, tmp_path: Path) -> None:

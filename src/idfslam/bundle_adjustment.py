@@ -41,7 +41,7 @@ class BundleAdjustment:
             if keyframe is self.graph.keyframes[0]:
                 continue
             references = self.graph.earlier(keyframe, self.config.alignment.references)
-            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, near=True)
+            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
             change = change_between(keyframe.T_wk, aligned.T_wc)
             near = float(change[:3].norm()) < self.config.alignment.refine_reach
             if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):

@@ -23,7 +23,7 @@ from idfslam.datasets import Dataset
 from idfslam.errors import ResultError
 from idfslam.state import State
 
-FORMAT = 1
+FORMAT = 2
 
 log = logging.getLogger(__name__)
 

@@ -305,6 +305,8 @@ class AlignmentConfig:
     """Rows of the finest image that brightness is compared in."""
     image_levels: int = 4
     """Images that brightness is compared in, each half the size of the one before; the coarsest comes first."""
+    level_reach: float = 1.5
+    """How far off a guess may be on an image [px of that image]; what is known to be nearer begins on a finer one."""
     steps_a_level: int = 2
     """Steps on each but the finest, which has the rest."""
     references: int = 2

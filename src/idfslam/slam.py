@@ -216,7 +216,7 @@ class Slam:
         if accidental and self._relocalises:
             best, tracked = self._relocalised(current) or replace(best, status=Status.LOST), None if self._lost else tracked
         if best.status is not Status.LOST:
-            self.aligner.accept(best)
+            self.aligner.accept(best, current.T_wk)
             self._in_view = best.in_view
             return best.T_wc, best.status, best.information
         return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
@@ -224,20 +224,23 @@ class Slam:
     def _aligned(self, current: Keyframe) -> tuple[Alignment, Tensor | None]:
         """From the predicted pose; in doubt also from the tracker's and the last pose: one that is better stands. And the tracker's."""
         references = self.graph.references(self.config.alignment.references)
+        predicted, expected = current.T_wk, self.aligner.expected
         best: Alignment | None = None
         tracked: Tensor | None = None
-        for guess in ("motion", "tracker", "last"):
-            T_guess = current.T_wk if guess == "motion" else self._last_pose(current)
+        for guess, within in (("motion", expected), ("motion", None), ("tracker", None), ("last", None)):
+            T_guess = predicted if guess == "motion" else self._last_pose(current)
+            if guess == "motion" and best is not None and expected is None:
+                continue  # from all images already
             if guess == "tracker":
                 T_guess, status = self._register(current)
                 if status is Status.LOST:
                     continue
                 tracked = T_guess
             with self._timed("align"):
-                aligned = self.aligner.align(current, T_guess, references)
+                aligned = self.aligner.align(current, T_guess, references, within=within)
             if best is None or aligned.score > _BETTER * best.score:
                 best = aligned
-            if not self.aligner.doubtful(best):
+            if not self.aligner.doubtful(best) and not self.aligner.unexpected(aligned, T_guess, within):
                 break
         assert best is not None
         return best, tracked

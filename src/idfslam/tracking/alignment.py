@@ -4,6 +4,7 @@ Gauss-Newton on SE(3) with robust weights, coarse to fine. Depth holds the frame
 shape leaves a direction open (a bare wall) the brightness of keyframes' landmarks decides, and what neither decides stays at the guess.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -18,10 +19,11 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.objectives import noise_ratio
 from idfslam.state import State
-from idfslam.tracking.motion import Information, moved
+from idfslam.tracking.motion import Information, change_between, moved
 from idfslam.tracking.normals import smoothed_normals
 from idfslam.tracking.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
 
+_MARGIN, _FORGOTTEN = 1.5, 0.95  # a prediction may be off by so many times what the worst of the last was, which is forgotten slowly
 _WRONG_BRIGHTNESS = 0.1  # difference of brightness at which a landmark is another place
 
 
@@ -38,6 +40,8 @@ class Alignment:
     in_view: float  # share of the references' landmarks that are in view, 1 of none
     information: Information | None  # of depth and images together; None without depth
     iterations: int
+    focal: float = 1.0  # of the finest image [px]
+    radius: float = 1.0  # mean distance of the points [m]
 
     @property
     def score(self) -> float:
@@ -47,6 +51,11 @@ class Alignment:
         """
         agreement = self.in_view / (self.brightness + 0.005) + (1 - self.in_view) / (_WRONG_BRIGHTNESS + 0.005)
         return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + 0.003)
+
+    def distance(self, T_wc: Tensor) -> float:
+        """How far the finest image moves between this pose and another (4, 4), about [px]."""
+        change = change_between(T_wc, self.T_wc)
+        return self.focal * float(change[3:].norm() + change[:3].norm() / max(self.radius, 0.1))
 
 
 @dataclass(frozen=True)
@@ -88,46 +97,58 @@ class Aligner:
     def __init__(self, config: AlignmentConfig, field: Field, generator: torch.Generator) -> None:
         self.config, self._generator = config, generator
         self._usual_brightness = 0.0
+        self.expected: float | None = None  # how far off a prediction is at most, judging by the last ones [px of the finest image]
         self.truncation = field.config.truncation
         self.query: MapQuery = distance_query(field)
 
     def state(self) -> State:
-        """How well colours usually fit, and the generator."""
-        return {"usual_brightness": self._usual_brightness, "generator": self._generator.get_state()}
+        """How well colours usually fit, how far off predictions are, and the generator."""
+        expected = math.inf if self.expected is None else self.expected
+        return {"usual_brightness": self._usual_brightness, "expected": expected, "generator": self._generator.get_state()}
 
     def restore(self, state: State) -> None:
         """What `state` told."""
         self._usual_brightness = state["usual_brightness"]
+        self.expected = state["expected"] if math.isfinite(state["expected"]) else None
         self._generator.set_state(state["generator"])
 
     def align(
-        self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, near: bool = False, registered: bool = False
+        self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, within: float | None = None, registered: bool = False
     ) -> Alignment:
         """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth.
 
-        near: the guess is as good as the answer, and only the finest images are looked at. registered: so it is, and it comes from the
-        neural tracker: directions that map and images know little of are held to it more firmly than to another guess.
+        within: how far off the guess may be [px of the finest image], which spares coarser images; none given: unknown. registered: it
+        is as good as the answer, and comes from the neural tracker: directions that map and images know little of are held to it more
+        firmly than to another guess.
         """
-        near, hold = near or registered, self.config.hold_registered if registered else self.config.hold
+        hold = self.config.hold_registered if registered else self.config.hold
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        T, change = T_guess.double(), torch.zeros(6, dtype=torch.float64)
+        T, change = T_guess.double().clone(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
+        first = min(self._first_step(0.0 if registered else within), self.config.iterations - 1)
         coarse, normals = surface.every(3), None
-        for step in range(min(coarse_steps, self.config.iterations - 1) if near else 0, self.config.iterations):
+        for step in range(first, self.config.iterations):
             if step < coarse_steps:
                 system, _ = self._depth_system(coarse, T, step, None)
             else:  # near the end they turn no more
                 system, normals = self._depth_system(surface, T, step, normals)
             H, b, brightness, in_view = self._with_images(system, view, references, T, step)
-            information = Information.of(H, system.weight, system.radius)
-            P = information.prior(hold)
-            delta = torch.linalg.solve(H + P, b - P @ change)
-            T, change = moved(T, delta), change + delta
-            if step >= coarse_steps and float(delta.abs().max()) < self.config.converged:
+            largest = damped_step(H, b, system.weight, system.radius, hold, change, T)
+            if step >= coarse_steps and largest < self.config.converged:
                 break
-        return self._judged(T, system, information, brightness, in_view, step + 1)
+        information = Information.of(H, system.weight, system.radius)
+        focal = self.appearance(view).levels[0].camera.fx
+        return self._judged(T, system, information, brightness, in_view, step + 1 - first, focal)
+
+    def _first_step(self, within: float | None) -> int:
+        """Past the images that a guess off by `within` [px] has no need of: on each level that is to be at most `level_reach` pixels."""
+        levels = self.config.image_levels
+        if within is None:
+            return 0
+        level = math.ceil(math.log2(max(within / self.config.level_reach, 1.0)))
+        return max(0, levels - 1 - level) * self.config.steps_a_level
 
     def surface(self, view: Keyframe) -> Surface:
         """About `config.points` points of a view, one in each of equal patches, at random within it; patches without depth give none.
@@ -160,10 +181,16 @@ class Aligner:
         """Colours that differ more than this are not noise: the images do not lie on each other."""
         return self.config.doubtful_brightness * max(self._usual_brightness, self.config.colour_noise)
 
-    def accept(self, alignment: Alignment) -> None:
-        """Remember how well colours fit, as a slow running mean."""
+    def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
+        """Remember how well colours fit, as a slow running mean, and how far off the prediction (4, 4) was."""
         if alignment.brightness > 0:
             self._usual_brightness += (alignment.brightness - self._usual_brightness) * (0.1 if self._usual_brightness else 1.0)
+        lately = 0.0 if self.expected is None else _FORGOTTEN * self.expected
+        self.expected = max(_MARGIN * alignment.distance(T_predicted), lately)
+
+    def unexpected(self, alignment: Alignment, T_guess: Tensor, within: float | None) -> bool:
+        """Whether a guess that was to be off by `within` [px] turned out to be farther off than the images that were looked at reach."""
+        return within is not None and alignment.distance(T_guess) > 2 * max(within, self.config.level_reach)
 
     def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
         """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps.
@@ -221,7 +248,7 @@ class Aligner:
         return keyframe.landmarks
 
     def _judged(
-        self, T: Tensor, system: _System, information: Information, brightness: float, in_view: float, iterations: int
+        self, T: Tensor, system: _System, information: Information, brightness: float, in_view: float, iterations: int, focal: float
     ) -> Alignment:
         of_depth = Information.of(system.H, system.weight, system.radius)
         stiffness = float(of_depth.values[0])
@@ -231,7 +258,29 @@ class Aligner:
         elif stiffness < self.config.min_stiffness:
             status = Status.DEGENERATE
         believed = of_depth if brightness > self.doubtful_brightness else information  # images that do not fit know nothing of the motion
-        return Alignment(se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, in_view, believed, iterations)
+        return Alignment(
+            se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, in_view, believed, iterations,
+            focal, system.radius,
+        )
+
+
+def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+    """`plain_damped_step`, compiled."""
+    from idfslam.mapping.kernels import numba_alignment
+
+    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, hold, change.numpy(), T.numpy()))  # type: ignore[call-arg]
+
+
+def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior that holds what they know little of to the guess.
+
+    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step.
+    """
+    P = Information.of(H, weight, radius).prior(hold)
+    delta = torch.linalg.solve(H + P, b - P @ change)
+    change += delta
+    T[:] = moved(T, delta)
+    return float(delta.abs().max())
 
 
 def depth_system(

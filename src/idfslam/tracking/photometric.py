@@ -6,6 +6,7 @@ fraction of a pixel. Two levels of an image pyramid, the coarse one first, widen
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -23,10 +24,16 @@ class Level:
 
     def at(self, uv: Tensor) -> Tensor:
         """Luminance and its derivatives along u and v [1/px], bilinear: (3, N) at pixels (N, 2); the nearest edge's outside."""
+        return self._sampled(with_slopes(self.luminance), uv)
+
+    def luminance_at(self, uv: Tensor) -> Tensor:
+        """The first of these alone, (N,)."""
+        return self._sampled(self.luminance[None], uv)[0]
+
+    def _sampled(self, channels: Tensor, uv: Tensor) -> Tensor:
         size = uv.new_tensor([self.camera.width, self.camera.height])
         place = ((uv + 0.5) * (2 / size) - 1)[None, None]
-        channels = with_slopes(self.luminance)[None]
-        return F.grid_sample(channels, place, align_corners=False, padding_mode="border")[0, :, 0]
+        return F.grid_sample(channels[None], place, align_corners=False, padding_mode="border")[0, :, 0]
 
 
 def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
@@ -66,11 +73,18 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     fine = levels[0]
     measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
     cell = max(2, round((measured / count) ** 0.5))
+    u, v = (compiled_steepest if depth.device.type == "cpu" else plain_steepest)(fine, depth, cell, least)
+    row, column = _rows_of(fine, depth)
+    points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
+    return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]) for level in levels])
+
+
+def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """u (M,) and v (M,) of the steepest pixel of each cell, in torch, on any device."""
     h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
     slope = with_slopes(fine.luminance)[1:].norm(dim=0)
-    rows = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
-    columns = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
-    z = depth[rows[:, None], columns[None]]
+    row, column = _rows_of(fine, depth)
+    z = depth[row[:, None], column[None]]
     nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
     slope = slope * ((nearest > 0) & (farthest - nearest < 0.02 + 0.03 * nearest))
     cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
@@ -78,9 +92,24 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     index = torch.nonzero(best > least).flatten()
     v = index // (w // cell) * cell + place[index] // cell
     u = index % (w // cell) * cell + place[index] % cell
-    uv = torch.stack([u, v], -1).to(depth.dtype)
-    points = fine.camera.rays(uv) * z[v, u][:, None]
-    return Landmarks(points, [level.at(level.camera.project(points)[0])[0] for level in levels])
+    return u, v
+
+
+def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """`plain_steepest` by Numba, on the CPU."""
+    from idfslam.mapping.kernels import numba_alignment
+
+    most = (fine.camera.height // cell) * (fine.camera.width // cell)
+    u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
+    found = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
+    return u[:found], v[:found]
+
+
+def _rows_of(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
+    """The row of a depth image (H, W) that each row of a level lies in, and the column that each of its columns does."""
+    row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
+    column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
+    return row, column
 
 
 @dataclass(frozen=True)

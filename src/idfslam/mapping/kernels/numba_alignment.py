@@ -90,6 +90,45 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
     return total, squares, known, radius / len(distance)
 
 
+@_compiled
+def steepest(image, depth, cell, least, u, v) -> int:  # type: ignore[no-untyped-def]
+    """Fills u and v with the steepest pixel of each cell of an image (h, w), if it is steeper than `least` [1/px]; returns how many are.
+
+    A pixel counts that has depth, (H, W) [m], and so have its neighbours, not across an edge: `photometric.plain_steepest`.
+    """
+    h, w = image.shape
+    found = 0
+    rows, columns = np.empty(h, np.int64), np.empty(w, np.int64)
+    for y in range(h):
+        rows[y] = int((np.float32(y) + np.float32(0.5)) * np.float32(depth.shape[0]) / np.float32(h))
+    for x in range(w):
+        columns[x] = int((np.float32(x) + np.float32(0.5)) * np.float32(depth.shape[1]) / np.float32(w))
+    for top in range(0, h // cell * cell, cell):
+        for left in range(0, w // cell * cell, cell):
+            best, best_x, best_y = least * least, -1, -1
+            for y in range(top, top + cell):
+                for x in range(left, left + cell):
+                    a = (image[y, x + 1] - image[y, x - 1]) / 2 if 0 < x < w - 1 else np.float32(0)
+                    b = (image[y + 1, x] - image[y - 1, x]) / 2 if 0 < y < h - 1 else np.float32(0)
+                    if a * a + b * b > best and _on_one_surface(depth, rows, columns, x, y):
+                        best, best_x, best_y = a * a + b * b, x, y
+            if best_x >= 0:
+                u[found], v[found] = best_x, best_y
+                found += 1
+    return found
+
+
+@_inlined
+def _on_one_surface(depth, rows, columns, x, y) -> bool:  # type: ignore[no-untyped-def]
+    """Whether a pixel and its eight neighbours have depth, and none is much nearer or farther."""
+    nearest, farthest = np.float32(np.inf), np.float32(0)
+    for j in range(max(y - 1, 0), min(y + 2, len(rows))):
+        for i in range(max(x - 1, 0), min(x + 2, len(columns))):
+            z = depth[rows[j], columns[i]]
+            nearest, farthest = min(nearest, z), max(farthest, z)
+    return nearest > 0 and farthest - nearest < np.float32(0.02) + np.float32(0.03) * nearest
+
+
 @_inlined
 def _bilinear(image: Floats, u: float, v: float) -> float:
     h, w = image.shape
@@ -165,3 +204,52 @@ def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, c
         _add(H, b, J, 1 / (kernel * kernel * scale * scale), r)
     _mirror(H)
     return n, scale
+
+
+@_compiled
+def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore[no-untyped-def]
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), held to the guess: `alignment.plain_damped_step`.
+
+    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step.
+    """
+    unit = np.ones(6)
+    unit[3:] = 1 / max(radius, 0.1)
+    scaled = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            scaled[i, j] = H[i, j] * unit[i] * unit[j] / max(weight, 1e-9)
+    values, directions = np.linalg.eigh(scaled)
+    held = np.empty(6)
+    for i in range(6):
+        held[i] = max(weight, 1e-9) * hold**4 / max(values[i], 0.1 * hold) ** 3
+    left, right = np.empty((6, 6)), b.copy()
+    for i in range(6):
+        for j in range(6):
+            prior = 0.0
+            for k in range(6):
+                prior += directions[i, k] * held[k] * directions[j, k]
+            prior /= unit[i] * unit[j]
+            left[i, j] = H[i, j] + prior
+            right[i] -= prior * change[j]
+    delta = np.linalg.solve(left, right)
+    change += delta
+    _move(T, delta)
+    return np.abs(delta).max()
+
+
+@_inlined
+def _move(T, delta) -> None:  # type: ignore[no-untyped-def]
+    """The pose after a shift and a turn about its own centre, both along world axes."""
+    x, y, z = delta[3], delta[4], delta[5]
+    angle = np.sqrt(x * x + y * y + z * z)
+    a = np.sin(angle) / angle if angle > 1e-6 else 1.0 - angle * angle / 6
+    half = np.sin(angle / 2) / angle if angle > 1e-6 else 0.5
+    c = 2 * half * half
+    turn = np.array([[c * x * x, c * x * y, c * x * z], [c * x * y, c * y * y, c * y * z], [c * x * z, c * y * z, c * z * z]])
+    cosine = 1 - c * angle * angle
+    turn += np.array([[cosine, -a * z, a * y], [a * z, cosine, -a * x], [-a * y, a * x, cosine]])
+    R = T[:3, :3].copy()
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
+        T[i, 3] += delta[i]

@@ -26,11 +26,11 @@ Entries = NDArray[np.uint32]
 
 BLOCK = 256  # points: 8 x 256 corner entries and 256 rows of 64 bytes of output fit the first-level cache
 ADAM_BLOCK = 8192  # numbers of a table handled by a thread at a time
-ADAM_RUN = 128  # numbers skipped together where no gradient arrived: large enough to vectorise, small enough to be skipped often
+ADAM_RUN = 256  # numbers skipped together where no gradient arrived: most of a coarse level
+ADAM_LINE = 32  # ... and within a run where some did: most of a fine one
 
-_Y = np.uint32(2_654_435_761)
-_Z = np.uint32(805_459_861)
-_UNIT = np.uint32(1)
+_X8, _Y8, _Z8 = np.uint32(8), np.uint32(2_654_435_761 * 8 % 2**32), np.uint32(805_459_861 * 8 % 2**32)  # hash of blocks, times 8 places
+_UNIT, _TWO = np.uint32(1), np.uint32(2)
 _ONE = np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -47,18 +47,25 @@ def _stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
 
 
 @_inlined
+def _part(vertex: np.uint32, prime8: np.uint32, shift: np.uint32) -> np.uint32:
+    """What one coordinate of a vertex adds to its entry: `torch_grid.hash_vertices`. A shift that fills in zeros changes no bit that stays."""
+    return np.uint32(np.uint32((vertex >> _UNIT) * prime8) ^ np.uint32((vertex & _UNIT) << shift))
+
+
+@_inlined
 def _locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entries: Entries, fraction: Floats) -> None:
     """Fill `entries` (8, BLOCK), x changing fastest, and `fraction` (3, BLOCK) for one block of points at one level.
 
     Numba widens uint32 arithmetic to 64 bits; the casts after every operation let the loop vectorise over 32-bit lanes.
     """
     for i in range(count):
-        x, y, z = xyz[0, i] * inverse, xyz[1, i] * inverse, xyz[2, i] * inverse
-        x_floor, y_floor, z_floor = np.floor(x), np.floor(y), np.floor(z)
-        fraction[0, i], fraction[1, i], fraction[2, i] = x - x_floor, y - y_floor, z - z_floor
-        x0, y0, z0 = np.uint32(np.int32(x_floor)), np.uint32(np.int32(y_floor)), np.uint32(np.int32(z_floor))
-        y0, z0 = np.uint32(y0 * _Y), np.uint32(z0 * _Z)
-        x1, y1, z1 = np.uint32(x0 + _UNIT), np.uint32(y0 + _Y), np.uint32(z0 + _Z)
+        u, v, w = xyz[0, i] * inverse, xyz[1, i] * inverse, xyz[2, i] * inverse
+        x_floor, y_floor, z_floor = np.floor(u), np.floor(v), np.floor(w)
+        fraction[0, i], fraction[1, i], fraction[2, i] = u - x_floor, v - y_floor, w - z_floor
+        x, y, z = np.uint32(np.int32(x_floor)), np.uint32(np.int32(y_floor)), np.uint32(np.int32(z_floor))
+        x0, x1 = _part(x, _X8, np.uint32(0)), _part(np.uint32(x + _UNIT), _X8, np.uint32(0))
+        y0, y1 = _part(y, _Y8, _UNIT), _part(np.uint32(y + _UNIT), _Y8, _UNIT)
+        z0, z1 = _part(z, _Z8, _TWO), _part(np.uint32(z + _UNIT), _Z8, _TWO)
         a, b, c, d = np.uint32(y0 ^ z0), np.uint32(y1 ^ z0), np.uint32(y0 ^ z1), np.uint32(y1 ^ z1)
         entries[0, i], entries[1, i] = np.uint32((x0 ^ a) & mask), np.uint32((x1 ^ a) & mask)
         entries[2, i], entries[3, i] = np.uint32((x0 ^ b) & mask), np.uint32((x1 ^ b) & mask)
@@ -235,9 +242,12 @@ def _adam_run(x: Floats, grad: Floats, m: Floats, v: Floats, rates: tuple[np.flo
 def _adam_step(x: Floats, grad: Floats, m: Floats, v: Floats, rates: tuple[np.float32, ...]) -> None:
     for block in prange((len(x) + ADAM_BLOCK - 1) // ADAM_BLOCK):
         for start in range(block * ADAM_BLOCK, min(len(x), (block + 1) * ADAM_BLOCK), ADAM_RUN):
-            run = slice(start, start + ADAM_RUN)
-            if _any_nonzero(grad[run]):
-                _adam_run(x[run], grad[run], m[run], v[run], rates)
+            end = min(len(x), start + ADAM_RUN)
+            if _any_nonzero(grad[start:end]):
+                for first in range(start, end, ADAM_LINE):
+                    line = slice(first, min(end, first + ADAM_LINE))
+                    if _any_nonzero(grad[line]):
+                        _adam_run(x[line], grad[line], m[line], v[line], rates)
 
 
 def _array(tensor: Tensor) -> Floats:

@@ -1,7 +1,8 @@
 """Multi-resolution hash grid in plain torch: the reference that the Numba and Triton kernels are tested against.
 
 The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space: the lattice of every
-level is infinite and its vertices are hashed into a table of S = 2^k entries. The grid modules share one contract of five functions,
+level is infinite and its vertices are hashed into a table of S = 2^k entries, here eight at a time: the vertices of a block of 2 x 2 x 2 lie
+side by side, so that with two features a cell's corners are in 3.4 cache lines in the mean instead of 6. The grid modules share one contract of five functions,
 `forward`, `jacobian`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables` (L, S, F) and `cells` (L,)
 [m]; features come out level-major, (N, L * F). Any floating dtype works here; the other implementations take float32.
 """
@@ -11,16 +12,17 @@ import math
 import torch
 from torch import Tensor
 
-PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x share a cache line
+PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x lie side by side
 
 
 def hash_vertices(vertices: Tensor, size: int) -> Tensor:
-    """Table entries (...) of integer lattice vertices (..., 3).
+    """Table entries (...) of integer lattice vertices (..., 3): the hash of its block, and behind it three bits for the place there.
 
     The low bits of a product do not depend on its high ones, so 64-bit integers give what uint32 with wrap-around gives. The entry is
-    the hash modulo a power of two: twice the table repeated twice holds the same value at the new entry as at the old one.
+    taken modulo a power of two: twice the table repeated twice holds the same value at the new entry as at the old one.
     """
-    x, y, z = (vertices * torch.tensor(PRIMES, device=vertices.device)).unbind(-1)
+    primes, places = (torch.tensor(numbers, device=vertices.device) for numbers in (PRIMES, (1, 2, 4)))
+    x, y, z = ((vertices >> 1) * primes * 8 + (vertices & 1) * places).unbind(-1)
     return (x ^ y ^ z) & (size - 1)
 
 

@@ -14,8 +14,8 @@ from torch import Tensor
 BLOCK = 128  # points a program
 ADAM_BLOCK = 1024  # numbers a program
 
-_Y = tl.constexpr(2_654_435_761 - 2**32)  # the primes of the hash as int32; products wrap around
-_Z = tl.constexpr(805_459_861)
+_Y8 = tl.constexpr((2_654_435_761 * 8 + 2**31) % 2**32 - 2**31)  # eight times the primes of the hash as int32; products wrap around
+_Z8 = tl.constexpr((805_459_861 * 8 + 2**31) % 2**32 - 2**31)
 
 
 @triton.jit
@@ -25,17 +25,18 @@ def _load_points(points, n, inside):
 
 @triton.jit
 def _locate(x, y, z, inverse):
-    """Lower lattice vertex, hashed by axis but not yet combined, and the position within the cell, 0..1."""
+    """Lower lattice vertex, and the position within the cell, 0..1."""
     x, y, z = x * inverse, y * inverse, z * inverse
     x_floor, y_floor, z_floor = tl.floor(x), tl.floor(y), tl.floor(z)
-    hashed_y, hashed_z = y_floor.to(tl.int32) * _Y, z_floor.to(tl.int32) * _Z
-    return x_floor.to(tl.int32), hashed_y, hashed_z, x - x_floor, y - y_floor, z - z_floor
+    return x_floor.to(tl.int32), y_floor.to(tl.int32), z_floor.to(tl.int32), x - x_floor, y - y_floor, z - z_floor
 
 
 @triton.jit
 def _entry(x, y, z, mask, corner: tl.constexpr):
-    """Table entry of a corner, numbered with x changing fastest."""
-    return ((x + corner % 2) ^ (y + corner // 2 % 2 * _Y) ^ (z + corner // 4 * _Z)) & mask
+    """Table entry of a corner, numbered with x changing fastest: `torch_grid.hash_vertices`."""
+    x, y, z = x + corner % 2, y + corner // 2 % 2, z + corner // 4
+    block = (x >> 1) * 8 ^ (y >> 1) * _Y8 ^ (z >> 1) * _Z8
+    return (block ^ (x & 1) ^ (y & 1) << 1 ^ (z & 1) << 2) & mask
 
 
 @triton.jit
