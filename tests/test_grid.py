@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.mapping.kernels import grid_encode, grid_jacobian, load, sparse_adam, torch_grid
+from idfslam.mapping.kernels import grid_encode, grid_jacobian, grid_scatter, load, sparse_adam, torch_grid, touched_runs
 
 HAS_TRITON = importlib.util.find_spec("triton") is not None
 INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
@@ -198,6 +198,26 @@ def test_sparse_adam_is_adam_where_every_gradient_is_nonzero(implementation: str
         sparse_adam(tables, grad, m, v, step=step, learning_rate=0.01, implementation=implementation)
         assert not grad.any()
     assert torch.allclose(tables, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("implementation", ["torch", *COMPILED])
+def test_adam_that_looks_where_it_is_told_to_is_the_same(implementation: str) -> None:
+    points, tables, cells = grid(implementation, size=2**12)
+    g_features = torch.randn(20, len(CELLS) * 2, generator=torch.Generator().manual_seed(1)).to(points.device)
+    results = []
+    for touched in (None, touched_runs(tables)):
+        moved, grad, m, v = tables.clone(), *(torch.zeros_like(tables) for _ in range(3))
+        for step in (1, 2):
+            grid_scatter(points[20 * step :][:20], cells, g_features, grad, touched=touched, implementation=implementation)
+            if touched is not None and implementation == "numba":
+                runs = (grad != 0).any(-1).unflatten(1, (-1, 64)).any(-1)
+                assert bool((touched > 0)[runs].all()) and 0 < int((touched > 0).sum()) < runs.numel()
+            sparse_adam(moved, grad, m, v, step=step, learning_rate=0.01, touched=touched, implementation=implementation)
+            assert not grad.any()
+        results.append(moved)
+    assert not torch.equal(results[0], tables)
+    assert touched is not None and not touched.any()
+    torch.testing.assert_close(*results, rtol=0, atol=0 if implementation == "numba" else 1e-6)
 
 
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])

@@ -58,8 +58,8 @@ class BundleAdjustment:
             done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
             if done >= 1:
                 break
-            self.mapper.optimiser.anneal = 1 - done
             keyframes = self.graph.sample(c.final_keyframes)
             self.refine(keyframes[:refined])
-            self.mapper.optimise_map(keyframes, c.iterations)
+            self.mapper.start(keyframes, c.iterations, anneal=1 - done)
+        self.mapper.finish()
         self.mapper.optimiser.anneal = 1.0

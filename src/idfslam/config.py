@@ -68,6 +68,8 @@ class MapperConfig:
     """w_fs of Eq. 2."""
     truncation_weight: float = 10.0
     """w_tr of Eq. 2."""
+    beside: bool = True
+    """Learn beside the frames that follow, on a core of its own; they are aligned to the map of the update before. Off: in turns."""
     redraw: int = 10
     """Steps for which pixels are drawn at once; 1: the losses of each step decide on the pixels of the next, as in the paper."""
     active_sampling: bool = True
@@ -411,6 +413,7 @@ PAPER = Config(
         free_space_weight=10.0,
         truncation_weight=6000.0,
         every=0,
+        beside=False,
         redraw=1,
         pose_optimisation=True,
         learning_rate=0.005,

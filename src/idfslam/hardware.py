@@ -45,3 +45,16 @@ def repeatable(device: torch.device) -> Iterator[None]:
         yield
     finally:
         torch.use_deterministic_algorithms(before, warn_only=warn_only)
+
+
+@contextmanager
+def half_the_threads() -> Iterator[None]:
+    """Within, this thread's compiled loops take half of the threads they may have: two that run side by side share the cores."""
+    import numba
+
+    before = numba.get_num_threads()
+    numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // 2))  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

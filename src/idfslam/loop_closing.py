@@ -64,7 +64,7 @@ class LoopCloser:
         """The map learns a few keyframes anew that a loop has moved, those about the current frame first, beside that frame."""
         near = sorted(self._stale, key=lambda i: float((self.graph.keyframes[i].T_wk - current.T_wk)[:3, 3].norm()))
         chosen = near[: self.config.relearnt_at_once]
-        self.mapper.optimise_map([current, *(self.graph.keyframes[i] for i in chosen)], iterations)
+        self.mapper.start([current, *(self.graph.keyframes[i] for i in chosen)], iterations)
         for i in chosen:
             self._stale[i] -= 1
             if self._stale[i] <= 0:

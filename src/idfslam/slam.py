@@ -3,7 +3,7 @@
 import logging
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -21,7 +21,7 @@ from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.hardware import resolve_device
+from idfslam.hardware import half_the_threads, resolve_device
 from idfslam.loop_closing import LoopCloser
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
@@ -49,7 +49,7 @@ class Slam:
         host = torch.Generator().manual_seed(config.seed)
         self.tracker = Tracker(config.tracker, config.finetune, self.device, config.seed)
         self.mapper = Mapper(config.mapper, config.field, self.device, torch.Generator(self.device).manual_seed(config.seed))
-        self.aligner = Aligner(config.alignment, self.mapper.field, host)
+        self.aligner = Aligner(config.alignment, self.mapper.published, host)
         self.localiser = Localiser(self.tracker, self.aligner)
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
         self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph, self.mapper)
@@ -76,6 +76,10 @@ class Slam:
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
+        with half_the_threads() if self.config.mapper.beside else nullcontext():
+            return self._process(frame)
+
+    def _process(self, frame: Frame) -> FrameResult:
         current = self._view(frame)
         status = self._track(current)
         found_again = self._lost and status is not Status.LOST
@@ -111,11 +115,11 @@ class Slam:
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
-        return mesh_of(self.mapper.field, self.graph.views(), resolution or self.config.mesh.resolution)
+        return mesh_of(self.mapper.learnt(), self.graph.views(), resolution or self.config.mesh.resolution)
 
     def save_map(self, path: Path) -> None:
         """The map as one file, to be read by `idfslam.mapping.saved_map.load_map`."""
-        save_map(path, self.mapper.field, self.graph.views())
+        save_map(path, self.mapper.learnt(), self.graph.views())
 
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) camera-to-world poses of all frames processed; frames follow their keyframes."""
@@ -277,7 +281,7 @@ class Slam:
             with self._timed("register"):
                 self.adjustment.register(keyframe)
         if self.graph.promote(keyframe):
-            self.mapper.optimiser.grow()
+            self.mapper.grow()
         self._described(keyframe)
         if self.graph.verify:
             with self._timed("loops"):
@@ -296,12 +300,18 @@ class Slam:
         return self._optimise(current)
 
     def _optimise(self, current: Keyframe) -> dict[str, float]:
-        """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all."""
+        """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all.
+
+        The losses are of the update that ended with this frame.
+        """
         replayed = self.graph.replay(current)
         with self._timed("refine"):
             self.adjustment.refine(replayed[: self.config.alignment.refined])
-        with self._timed("map"):
-            return self.mapper.optimise_map([current, *replayed], self.config.mapper.iterations)
+        with self._timed("wait" if self.config.mapper.beside else "map"):
+            losses = self.mapper.start([current, *replayed], self.config.mapper.iterations)
+        if times := self.mapper.beside.times():
+            self.timings["map"] += times
+        return losses
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""

@@ -1,6 +1,7 @@
 """The implicit map: one network from a position to T-SDF and colour (Sec. IV, Fig. 3)."""
 
 import math
+from collections.abc import Mapping
 
 import torch
 import torch.nn.functional as F
@@ -71,3 +72,10 @@ class Field(nn.Module):
             distance = self.sdf(points) * self.config.truncation
             (gradient,) = torch.autograd.grad(distance.sum(), points)
         return distance.detach(), gradient
+
+
+def load_field(field: Field, weights: Mapping[str, Tensor]) -> None:
+    """Weights of a field of the same config; the tables of its grid may have grown since."""
+    if isinstance(field.encoding, GridEncoding) and weights["encoding.tables"].shape != field.encoding.tables.shape:
+        field.encoding.replace(weights["encoding.tables"].clone())
+    field.load_state_dict(weights)

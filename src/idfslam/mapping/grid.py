@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from idfslam.config import FieldConfig
-from idfslam.mapping.kernels import grid_encode, grid_scatter
+from idfslam.mapping.kernels import grid_encode, grid_scatter, touched_runs
 
 
 class GridEncoding(nn.Module):
@@ -16,6 +16,7 @@ class GridEncoding(nn.Module):
 
     cells: Tensor  # (levels,) edges [m]
     gradient: Tensor  # of the tables
+    touched: Tensor  # where it may be other than zero
 
     def __init__(self, config: FieldConfig) -> None:
         super().__init__()
@@ -23,16 +24,19 @@ class GridEncoding(nn.Module):
         self.register_buffer("cells", config.coarsest * ratio ** torch.arange(config.levels, dtype=torch.float32))
         self.tables = nn.Parameter(torch.empty(config.levels, 2**config.table_log2, config.features).uniform_(-1e-4, 1e-4))
         self.register_buffer("gradient", torch.zeros_like(self.tables.detach()), persistent=False)  # backward adds, the optimiser zeroes
+        self.register_buffer("touched", touched_runs(self.tables), persistent=False)
         self.out_dim = config.levels * config.features
 
     def forward(self, points: Tensor) -> Tensor:
         """Points (..., 3) [m] -> (..., levels * features)."""
+        if self.tables.requires_grad:
+            self.touched.fill_(1)  # what comes back through autograd marks nothing
         features = grid_encode(points.reshape(-1, 3), self.tables, self.cells, accumulate_into=self.gradient)
         return features.reshape(*points.shape[:-1], self.out_dim)
 
     def add_gradient(self, points: Tensor, g_features: Tensor) -> None:
         """Add to the tables' gradient what (N, levels * features) means for them, without autograd."""
-        grid_scatter(points, self.cells, g_features, self.gradient)
+        grid_scatter(points, self.cells, g_features, self.gradient, touched=self.touched)
 
     def grow(self) -> None:
         """Twice the entries, the same function."""
@@ -41,4 +45,4 @@ class GridEncoding(nn.Module):
     def replace(self, tables: Tensor) -> None:
         """Other tables, of any size."""
         self.tables = nn.Parameter(tables.to(self.tables.device), requires_grad=self.tables.requires_grad)
-        self.gradient = torch.zeros_like(self.tables.detach())
+        self.gradient, self.touched = torch.zeros_like(self.tables.detach()), touched_runs(self.tables)

@@ -1,5 +1,6 @@
 """The mapper: the map and the keyframe poses, optimised in turns (Sec. IV)."""
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 
@@ -11,8 +12,8 @@ from idfslam.errors import DivergedError
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.hardware import repeatable, resolve_precision
-from idfslam.mapping.field import Field
-from idfslam.mapping.grid import GridEncoding
+from idfslam.mapping.beside import Beside
+from idfslam.mapping.field import Field, load_field
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
@@ -25,25 +26,42 @@ _VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
 
 
+class MapView:
+    """A keyframe as it is now: learning beside other work must not see its pose move, nor its images put away."""
+
+    def __init__(self, keyframe: Keyframe) -> None:
+        self.keyframe, self.T_wk, self.camera = keyframe, keyframe.T_wk, keyframe.camera
+        self.depth, self.colour = keyframe.depth, keyframe.colour
+
+
 class Mapper:
-    """Owns the field and its optimiser; is handed keyframes, and moves their poses."""
+    """Owns the field and its optimiser; is handed keyframes, and moves their poses.
+
+    `field` is what learns, `published` what others look at: a copy that stands still while the map learns beside them.
+    """
 
     def __init__(self, config: MapperConfig, field_config: FieldConfig, device: torch.device, generator: torch.Generator) -> None:
         self.config, self.device, self.generator, self.truncation = config, device, generator, field_config.truncation
         bf16 = resolve_precision(config.precision, device) is torch.bfloat16 and field_config.width >= 128
         self.field = Field(field_config, bf16=bf16).to(device)
+        self.published = copy.deepcopy(self.field).requires_grad_(False) if config.beside else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
+        self.beside = Beside()
 
     def state(self) -> State:
         """The map, its optimiser and the generator. Gradients are no part of it: each step begins with none."""
-        return {"field": dict(self.field.state_dict()), "optimiser": self.optimiser.state(), "generator": self.generator.get_state()}
+        self.beside.wait()
+        published = {"published": dict(self.published.state_dict()), "beside": self.beside.state()} if self.config.beside else {}
+        own = {"field": dict(self.field.state_dict()), "optimiser": self.optimiser.state(), "generator": self.generator.get_state()}
+        return own | published
 
     def restore(self, state: State) -> None:
         """What `state` told."""
-        if isinstance(self.field.encoding, GridEncoding):
-            self.field.encoding.replace(state["field"]["encoding.tables"])  # they may have grown
-        self.field.load_state_dict(state["field"])
+        load_field(self.field, state["field"])
+        if self.config.beside:
+            load_field(self.published, state["published"])
+            self.beside.restore(state["beside"])
         self.optimiser.restore(state["optimiser"])
         self.generator.set_state(state["generator"])
 
@@ -51,6 +69,7 @@ class Mapper:
         """Go on from another field of the same config."""
         self.field.load_state_dict(field.state_dict())
         self.optimiser.count_as_used()
+        self.publish()
 
     def initialise(self, keyframe: Keyframe) -> dict[str, float]:
         """Teach the map its first frame."""
@@ -58,16 +77,60 @@ class Mapper:
 
     def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int) -> dict[str, float]:
         """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses."""
+        self.beside.wait()
+        losses = self._learn([MapView(k) for k in keyframes], iterations)
+        self.publish()
+        return losses
+
+    def start(self, keyframes: Sequence[Keyframe], iterations: int, *, anneal: float = 1.0) -> dict[str, float]:
+        """`optimise_map` beside what the caller does next; returns the losses of the one before, whose map is published now.
+
+        The keyframes' poses and images are those of now. What is published is so at the same calls on every machine, however long learning
+        takes: results do not depend on it.
+        """
+        if not self.config.beside:
+            self.optimiser.anneal = anneal
+            return self.optimise_map(keyframes, iterations)
+        losses = self.finish()
+        self.optimiser.anneal = anneal
+        views = [MapView(k) for k in keyframes]
+        self.beside.start(lambda: self._learn(views, iterations))
+        return losses
+
+    def finish(self) -> dict[str, float]:
+        """Waits for what was started, and publishes it; its losses."""
+        losses = self.beside.wait()
+        self.publish()
+        return losses
+
+    def learnt(self) -> Field:
+        """The map as it has been learnt so far, published or not."""
+        self.beside.wait()
+        return self.field
+
+    def grow(self) -> bool:
+        """Double the tables when they fill up; the map stays the same function."""
+        self.beside.wait()
+        return self.optimiser.grow()
+
+    @torch.no_grad()
+    def publish(self) -> None:
+        """From now on `published` is the map as it has been learnt so far."""
+        if self.published is not self.field:
+            load_field(self.published, self.field.state_dict())
+
+    def _learn(self, views: Sequence[MapView], iterations: int) -> dict[str, float]:
+        """Eq. 3 on views as they are."""
         numbers: dict[str, float] = {}
         with self.optimiser.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)
-                each = self.config.step_pixels // len(keyframes) if self.config.step_pixels else self.config.pixels
-                pixels = [self._draw(k, each * steps, invert=False) for k in keyframes]
-                rays = join([cast(k, uv) for k, uv in zip(keyframes, pixels)])
+                each = self.config.step_pixels // len(views) if self.config.step_pixels else self.config.pixels
+                pixels = [self._draw(view, each * steps, invert=False) for view in views]
+                rays = join([cast(view, uv) for view, uv in zip(views, pixels)])
                 losses = [self._step(rays.every(steps, step)) for step in range(steps)]
-                numbers = named(losses[-1], keyframes[0].index)  # before losses that are not finite decide on pixels
-                self._remember(keyframes, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
+                numbers = named(losses[-1], views[0].keyframe.index)  # before losses that are not finite decide on pixels
+                self._remember(views, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
         return numbers
 
     def _step(self, rays: Rays) -> Losses:
@@ -79,7 +142,8 @@ class Mapper:
 
     def optimise_pose(self, keyframe: Keyframe) -> dict[str, float]:
         """Eq. 4: the keyframe's pose against the frozen map, by Adam on an increment; pixels where the loss is low."""
-        c = self.config
+        self.beside.wait()
+        c, view = self.config, MapView(keyframe)
         xi = torch.zeros(6, device=self.device, requires_grad=True)
         adam = torch.optim.Adam([xi], lr=c.pose_learning_rate)
         schedule = torch.optim.lr_scheduler.StepLR(adam, c.pose_decay_every, c.pose_decay)
@@ -87,10 +151,10 @@ class Mapper:
         numbers: dict[str, float] = {}
         for _ in range(c.pose_iterations):
             adam.zero_grad()
-            uv = self._draw(keyframe, c.pixels, invert=True)
-            losses = self.objective(self.field, cast(keyframe, uv, start @ se3.exp(xi)), self.generator)
+            uv = self._draw(view, c.pixels, invert=True)
+            losses = self.objective(self.field, cast(view, uv, start @ se3.exp(xi)), self.generator)
             numbers = named(losses, keyframe.index)
-            self._remember([keyframe], [[uv]], [losses])
+            self._remember([view], [[uv]], [losses])
             with repeatable(losses.total.device):
                 losses.total.backward()
             adam.step()
@@ -109,30 +173,31 @@ class Mapper:
 
         def view(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
             origins, directions = world_rays(T_wc, camera, uv)
-            rendered = render(self.field, origins, directions, origins.new_full((len(uv),), farthest), march)
+            rendered = render(self.published, origins, directions, origins.new_full((len(uv),), farthest), march)
             return rendered.colour, rendered.depth
 
         return view
 
-    def _draw(self, keyframe: Keyframe, count: int, *, invert: bool) -> Tensor:
-        """`count` pixels of a keyframe in random order (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
-        cells = self.config.cells
+    def _draw(self, view: MapView, count: int, *, invert: bool) -> Tensor:
+        """`count` pixels of a view in random order (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
+        keyframe, cells = view.keyframe, self.config.cells
         if keyframe.pixels is None:
-            keyframe.pixels = group_pixels(keyframe.depth > 0, cells)
+            keyframe.pixels = group_pixels(view.depth > 0, cells)
         if keyframe.cell_losses is None:
             keyframe.cell_losses = initial_cell_losses(cells, self.device)
         losses = keyframe.cell_losses if self.config.active_sampling else torch.ones_like(keyframe.cell_losses)
         drawn = draw_pixels(keyframe.pixels, cell_shares(losses, invert=invert), count, self.generator)
         return drawn[torch.randperm(len(drawn), generator=self.generator, device=self.device)]
 
-    def _remember(self, keyframes: Sequence[Keyframe], pixels: Sequence[Sequence[Tensor]], losses: Sequence[Losses]) -> None:
-        """How the loss is spread over each image, for active sampling: of several steps the losses, and the pixels of each keyframe."""
+    def _remember(self, views: Sequence[MapView], pixels: Sequence[Sequence[Tensor]], losses: Sequence[Losses]) -> None:
+        """How the loss is spread over each image, for active sampling: of several steps the losses, and the pixels of each view."""
         if not self.config.active_sampling:
             return
         per_ray = [step.per_ray.split([len(uv) for uv in drawn]) for step, drawn in zip(losses, pixels)]
-        for keyframe, uv, found in zip(keyframes, zip(*pixels), zip(*per_ray)):
-            assert keyframe.cell_losses is not None
-            keyframe.cell_losses = update_cell_losses(keyframe.cell_losses, torch.cat(uv), torch.cat(found), *keyframe.depth.shape)
+        for view, uv, found in zip(views, zip(*pixels), zip(*per_ray)):
+            known = view.keyframe.cell_losses
+            assert known is not None
+            view.keyframe.cell_losses = update_cell_losses(known, torch.cat(uv), torch.cat(found), *view.depth.shape)
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:

@@ -23,7 +23,7 @@ class MapOptimiser:
         self.anneal = 1.0  # both rates are multiplied by it: small steps at the end average the noise of many readings
         self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
-        self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate)
+        self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate, fused=True)
         if self.grid is not None:
             self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)
         field.requires_grad_(False)
@@ -55,7 +55,8 @@ class MapOptimiser:
         self.adam.step()
         if self.grid is not None:
             tables, table_rate = self.grid.tables.detach(), self.anneal * self.config.table_rate
-            sparse_adam(tables, self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=table_rate)
+            touched = self.grid.touched
+            sparse_adam(tables, self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=table_rate, touched=touched)
 
     def grow(self) -> bool:
         """Double the tables when they fill up; the map stays the same function."""

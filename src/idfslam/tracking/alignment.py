@@ -259,8 +259,17 @@ class Aligner:
             status = Status.DEGENERATE
         believed = of_depth if brightness > self.doubtful_brightness else information  # images that do not fit know nothing of the motion
         return Alignment(
-            se3.orthonormal(T), status, system.overlap, system.rmse, stiffness, brightness, in_view, believed, iterations,
-            focal, system.radius,
+            se3.orthonormal(T),
+            status,
+            system.overlap,
+            system.rmse,
+            stiffness,
+            brightness,
+            in_view,
+            believed,
+            iterations,
+            focal,
+            system.radius,
         )
 
 

@@ -51,12 +51,21 @@ def grid_jacobian(points: Tensor, tables: Tensor, cells: Tensor, *, implementati
 
 @torch.no_grad()
 def grid_scatter(
-    points: Tensor, cells: Tensor, grad_features: Tensor, into: Tensor, *, implementation: Implementation | None = None
+    points: Tensor,
+    cells: Tensor,
+    grad_features: Tensor,
+    into: Tensor,
+    *,
+    touched: Tensor | None = None,
+    implementation: Implementation | None = None,
 ) -> None:
-    """Add to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd."""
+    """Add to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd.
+
+    touched: of `touched_runs`, for `sparse_adam`.
+    """
     kernels = _kernels(points.device, implementation)
     _check(points, into, cells, any_dtype=kernels is torch_grid)
-    kernels.backward_tables(points.contiguous(), cells, grad_features.contiguous(), into)
+    kernels.backward_tables(points.contiguous(), cells, grad_features.contiguous(), into, touched)
 
 
 @torch.no_grad()
@@ -70,19 +79,21 @@ def sparse_adam(
     learning_rate: float,
     betas: tuple[float, float] = (0.9, 0.99),
     eps: float = 1e-15,
+    touched: Tensor | None = None,
     implementation: Implementation | None = None,
 ) -> None:
     """One Adam step on the numbers whose gradient is not zero, in place; all four tensors (L, S, F). `grad` is zero afterwards.
 
     Entries that no sample touched keep value and moments (lazy Adam), and their memory is not written. `step` counts from 1 for the tables
     as a whole; with the default betas a number first touched late still moves by the learning rate, (1 - 0.9) / sqrt(1 - 0.99) = 1.
+    touched: where `grid_scatter` marked all that `grad` holds; none given: it is looked for everywhere.
     """
     if not (tables.shape == grad.shape == m.shape == v.shape):
         raise ValueError(f"shapes differ: tables {tuple(tables.shape)}, grad {tuple(grad.shape)}, m {tuple(m.shape)}, v {tuple(v.shape)}")
     if not all(tensor.is_contiguous() for tensor in (tables, grad, m, v)):
         raise ValueError("tables, grad, m and v must be contiguous")
     kernels = _kernels(tables.device, implementation)
-    kernels.adam_step(tables, grad, m, v, step=step, learning_rate=learning_rate, betas=betas, eps=eps)
+    kernels.adam_step(tables, grad, m, v, touched, step=step, learning_rate=learning_rate, betas=betas, eps=eps)
     torch.autograd.graph.increment_version(tables)  # a graph that still needs the old values must fail, not use the new ones
 
 

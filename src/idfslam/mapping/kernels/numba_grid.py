@@ -21,13 +21,15 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.mapping.kernels.torch_grid import RUN, touched_runs
+
 Floats = NDArray[np.float32]
 Entries = NDArray[np.uint32]
+Flags = NDArray[np.uint8]
 
 BLOCK = 256  # points: 8 x 256 corner entries and 256 rows of 64 bytes of output fit the first-level cache
-ADAM_BLOCK = 8192  # numbers of a table handled by a thread at a time
-ADAM_RUN = 256  # numbers skipped together where no gradient arrived: most of a coarse level
-ADAM_LINE = 32  # ... and within a run where some did: most of a fine one
+ADAM_BLOCK = 128  # runs of a table handled by a thread at a time
+ADAM_LINE = 32  # numbers skipped together where no gradient arrived: large enough to vectorise, small enough to be skipped often
 
 _X8, _Y8, _Z8 = np.uint32(8), np.uint32(2_654_435_761 * 8 % 2**32), np.uint32(805_459_861 * 8 % 2**32)  # hash of blocks, times 8 places
 _UNIT, _TWO = np.uint32(1), np.uint32(2)
@@ -48,7 +50,7 @@ def _stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
 
 @_inlined
 def _part(vertex: np.uint32, prime8: np.uint32, shift: np.uint32) -> np.uint32:
-    """What one coordinate of a vertex adds to its entry: `torch_grid.hash_vertices`. A shift that fills in zeros changes no bit that stays."""
+    """What one coordinate of a vertex adds to its entry: `torch_grid.hash_vertices`. The zeros that the shift fills in do not stay."""
     return np.uint32(np.uint32((vertex >> _UNIT) * prime8) ^ np.uint32((vertex & _UNIT) << shift))
 
 
@@ -178,8 +180,13 @@ def _backward_points(
 
 
 @_inlined
-def _scatter(table: Floats, e: Entries, fraction: Floats, count: int, lanes: tuple[int, ...], grad: Floats, n: int, first: int) -> None:
+def _scatter(
+    table: Floats, touched: Flags, e: Entries, fraction: Floats, count: int, lanes: tuple[int, ...], grad: Floats, n: int, first: int
+) -> None:
     """Add the gradient of a block of points, rows from n and columns from `first` of `grad`, to one level's table."""
+    for corner in range(8):
+        for i in range(count):
+            touched[e[corner, i] // RUN] = 1
     for i in range(count):
         u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
         low, high = (_ONE - v) * (_ONE - w), (_ONE - v) * w
@@ -199,7 +206,7 @@ def _scatter(table: Floats, e: Entries, fraction: Floats, count: int, lanes: tup
 
 @_parallel
 def _backward_tables(
-    points: Floats, inverse: Floats, lanes: tuple[int, ...], grad_features: Floats, grad_tables: Floats, workers: int
+    points: Floats, inverse: Floats, lanes: tuple[int, ...], grad_features: Floats, grad_tables: Floats, touched: Flags, workers: int
 ) -> None:
     width = len(lanes)
     mask = np.uint32(grad_tables.shape[1] - 1)
@@ -211,7 +218,7 @@ def _backward_tables(
                 count = min(len(points) - start, BLOCK)
                 _stage(points, start, count, xyz)
                 _locate(xyz, count, inverse[level], mask, e, fraction)
-                _scatter(grad_tables[level], e, fraction, count, lanes, grad_features, start, level * width)
+                _scatter(grad_tables[level], touched[level], e, fraction, count, lanes, grad_features, start, level * width)
 
 
 @_inlined
@@ -239,15 +246,18 @@ def _adam_run(x: Floats, grad: Floats, m: Floats, v: Floats, rates: tuple[np.flo
 
 
 @_parallel
-def _adam_step(x: Floats, grad: Floats, m: Floats, v: Floats, rates: tuple[np.float32, ...]) -> None:
-    for block in prange((len(x) + ADAM_BLOCK - 1) // ADAM_BLOCK):
-        for start in range(block * ADAM_BLOCK, min(len(x), (block + 1) * ADAM_BLOCK), ADAM_RUN):
-            end = min(len(x), start + ADAM_RUN)
-            if _any_nonzero(grad[start:end]):
-                for first in range(start, end, ADAM_LINE):
-                    line = slice(first, min(end, first + ADAM_LINE))
-                    if _any_nonzero(grad[line]):
-                        _adam_run(x[line], grad[line], m[line], v[line], rates)
+def _adam_step(x: Floats, grad: Floats, m: Floats, v: Floats, touched: Flags, rates: tuple[np.float32, ...]) -> None:
+    width = len(x) // len(touched)
+    for block in prange((len(touched) + ADAM_BLOCK - 1) // ADAM_BLOCK):
+        for run in range(block * ADAM_BLOCK, min(len(touched), (block + 1) * ADAM_BLOCK)):
+            start, end = run * width, (run + 1) * width
+            marked, touched[run] = touched[run], 0
+            if marked == 0 or not _any_nonzero(grad[start:end]):
+                continue
+            for first in range(start, end, ADAM_LINE):
+                line = slice(first, min(end, first + ADAM_LINE))
+                if _any_nonzero(grad[line]):
+                    _adam_run(x[line], grad[line], m[line], v[line], rates)
 
 
 def _array(tensor: Tensor) -> Floats:
@@ -275,11 +285,12 @@ def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Ten
     return features, slopes
 
 
-def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor) -> None:
-    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
+def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
+    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F); marks in `touched` where."""
     levels, _, width = grad_tables.shape
     workers = min(levels, numba.get_num_threads())
-    _backward_tables(_array(points), _inverse(cells), (0,) * width, _array(grad_features), _array(grad_tables), workers)
+    tables, flags = _array(grad_tables), (touched_runs(grad_tables) if touched is None else touched).numpy()
+    _backward_tables(_array(points), _inverse(cells), (0,) * width, _array(grad_features), tables, flags, workers)
 
 
 def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
@@ -290,9 +301,19 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
 
 
 def adam_step(
-    tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, *, step: int, learning_rate: float, betas: tuple[float, float], eps: float
+    tables: Tensor,
+    grad: Tensor,
+    m: Tensor,
+    v: Tensor,
+    touched: Tensor | None = None,
+    *,
+    step: int,
+    learning_rate: float,
+    betas: tuple[float, float],
+    eps: float,
 ) -> None:
-    """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
+    """Adam on the numbers whose gradient is not zero, in place; looked for in `touched` runs alone, if given. Both are zero afterwards."""
     step_size, correction = learning_rate / (1 - betas[0] ** step), 1 / math.sqrt(1 - betas[1] ** step)
     x, g, first, second = (_array(tensor).reshape(-1) for tensor in (tables, grad, m, v))
-    _adam_step(x, g, first, second, tuple(np.float32(rate) for rate in (step_size, *betas, correction, eps)))
+    flags = (touched_runs(tables).fill_(1) if touched is None else touched).numpy().reshape(-1)
+    _adam_step(x, g, first, second, flags, tuple(np.float32(rate) for rate in (step_size, *betas, correction, eps)))

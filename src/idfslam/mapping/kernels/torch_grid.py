@@ -1,10 +1,12 @@
 """Multi-resolution hash grid in plain torch: the reference that the Numba and Triton kernels are tested against.
 
 The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space: the lattice of every
-level is infinite and its vertices are hashed into a table of S = 2^k entries, here eight at a time: the vertices of a block of 2 x 2 x 2 lie
-side by side, so that with two features a cell's corners are in 3.4 cache lines in the mean instead of 6. The grid modules share one contract of five functions,
-`forward`, `jacobian`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables` (L, S, F) and `cells` (L,)
-[m]; features come out level-major, (N, L * F). Any floating dtype works here; the other implementations take float32.
+level is infinite and its vertices are hashed into a table of S = 2^k entries, here eight at a time: the vertices of a block of 2 x 2 x 2
+lie side by side, so that with two features a cell's corners are in 3.4 cache lines in the mean instead of 6. The grid modules share one
+contract of five functions, `forward`, `jacobian`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables`
+(L, S, F) and `cells` (L,) [m]; features come out level-major, (N, L * F). Where tables have a gradient `touched` (L, S / RUN) uint8
+marks, so that Adam need not look everywhere (Numba; the others do without). Any floating dtype works here; the other implementations
+take float32.
 """
 
 import math
@@ -13,6 +15,13 @@ import torch
 from torch import Tensor
 
 PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x lie side by side
+
+RUN = 64  # entries that share a mark
+
+
+def touched_runs(tables: Tensor) -> Tensor:
+    """Marks (L, S / RUN) uint8 for tables (L, S, F), none set; at least one a level."""
+    return torch.zeros(tables.shape[0], max(1, tables.shape[1] // RUN), dtype=torch.uint8, device=tables.device)
 
 
 def hash_vertices(vertices: Tensor, size: int) -> Tensor:
@@ -64,7 +73,7 @@ def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Ten
     return features.flatten(1), torch.einsum("nlcf,nlcd->nlfd", values, slopes).flatten(1, 2)
 
 
-def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor) -> None:
+def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
     """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
     levels, size, width = grad_tables.shape
     entries, fraction = locate(points, cells, size)
@@ -80,12 +89,21 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
 
 
 def adam_step(
-    tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, *, step: int, learning_rate: float, betas: tuple[float, float], eps: float
+    tables: Tensor,
+    grad: Tensor,
+    m: Tensor,
+    v: Tensor,
+    touched: Tensor | None = None,
+    *,
+    step: int,
+    learning_rate: float,
+    betas: tuple[float, float],
+    eps: float,
 ) -> None:
     """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
-    touched = grad != 0
-    m.copy_(torch.where(touched, betas[0] * m + (1 - betas[0]) * grad, m))
-    v.copy_(torch.where(touched, betas[1] * v + (1 - betas[1]) * grad * grad, v))
+    moved = grad != 0
+    m.copy_(torch.where(moved, betas[0] * m + (1 - betas[0]) * grad, m))
+    v.copy_(torch.where(moved, betas[1] * v + (1 - betas[1]) * grad * grad, v))
     denominator = v.sqrt() / math.sqrt(1 - betas[1] ** step) + eps
-    tables.sub_(torch.where(touched, learning_rate / (1 - betas[0] ** step) * m / denominator, 0.0))
+    tables.sub_(torch.where(moved, learning_rate / (1 - betas[0] ** step) * m / denominator, 0.0))
     grad.zero_()

@@ -208,7 +208,7 @@ def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Ten
     return features, slopes
 
 
-def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor) -> None:
+def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
     """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
     levels, size, _ = grad_tables.shape
     if len(points):
@@ -228,7 +228,16 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
 
 
 def adam_step(
-    tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, *, step: int, learning_rate: float, betas: tuple[float, float], eps: float
+    tables: Tensor,
+    grad: Tensor,
+    m: Tensor,
+    v: Tensor,
+    touched: Tensor | None = None,
+    *,
+    step: int,
+    learning_rate: float,
+    betas: tuple[float, float],
+    eps: float,
 ) -> None:
     """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
     step_size, correction = learning_rate / (1 - betas[0] ** step), (1 - betas[1] ** step) ** -0.5

@@ -1,0 +1,54 @@
+"""One piece of work at a time beside the rest of the program: the map learns on one core while frames are tracked on another."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from time import perf_counter
+
+from idfslam.hardware import half_the_threads
+from idfslam.state import State
+
+Losses = dict[str, float]
+
+
+class Beside:
+    """Runs functions in one thread of its own, each after the one before."""
+
+    def __init__(self) -> None:
+        self._milliseconds: list[float] = []  # that each took
+        self._losses: Losses = {}  # of the last that ended
+        self._pool: ThreadPoolExecutor | None = None
+        self._running: Future[Losses] | None = None
+
+    def start(self, work: Callable[[], Losses]) -> None:
+        """Begins with it, after the one that may still be running."""
+        self.wait()
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(1, thread_name_prefix="map")
+        self._running = self._pool.submit(self._timed, work)
+
+    def wait(self) -> Losses:
+        """The losses of what was started last, when it has ended. Raises what it raised."""
+        if self._running is not None:
+            running, self._running = self._running, None
+            self._losses = running.result()
+        return self._losses
+
+    def times(self) -> list[float]:
+        """The milliseconds that each took which has ended since the last call."""
+        taken, self._milliseconds = self._milliseconds, []
+        return taken
+
+    def state(self) -> State:
+        """The losses that nobody has been told yet."""
+        return {"losses": dict(self.wait())}
+
+    def restore(self, state: State) -> None:
+        """What `state` told."""
+        self._losses = dict(state["losses"])
+
+    def _timed(self, work: Callable[[], Losses]) -> Losses:
+        start = perf_counter()
+        with half_the_threads():
+            losses = work()
+        self._milliseconds.append((perf_counter() - start) * 1e3)
+        return losses
