@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 WORKED_OUT_AGAIN = {"described", "appearance", "landmarks", "pixels", "_images", "_archive", "archive"}  # from keyframes' images
+OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
 
 
 def differences(a: Any, b: Any, where: str) -> Iterator[str]:
@@ -44,7 +45,9 @@ def parts(value: Any) -> dict[Any, Any] | None:
 
 def attributes(value: Any) -> dict[str, Any]:
     private = isinstance(value, nn.Module)  # torch's own
-    return {name: v for name, v in vars(value).items() if name not in WORKED_OUT_AGAIN and not (private and name.startswith("_"))}
+    return {
+        name: v for name, v in vars(value).items() if name not in WORKED_OUT_AGAIN | OF_A_PROCESS and not (private and name.startswith("_"))
+    }
 
 
 def equal(a: Any, b: Any) -> bool:

@@ -13,7 +13,16 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import Aligner, Alignment, damped_step, depth_system, plain_damped_step, plain_depth_system
+from idfslam.tracking.alignment import (
+    Aligner,
+    Alignment,
+    compiled_surface,
+    damped_step,
+    depth_system,
+    plain_damped_step,
+    plain_depth_system,
+    plain_surface,
+)
 from idfslam.tracking.normals import plain_smoothed, smoothed_normals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
@@ -69,6 +78,17 @@ def error(T: Tensor, truth: Tensor) -> tuple[float, float]:
     """[m], [degrees]"""
     difference = se3.inverse(truth) @ T
     return float(difference[:3, 3].norm()), float(torch.rad2deg(se3.angle(difference)))
+
+
+@pytest.mark.parametrize("patch", [1, 7])
+def test_the_compiled_points_are_the_plain_ones(patch: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    depth = 1 + torch.rand(CAMERA.height, CAMERA.width, generator=generator)
+    depth[torch.rand(depth.shape, generator=generator) < 0.3] = 0
+    jitter = torch.randint(patch, (2, CAMERA.height // patch, CAMERA.width // patch), generator=generator)
+    found, plain = compiled_surface(depth, CAMERA, jitter, patch), plain_surface(depth, CAMERA, jitter, patch)
+    assert torch.equal(found.patches, plain.patches) and torch.equal(found.sigma, plain.sigma)
+    torch.testing.assert_close(found.points, plain.points)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-9])

@@ -26,11 +26,11 @@ SMALL = replace(
 
 def test_the_tracker_alone_has_no_map(box_recording: Path) -> None:
     slam = Slam(odometry(SMALL, finetune=False, grid=4))
-    tables = slam.mapper.field.encoding.tables.clone()
+    tables = slam.mapper.learnt().encoding.tables.clone()
     recording = open_recording(box_recording)
     results = [slam.process(recording[i]) for i in range(len(recording))]
     assert set(slam.timings) <= {"track", "map", "refine"}
-    assert (tables == slam.mapper.field.encoding.tables).all()
+    assert (tables == slam.mapper.learnt().encoding.tables).all()
     assert not any(result.losses for result in results)
     truth = recording.ground_truth
     assert truth is not None

@@ -76,7 +76,7 @@ class Unbroken:
                 self.lost += [f"after frame {i}, {found}" for found in differences(self.slam, again, "slam")]
                 if i in GONE_ON:
                     self.restored.append(again)
-                self.tables.append(self.slam.mapper.field.encoding.tables.shape[1])
+                self.tables.append(self.slam.mapper.learnt().encoding.tables.shape[1])
         self.poses = self.slam.trajectory()  # before the end moves keyframes
         for slam in (self.slam, *self.restored):
             slam.finish()
@@ -117,7 +117,7 @@ def test_what_is_forgotten_would_be_found(box_recording: Path) -> None:
     one.aligner.new = torch.ones(1)  # type: ignore[attr-defined]
     other.tracker.generator.manual_seed(9)
     other.graph.keyframes[0].alike.append(3)
-    other.mapper.field.encoding.tables.data[0, 0, 0] += 1
+    other.mapper.learnt().encoding.tables.data[0, 0, 0] += 1
     places = {found.split(":")[0] for found in differences(one, other, "slam")}
     assert places >= {
         "slam.aligner.new",

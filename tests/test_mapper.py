@@ -1,6 +1,7 @@
 """The mapper on a corner of three walls: gradients of the pose, Eqs. 3 and 4, and what happens when a loss is not finite."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -138,3 +139,58 @@ def test_a_loss_that_is_not_finite_names_keyframe_and_loss() -> None:
 
 def test_without_iterations_there_are_no_losses(taught: Mapper) -> None:
     assert taught.optimise_map([view(torch.eye(4, dtype=torch.float64))], 0) == {}
+
+
+def beside(**values: object) -> tuple[Mapper, list[Keyframe]]:
+    """A map that learns beside, after its first frame."""
+    learner = mapper(replace(CONFIG, beside=True, **values))  # type: ignore[arg-type]
+    keyframes = [view(torch.eye(4, dtype=torch.float64)), view(pose(0.1, 0, 0, 0, 0, 0), index=1)]
+    learner.optimise_map(keyframes[:1], 5)
+    return learner, keyframes
+
+
+def weights(field: Field) -> list[Tensor]:
+    return [value.clone() for value in field.state_dict().values()]
+
+
+def test_what_is_learnt_beside_is_published_at_the_next_update() -> None:
+    learner, keyframes = beside()
+    before = weights(learner.published)
+    assert learner.start(keyframes, 5) == {}
+    keyframes[1].T_wk = pose(9, 9, 9, 0, 0, 0)  # too late to be seen
+    learnt = weights(learner.learnt())
+    assert all(torch.equal(a, b) for a, b in zip(before, weights(learner.published)))
+    losses = learner.start(keyframes[:1], 5)
+    assert losses["total"] > 0
+    assert all(torch.equal(a, b) for a, b in zip(learnt, weights(learner.published)))
+    assert not all(torch.equal(a, b) for a, b in zip(before, learnt))
+    assert len(learner.beside.times()) >= 1
+    learner.finish()
+    # The same in turns
+    turns, keyframes = beside()
+    turns.optimise_map(keyframes, 5)
+    turns.optimise_map(keyframes[:1], 5)
+    assert all(torch.equal(a, b) for a, b in zip(weights(learner.published), weights(turns.published)))
+
+
+def test_an_error_beside_is_raised_at_the_next_update() -> None:
+    learner, keyframes = beside()
+    with torch.no_grad():
+        learner.field.sdf_head.bias.fill_(np.nan)
+    learner.start(keyframes, 5)
+    with pytest.raises(DivergedError, match="keyframe 0"):
+        learner.start(keyframes, 5)
+
+
+def test_a_mapper_is_kept_while_it_learns() -> None:
+    learner, keyframes = beside()
+    learner.start(keyframes, 5)
+    other, again = beside()
+    other.restore(deepcopy(learner.state()))
+    for keyframe, copy in zip(keyframes, again):
+        assert keyframe.cell_losses is not None
+        copy.cell_losses = keyframe.cell_losses.clone()
+    assert all(torch.equal(a, b) for a, b in zip(weights(learner.published), weights(other.published)))
+    assert learner.start(keyframes, 5) == other.start(again, 5) != {}
+    for mine, its in ((learner.published, other.published), (learner.learnt(), other.learnt())):
+        assert all(torch.equal(a, b) for a, b in zip(weights(mine), weights(its)))

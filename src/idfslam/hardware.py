@@ -48,12 +48,12 @@ def repeatable(device: torch.device) -> Iterator[None]:
 
 
 @contextmanager
-def half_the_threads() -> Iterator[None]:
-    """Within, this thread's compiled loops take half of the threads they may have: two that run side by side share the cores."""
+def threads(share: float) -> Iterator[None]:
+    """Within, this thread's compiled loops take a share of the threads that they may have: those that run side by side share the cores."""
     import numba
 
     before = numba.get_num_threads()
-    numba.set_num_threads(max(1, numba.config.NUMBA_NUM_THREADS // 2))  # type: ignore[attr-defined]
+    numba.set_num_threads(max(1, round(share * numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]
     try:
         yield
     finally:

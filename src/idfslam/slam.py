@@ -3,7 +3,7 @@
 import logging
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -21,7 +21,7 @@ from idfslam.errors import RecordingError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.hardware import half_the_threads, resolve_device
+from idfslam.hardware import resolve_device, threads
 from idfslam.loop_closing import LoopCloser
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
@@ -76,7 +76,7 @@ class Slam:
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
-        with half_the_threads() if self.config.mapper.beside else nullcontext():
+        with threads(0.5 if self.config.mapper.beside else 1.0):
             return self._process(frame)
 
     def _process(self, frame: Frame) -> FrameResult:
@@ -288,30 +288,30 @@ class Slam:
                 self.loop_closer.close(keyframe)
         self.graph.cover(keyframe)
         if first:
-            with self._timed("map"):
+            with self._timed("map"), threads(1.0):
                 return self.mapper.initialise(keyframe)
-        return losses | self._optimise(keyframe)
+        window = self._window(keyframe)
+        with self._timed("map"), threads(1.0):  # nothing goes on beside: the next frame needs what came into view
+            return losses | self.mapper.optimise_map(window, self.config.mapper.iterations)
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
-        """A map update on a frame that is not kept."""
+        """A map update on a frame that is not kept, beside the frames that follow; the losses are those of the one before."""
         assert self.graph.reference is not None
         current.neighbours = set(self.graph.reference.neighbours)
         self.graph.cover(current)
-        return self._optimise(current)
-
-    def _optimise(self, current: Keyframe) -> dict[str, float]:
-        """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all.
-
-        The losses are of the update that ended with this frame.
-        """
-        replayed = self.graph.replay(current)
-        with self._timed("refine"):
-            self.adjustment.refine(replayed[: self.config.alignment.refined])
+        window = self._window(current)
         with self._timed("wait" if self.config.mapper.beside else "map"):
-            losses = self.mapper.start([current, *replayed], self.config.mapper.iterations)
+            losses = self.mapper.start(window, self.config.mapper.iterations)
         if times := self.mapper.beside.times():
             self.timings["map"] += times
         return losses
+
+    def _window(self, current: Keyframe) -> list[Keyframe]:
+        """The view and the replayed keyframes, refined: bundle adjustment in turns, their poses against the map, the map against all."""
+        replayed = self.graph.replay(current)
+        with self._timed("refine"):
+            self.adjustment.refine(replayed[: self.config.alignment.refined])
+        return [current, *replayed]
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from time import perf_counter
 
-from idfslam.hardware import half_the_threads
+from idfslam.hardware import threads
 from idfslam.state import State
 
 Losses = dict[str, float]
@@ -15,7 +15,7 @@ class Beside:
 
     def __init__(self) -> None:
         self._milliseconds: list[float] = []  # that each took
-        self._losses: Losses = {}  # of the last that ended
+        self._losses: Losses = {}  # of the last that ended, until they are told
         self._pool: ThreadPoolExecutor | None = None
         self._running: Future[Losses] | None = None
 
@@ -26,12 +26,17 @@ class Beside:
             self._pool = ThreadPoolExecutor(1, thread_name_prefix="map")
         self._running = self._pool.submit(self._timed, work)
 
-    def wait(self) -> Losses:
-        """The losses of what was started last, when it has ended. Raises what it raised."""
+    def wait(self) -> None:
+        """Until what was started last has ended. Raises what it raised."""
         if self._running is not None:
             running, self._running = self._running, None
             self._losses = running.result()
-        return self._losses
+
+    def losses(self) -> Losses:
+        """Waits; the losses of what was started last, to whoever asks first."""
+        self.wait()
+        told, self._losses = self._losses, {}
+        return told
 
     def times(self) -> list[float]:
         """The milliseconds that each took which has ended since the last call."""
@@ -40,7 +45,8 @@ class Beside:
 
     def state(self) -> State:
         """The losses that nobody has been told yet."""
-        return {"losses": dict(self.wait())}
+        self.wait()
+        return {"losses": self._losses}
 
     def restore(self, state: State) -> None:
         """What `state` told."""
@@ -48,7 +54,7 @@ class Beside:
 
     def _timed(self, work: Callable[[], Losses]) -> Losses:
         start = perf_counter()
-        with half_the_threads():
+        with threads(0.5):
             losses = work()
         self._milliseconds.append((perf_counter() - start) * 1e3)
         return losses

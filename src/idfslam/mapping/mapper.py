@@ -99,7 +99,7 @@ class Mapper:
 
     def finish(self) -> dict[str, float]:
         """Waits for what was started, and publishes it; its losses."""
-        losses = self.beside.wait()
+        losses = self.beside.losses()
         self.publish()
         return losses
 

@@ -8,12 +8,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import distance_query
@@ -159,14 +161,7 @@ class Aligner:
         patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
-        v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(view.depth.device)
-        u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(view.depth.device)
-        depth = view.depth[v, u]
-        keep = depth > 0
-        patches = torch.where(keep, keep.cumsum(0) - 1, -1).int().view(rows, columns)
-        v, u, depth = v[keep], u[keep], depth[keep]
-        points = view.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[:, None]
-        return Surface(points, noise_ratio(depth), patches)
+        return (compiled_surface if view.depth.device.type == "cpu" else plain_surface)(view.depth, view.camera, jitter, patch)
 
     def doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess is worth its time: lost, little overlap, or colours that fit much worse than they lately did."""
@@ -271,6 +266,31 @@ class Aligner:
             focal,
             system.radius,
         )
+
+
+def plain_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
+    """Of each patch of a depth image (H, W) [m] the pixel that jitter (2, rows, columns) says, where it has depth; in torch, on any device."""
+    rows, columns = jitter.shape[1:]
+    v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(depth.device)
+    u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(depth.device)
+    z = depth[v, u]
+    keep = z > 0
+    patches = torch.where(keep, keep.cumsum(0) - 1, -1).int().view(rows, columns)
+    v, u, z = v[keep], u[keep], z[keep]
+    points = camera.rays(torch.stack([u, v], -1).to(z.dtype)) * z[:, None]
+    return Surface(points, noise_ratio(z), patches)
+
+
+def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
+    """`plain_surface` by Numba, on the CPU."""
+    from idfslam.mapping.kernels import numba_alignment
+
+    points, z = torch.empty(jitter[0].numel(), 3), torch.empty(jitter[0].numel())
+    patches = torch.empty(jitter.shape[1:], dtype=torch.int32)
+    intrinsics = [np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
+    outputs = points.numpy(), z.numpy(), patches.numpy()
+    found = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
+    return Surface(points[:found], noise_ratio(z[:found]), patches)
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:

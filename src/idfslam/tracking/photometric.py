@@ -38,13 +38,26 @@ class Level:
 
 def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
     """Luminance of an image (H, W, 3), the finest level of at least `height` rows and each next of half as many."""
-    luminance = (colour.reshape(-1, 3) @ colour.new_tensor([1 / 3, 1 / 3, 1 / 3])).view(1, 1, *colour.shape[:2])
+    full = luminance(colour)
     shrink = max(1, camera.height // height)
-    out = []
+    out: list[Level] = []
     for _ in range(levels):
-        image = F.avg_pool2d(luminance, shrink)[0, 0] if shrink > 1 else luminance[0, 0]
+        finer = out[-1].luminance if out else full
+        halved = bool(out) and finer.shape[0] % 2 == 0 and finer.shape[1] % 2 == 0  # means of means of as many are means
+        image = F.avg_pool2d(finer[None], 2)[0] if halved else F.avg_pool2d(full[None], shrink)[0] if shrink > 1 else full
         out.append(Level(image, camera.resized(image.shape[1], image.shape[0])))
         shrink *= 2
+    return out
+
+
+def luminance(colour: Tensor) -> Tensor:
+    """(H, W, 3) -> (H, W), on the CPU by Numba."""
+    if colour.device.type != "cpu":
+        return colour.mean(-1)
+    from idfslam.mapping.kernels import numba_alignment
+
+    out = torch.empty(colour.shape[:2])
+    numba_alignment.luminance_of(colour.numpy(), out.numpy())  # type: ignore[call-arg]
     return out
 
 

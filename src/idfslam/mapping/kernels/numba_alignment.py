@@ -91,6 +91,36 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
 
 
 @_compiled
+def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, patches) -> int:  # type: ignore[no-untyped-def]
+    """Fills points (N, 3) [m], z (N,) and patches (rows, columns) with one pixel of each patch that has depth there; returns N.
+
+    jitter (2, rows, columns) says which: its row and its column within the patch.
+    """
+    rows, columns = patches.shape
+    found = 0
+    for i in range(rows):
+        for j in range(columns):
+            v, u = i * patch + jitter[0, i, j], j * patch + jitter[1, i, j]
+            d = depth[v, u]
+            if d > 0:
+                points[found, 0], points[found, 1], points[found, 2] = (np.float32(u) - cx) / fx * d, (np.float32(v) - cy) / fy * d, d
+                z[found] = d
+                patches[i, j] = found
+                found += 1
+            else:
+                patches[i, j] = -1
+    return found
+
+
+@_compiled
+def luminance_of(colour, out) -> None:  # type: ignore[no-untyped-def]
+    """Fills out (H, W) with the means of colour (H, W, 3)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = (colour[i, j, 0] + colour[i, j, 1] + colour[i, j, 2]) * np.float32(1 / 3)
+
+
+@_compiled
 def steepest(image, depth, cell, least, u, v) -> int:  # type: ignore[no-untyped-def]
     """Fills u and v with the steepest pixel of each cell of an image (h, w), if it is steeper than `least` [1/px]; returns how many are.
 
