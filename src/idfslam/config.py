@@ -42,6 +42,8 @@ class FieldConfig:
     """Entries of a level's table at the start, as a power of two; tables double as the scene grows."""
     table_log2_max: int = 18
     """Up to here a table doubles; past it entries are shared."""
+    table_load: float = 0.8
+    """Share of a level's entries in use beyond which it does."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class MapperConfig:
     """w_tr of Eq. 2."""
     beside: bool = True
     """Learn beside the frames that follow, on a core of its own; they are aligned to the map of the update before. Off: in turns."""
+    known: float = 0.95
+    """A keyframe of whose depth the map knows a smaller share is learnt before the next frame all the same."""
     redraw: int = 10
     """Steps for which pixels are drawn at once; 1: the losses of each step decide on the pixels of the next, as in the paper."""
     active_sampling: bool = True

@@ -61,6 +61,7 @@ class Slam:
         self.motion = MotionModel()
         self._live: list[NDArray[np.float64]] = []  # each frame's pose as it was first told
         self._in_view = 1.0  # share of the references' landmarks that the last frame saw
+        self._known = 1.0  # share of its depth that the map knew
 
     def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
         """Before the first frame: a saved map, whose field is of this config, and its keyframes with poses T_wk (4, 4).
@@ -145,6 +146,7 @@ class Slam:
             "graph": self.graph.state(),
             "unmapped": None if self._unmapped is None else self._unmapped.state(),
             "in_view": self._in_view,
+            "known": self._known,
             "relocalisations": self.relocalisations,
             "live": torch.from_numpy(self.live_trajectory()),
             "finished": self._finished,
@@ -168,7 +170,7 @@ class Slam:
         for name, part in self._parts().items():
             part.restore(state[name])
         self._unmapped = None if state["unmapped"] is None else revive(state["unmapped"])
-        self._in_view, self._finished = state["in_view"], state["finished"]
+        self._in_view, self._known, self._finished = state["in_view"], state["known"], state["finished"]
         self.relocalisations = state["relocalisations"]
         self._live = list(state["live"].numpy())
         self.timings = defaultdict(list, {stage: ms.tolist() for stage, ms in state["timings"].items()})
@@ -221,7 +223,7 @@ class Slam:
             best, tracked = self._relocalised(current) or replace(best, status=Status.LOST), None if self._lost else tracked
         if best.status is not Status.LOST:
             self.aligner.accept(best, current.T_wk)
-            self._in_view = best.in_view
+            self._in_view, self._known = best.in_view, best.overlap
             return best.T_wc, best.status, best.information
         return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
 
@@ -278,7 +280,7 @@ class Slam:
             with self._timed("pose"):
                 losses |= self.mapper.optimise_pose(keyframe)
         if self.config.alignment.enabled:
-            with self._timed("register"):
+            with self._timed("register"), threads(1.0):
                 self.adjustment.register(keyframe)
         if self.graph.promote(keyframe):
             self.mapper.grow()
@@ -290,28 +292,33 @@ class Slam:
         if first:
             with self._timed("map"), threads(1.0):
                 return self.mapper.initialise(keyframe)
-        window = self._window(keyframe)
-        with self._timed("map"), threads(1.0):  # nothing goes on beside: the next frame needs what came into view
-            return losses | self.mapper.optimise_map(window, self.config.mapper.iterations)
+        return losses | self._optimise(keyframe, at_once=self._known < self.config.mapper.known)
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
-        """A map update on a frame that is not kept, beside the frames that follow; the losses are those of the one before."""
+        """A map update on a frame that is not kept."""
         assert self.graph.reference is not None
         current.neighbours = set(self.graph.reference.neighbours)
         self.graph.cover(current)
-        window = self._window(current)
-        with self._timed("wait" if self.config.mapper.beside else "map"):
-            losses = self.mapper.start(window, self.config.mapper.iterations)
-        if times := self.mapper.beside.times():
-            self.timings["map"] += times
-        return losses
+        return self._optimise(current, at_once=False)
 
-    def _window(self, current: Keyframe) -> list[Keyframe]:
-        """The view and the replayed keyframes, refined: bundle adjustment in turns, their poses against the map, the map against all."""
+    def _optimise(self, current: Keyframe, *, at_once: bool) -> dict[str, float]:
+        """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all.
+
+        at_once: the next frame is aligned to it already. Otherwise the map learns beside the frames that follow, and the losses are those
+        of the update before.
+        """
         replayed = self.graph.replay(current)
         with self._timed("refine"):
             self.adjustment.refine(replayed[: self.config.alignment.refined])
-        return [current, *replayed]
+        window, iterations = [current, *replayed], self.config.mapper.iterations
+        if at_once or not self.config.mapper.beside:
+            with self._timed("map"), threads(1.0):
+                losses = self.mapper.optimise_map(window, iterations)
+        else:
+            with self._timed("wait"):
+                losses = self.mapper.start(window, iterations)
+        self.timings["map"] += self.mapper.beside.times()
+        return losses
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""

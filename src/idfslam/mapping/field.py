@@ -1,5 +1,6 @@
 """The implicit map: one network from a position to T-SDF and colour (Sec. IV, Fig. 3)."""
 
+import copy
 import math
 from collections.abc import Mapping
 
@@ -72,6 +73,14 @@ class Field(nn.Module):
             distance = self.sdf(points) * self.config.truncation
             (gradient,) = torch.autograd.grad(distance.sum(), points)
         return distance.detach(), gradient
+
+
+def copy_of(field: Field) -> Field:
+    """A field that is the same now, and learns nothing."""
+    other = copy.deepcopy(field).requires_grad_(False)
+    if isinstance(other.encoding, GridEncoding):
+        other.encoding.replace(other.encoding.tables.detach())  # a copy of a tensor is not where its encoding would have it
+    return other
 
 
 def load_field(field: Field, weights: Mapping[str, Tensor]) -> None:

@@ -1,6 +1,5 @@
 """The mapper: the map and the keyframe poses, optimised in turns (Sec. IV)."""
 
-import copy
 import math
 from collections.abc import Callable, Sequence
 
@@ -13,7 +12,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.hardware import repeatable, resolve_precision
 from idfslam.mapping.beside import Beside
-from idfslam.mapping.field import Field, load_field
+from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
@@ -44,7 +43,7 @@ class Mapper:
         self.config, self.device, self.generator, self.truncation = config, device, generator, field_config.truncation
         bf16 = resolve_precision(config.precision, device) is torch.bfloat16 and field_config.width >= 128
         self.field = Field(field_config, bf16=bf16).to(device)
-        self.published = copy.deepcopy(self.field).requires_grad_(False) if config.beside else self.field
+        self.published = copy_of(self.field) if config.beside else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
         self.beside = Beside()

@@ -7,7 +7,7 @@ import torch
 
 from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
-from idfslam.mapping.grid import GridEncoding
+from idfslam.mapping.grid import GridEncoding, roomy_zeros
 from idfslam.mapping.kernels import load, sparse_adam
 from idfslam.state import State, adam_dict, plain_adam
 
@@ -25,7 +25,7 @@ class MapOptimiser:
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
         self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate, fused=True)
         if self.grid is not None:
-            self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)
+            self._forget(self.grid)
         field.requires_grad_(False)
 
     def state(self) -> State:
@@ -38,7 +38,9 @@ class MapOptimiser:
         self.steps, self.anneal = state["steps"], state["anneal"]
         self.adam.load_state_dict(adam_dict(state["adam"]))
         if self.grid is not None:
-            self.m, self.v = state["m"].to(self.grid.tables.device), state["v"].to(self.grid.tables.device)
+            self._forget(self.grid)
+            self.m.copy_(state["m"])
+            self.v.copy_(state["v"])
 
     def zero_grad(self) -> None:
         """Forget the gradients of the networks; those of the tables are zeroed as they are used."""
@@ -60,11 +62,16 @@ class MapOptimiser:
 
     def grow(self) -> bool:
         """Double the tables when they fill up; the map stays the same function."""
-        if self.grid is None or self.grid.tables.shape[1] >= 2**self.field.config.table_log2_max or float(load(self.v).max()) < 0.5:
+        c = self.field.config
+        if self.grid is None or self.grid.tables.shape[1] >= 2**c.table_log2_max or float(load(self.v).max()) < c.table_load:
             return False
         self.grid.grow()
-        self.m, self.v = torch.zeros_like(self.grid.tables), torch.zeros_like(self.grid.tables)  # the load counts anew
+        self._forget(self.grid)  # the load counts anew
         return True
+
+    def _forget(self, grid: GridEncoding) -> None:
+        """The tables' moments are zero."""
+        self.m, self.v = (roomy_zeros(grid.tables.shape, grid.tables.device) for _ in range(2))
 
     def count_as_used(self) -> None:
         """Entries of the tables that say something count as filled, although they were not learnt here."""

@@ -269,7 +269,7 @@ class Aligner:
 
 
 def plain_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
-    """Of each patch of a depth image (H, W) [m] the pixel that jitter (2, rows, columns) says, where it has depth; in torch, on any device."""
+    """Of each patch of a depth image (H, W) [m] the pixel that jitter (2, rows, columns) says, if it has depth; in torch, on any device."""
     rows, columns = jitter.shape[1:]
     v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(depth.device)
     u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(depth.device)
