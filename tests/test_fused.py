@@ -17,6 +17,7 @@ from idfslam.mapping.field import Field
 from idfslam.mapping.kernels.numba_field import BLOCK
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import SampleObjective
+from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays
 
 SMALL = FieldConfig(encoding="grid", levels=4, table_log2=10, width=16, colour_width=12, truncation=0.1)
@@ -87,6 +88,53 @@ def test_learning_adds_to_earlier_gradients() -> None:
         torch.testing.assert_close(gradients(taught)[name], 2 * once, rtol=1e-5, atol=1e-6)
 
 
+def in_steps(n: int, steps: int, *, compiled: bool) -> tuple[list[Losses], MapOptimiser]:
+    """Several steps of Adam on rays that each step has its share of, on points that do not depend on how they are drawn."""
+    config = replace(MAPPER, samples=1, importance_samples=0, warm_up=2, learning_rate=0.003, table_rate=0.02)
+    taught, generator = field(), torch.Generator().manual_seed(1)
+    objective, optimiser = SampleObjective(config, SMALL.truncation), MapOptimiser(taught, config)
+    assert fused.learns_in_steps(taught, config)
+    with optimiser.learning():
+        if compiled:
+            return objective.steps(taught, optimiser, rays(n * steps), steps, generator), optimiser
+        losses = []
+        for step in range(steps):
+            optimiser.zero_grad()
+            losses.append(objective.learn(taught, rays(n * steps).every(steps, step), generator))
+            optimiser.step()
+        return losses, optimiser
+
+
+@pytest.mark.parametrize("n", [1, 13, 150])
+def test_steps_at_once_are_steps_in_turns(n: int) -> None:
+    (losses, found), (plain_losses, plain) = in_steps(n, 3, compiled=True), in_steps(n, 3, compiled=False)
+    assert found.steps == plain.steps == 3
+    for mine, other in zip(losses, plain_losses, strict=True):
+        for name in ("total", "photometric", "truncation", "per_ray"):
+            torch.testing.assert_close(getattr(mine, name), getattr(other, name), rtol=1e-3, atol=1e-5)
+    for (name, mine), other in zip(found.field.state_dict().items(), plain.field.state_dict().values(), strict=True):
+        torch.testing.assert_close(mine, other, rtol=1e-3, atol=2e-4, msg=lambda m, name=name: f"{name}: {m}")
+    for mine, other in zip(found.networks, plain.networks, strict=True):
+        for moment, value in plain.adam.state[other].items():
+            largest = float(value.abs().max())
+            torch.testing.assert_close(found.adam.state[mine][moment], value, rtol=1e-3, atol=1e-3 * largest)
+    torch.testing.assert_close(found.m, plain.m, rtol=1e-3, atol=1e-6)
+    assert not found.grid.gradient.any() and not found.grid.touched.any()
+
+
+def test_many_samples_are_drawn_for_steps_at_once() -> None:
+    taught = field()
+    objective, optimiser = SampleObjective(MAPPER, SMALL.truncation), MapOptimiser(taught, MAPPER)
+    first, *_, last = objective.steps(taught, optimiser, rays(60 * 40), 40, torch.Generator().manual_seed(1))
+    assert len(first.per_ray) == 60 and float(last.truncation) < 0.6 * float(first.truncation)
+    assert torch.isclose(first.total, first.per_ray.mean(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("changes", [{"certainty": 1.0}, {"gradient_clip": 1.0}, {"supervision": "rendering"}])
+def test_other_ways_of_learning_are_taken_in_turns(changes: dict[str, float | str]) -> None:
+    assert not fused.learns_in_steps(field(), replace(MAPPER, **changes))
+
+
 def test_learning_repeats_exactly() -> None:
     (losses, once), (losses_again, again) = learnt_fused(150), learnt_fused(150)
     assert torch.equal(losses.total, losses_again.total)
@@ -133,9 +181,10 @@ def test_other_networks_take_the_plain_path(changes: dict[str, int | str]) -> No
 
 
 def fingerprint() -> str:
-    """Of all numbers that a step of learning gives."""
+    """Of all numbers that a step of learning gives, and of the map after several steps."""
     losses, by_name = learnt_fused(3 * BLOCK + 1)
     numbers = [losses.total.detach(), *(by_name[name] for name in sorted(by_name))]
+    numbers += in_steps(3 * BLOCK + 1, 3, compiled=True)[1].field.state_dict().values()
     return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in numbers)).hexdigest()
 
 

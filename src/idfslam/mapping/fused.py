@@ -1,6 +1,7 @@
 """The fast path of a small field on the CPU: whole network and losses in one Numba kernel; else plain torch, to the same values."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,12 +9,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import grid_encode, grid_jacobian
+from idfslam.mapping.kernels.torch_grid import adam_rates
+from idfslam.mapping.optimiser import MOMENTS, MapOptimiser
+from idfslam.mapping.rays import Rays
 
 if TYPE_CHECKING:
     from idfslam.mapping.objectives import Samples
+
+_BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's own for Adam
 
 
 def fusable(field: Field) -> bool:
@@ -87,6 +94,67 @@ def learn(field: Field, samples: "Samples", free_margin: float) -> tuple[Tensor,
         total = torch.from_numpy(gradient.sum(0))
         parameter.grad = total if parameter.grad is None else parameter.grad + total
     return terms, colour_terms
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """The terms of each step's loss: of T-SDF, weighted (steps, N), the first `near` near the surface; of colour, (steps, near)."""
+
+    terms: Tensor
+    colour_terms: Tensor
+    near: int
+
+
+def learns_in_steps(field: Field, config: MapperConfig) -> bool:
+    """Whether `learn_steps` knows how this map learns."""
+    return config.supervision == "samples" and not config.certainty and not config.gradient_clip and fusable(field)
+
+
+def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, config: MapperConfig, generator: torch.Generator) -> Learnt:
+    """`steps` steps of Adam, each on the rays of its turn: what `SampleObjective.learn` and `MapOptimiser.step` do in turns.
+
+    Each part of a step is one call of a kernel that leaves the interpreter to others. In torch a step is some fifty operations more, at
+    each of which a thread that tracks frames beside this one gets in between.
+    """
+    from idfslam.mapping.kernels import numba_field, numba_grid, numba_rays
+
+    assert isinstance(field.encoding, GridEncoding)
+    grid, c, count = field.encoding, config, len(rays) // steps
+    rays = rays.in_turns(steps)
+    chance, free_chance = (torch.rand(len(rays), number, generator=generator).numpy() for number in (c.samples, c.importance_samples))
+    along = [t.numpy() for t in (rays.origins.contiguous(), rays.directions, rays.depth, rays.facing)]
+    near, free = count * c.samples, count * c.importance_samples
+    colour = rays.colour.repeat_interleave(c.samples, 0).numpy()
+    colour_weight = np.full(near, c.photometric_weight / near, np.float32)
+    weight = np.full(near + free, c.free_space_weight / max(free, 1), np.float32)
+    weight[:near] = c.truncation_weight / near
+    points, target = np.empty((near + free, 3), np.float32), np.empty(near + free, np.float32)
+    features = np.empty((near + free, grid.out_dim), np.float32)
+    g_features, terms = np.empty_like(features), np.empty((steps, near + free), np.float32)
+    colour_terms = np.empty((steps, near), np.float32)
+    network = weights(field)
+    g_network = [np.zeros((numba_field.PARTS, *w.shape), np.float32) for w in network]
+    moments = [[optimiser.adam.state[p][name].numpy().reshape(-1) for name in MOMENTS] for p in parameters(field)]
+    tables = numba_grid.Tables(grid.tables, grid.gradient, optimiser.m, optimiser.v, grid.touched, grid.cells)
+    for step in range(steps):
+        turn = slice(step * count, (step + 1) * count)
+        drawn = [t[turn] for t in along]
+        numba_rays.place(*drawn, chance[turn], free_chance[turn], np.float32(field.config.truncation), points, target)  # type: ignore[call-arg]
+        tables.forward(points, features)
+        numba_field.learn(  # type: ignore[call-arg]
+            features, near, target, weight, np.float32(c.free_margin), colour[step * near : (step + 1) * near], colour_weight, *network,
+            g_features, *g_network, terms[step], colour_terms[step],
+        )  # fmt: skip
+        tables.backward(points, g_features)
+        rate, table_rate = optimiser.advance()
+        rates = adam_rates(rate, *_BETAS, _EPS, optimiser.steps)
+        for w, g, (m, v) in zip(network, g_network, moments):
+            numba_field.adam(w.reshape(-1), g.reshape(len(g), -1), m, v, *rates)  # type: ignore[call-arg]
+        tables.adam(table_rate, optimiser.steps)
+    for p in parameters(field):
+        optimiser.adam.state[p]["step"] += steps
+    torch.autograd.graph.increment_version([*parameters(field), grid.tables])
+    return Learnt(torch.from_numpy(terms), torch.from_numpy(colour_terms), near)
 
 
 def _arrays(*tensors: Tensor) -> list[NDArray[np.float32]]:

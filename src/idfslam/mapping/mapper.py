@@ -13,6 +13,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.hardware import repeatable, resolve_precision
 from idfslam.mapping.beside import Beside
 from idfslam.mapping.field import Field, copy_of, load_field
+from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
@@ -127,10 +128,16 @@ class Mapper:
                 each = self.config.step_pixels // len(views) if self.config.step_pixels else self.config.pixels
                 pixels = [self._draw(view, each * steps, invert=False) for view in views]
                 rays = join([cast(view, uv) for view, uv in zip(views, pixels)])
-                losses = [self._step(rays.every(steps, step)) for step in range(steps)]
+                losses = self._steps(rays, steps)
                 numbers = named(losses[-1], views[0].keyframe.index)  # before losses that are not finite decide on pixels
                 self._remember(views, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
         return numbers
+
+    def _steps(self, rays: Rays, steps: int) -> list[Losses]:
+        """Steps of Adam, each on every `steps`-th ray."""
+        if isinstance(self.objective, SampleObjective) and learns_in_steps(self.field, self.config):
+            return self.objective.steps(self.field, self.optimiser, rays, steps, self.generator)
+        return [self._step(rays.every(steps, step)) for step in range(steps)]
 
     def _step(self, rays: Rays) -> Losses:
         """One step of Adam on the map."""

@@ -12,7 +12,9 @@ from idfslam.hardware import repeatable
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import fusable
 from idfslam.mapping.fused import learn as fused_learn
+from idfslam.mapping.fused import learn_steps as fused_steps
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
+from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render
 
@@ -89,14 +91,14 @@ class SampleObjective:
         residual = torch.cat([sdf - samples.target[: samples.near], (free_sdf - self.config.free_margin).clamp(max=0)])
         terms = samples.weight * residual**2
         colour_terms = (colour - samples.colour).abs().mean(-1)
-        return self._losses(samples, len(rays), terms, colour_terms)
+        return self._losses(samples.near, len(rays), terms, colour_terms)
 
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
         """The loss, its gradients added to the field's; fused where the field allows."""
         if fusable(field):
             samples = self.samples(rays, generator)
             terms, colour_terms = fused_learn(field, samples, self.config.free_margin)
-            return self._losses(samples, len(rays), terms, colour_terms)
+            return self._losses(samples.near, len(rays), terms, colour_terms)
         losses = self(field, rays, generator)
         with repeatable(losses.total.device):
             losses.total.backward()
@@ -118,16 +120,22 @@ class SampleObjective:
         colour = rays.colour[:, None].expand(-1, c.samples, 3).reshape(-1, 3)
         return Samples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 
-    def _losses(self, samples: Samples, rays: int, terms: Tensor, colour_terms: Tensor) -> Losses:
-        near, free = terms[: samples.near], terms[samples.near :]
-        photometric = samples.colour_weight * colour_terms
-        per_ray = (near + photometric).view(rays, -1).sum(1) + free.view(rays, -1).sum(1)
+    def steps(self, field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, generator: torch.Generator) -> list[Losses]:
+        """So many steps of the optimiser, each on the rays of its turn; for fields that `fused.learns_in_steps`."""
+        learnt = fused_steps(field, optimiser, rays, steps, self.config, generator)
+        count = len(rays) // steps
+        return [self._losses(learnt.near, count, *terms) for terms in zip(learnt.terms, learnt.colour_terms)]
+
+    def _losses(self, near: int, rays: int, terms: Tensor, colour_terms: Tensor) -> Losses:
+        near_terms, free = terms[:near], terms[near:]
+        photometric = self.config.photometric_weight / near * colour_terms
+        per_ray = (near_terms + photometric).view(rays, -1).sum(1) + free.view(rays, -1).sum(1)
         c = self.config
         return Losses(
             total=per_ray.sum(),
             photometric=photometric.sum() / c.photometric_weight,
             free_space=free.sum() / c.free_space_weight,
-            truncation=near.sum() / c.truncation_weight,
+            truncation=near_terms.sum() / c.truncation_weight,
             per_ray=per_ray.detach() * rays,
         )
 

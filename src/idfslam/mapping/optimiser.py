@@ -11,6 +11,7 @@ from idfslam.mapping.grid import GridEncoding, roomy_zeros
 from idfslam.mapping.kernels import load, sparse_adam
 from idfslam.state import State, adam_dict, plain_adam
 
+MOMENTS = ("exp_avg", "exp_avg_sq")  # as torch names Adam's
 _SAYS_SOMETHING = 1e-3  # an entry's value that is not what it was initialised with
 _LITTLE = 1e-12  # squared gradient that is not zero, yet less than any that comes
 
@@ -24,6 +25,8 @@ class MapOptimiser:
         self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
         self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate, fused=True)
+        for p in self.networks:  # what torch would set up at the first step: `fused.learn_steps` takes steps of its own
+            self.adam.state[p] = {"step": torch.zeros((), device=p.device), **{name: torch.zeros_like(p) for name in MOMENTS}}
         if self.grid is not None:
             self._forget(self.grid)
         field.requires_grad_(False)
@@ -48,17 +51,21 @@ class MapOptimiser:
 
     def step(self) -> None:
         """One step of Adam."""
-        self.steps += 1
-        rate = self.anneal * self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
+        rate, table_rate = self.advance()
         for group in self.adam.param_groups:
             group["lr"] = rate
         if self.config.gradient_clip > 0:
             torch.nn.utils.clip_grad_norm_(self.networks, self.config.gradient_clip)
         self.adam.step()
         if self.grid is not None:
-            tables, table_rate = self.grid.tables.detach(), self.anneal * self.config.table_rate
-            touched = self.grid.touched
+            tables, touched = self.grid.tables.detach(), self.grid.touched
             sparse_adam(tables, self.grid.gradient, self.m, self.v, step=self.steps, learning_rate=table_rate, touched=touched)
+
+    def advance(self) -> tuple[float, float]:
+        """Counts a step; the learning rates of networks and tables for it."""
+        self.steps += 1
+        rate = self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
+        return self.anneal * rate, self.anneal * self.config.table_rate
 
     def grow(self) -> bool:
         """Double the tables when they fill up; the map stays the same function."""

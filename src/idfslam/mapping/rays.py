@@ -25,6 +25,9 @@ class View(Protocol):
     def colour(self) -> Tensor: ...  # (H, W, 3)
 
 
+_REACH = 2  # [px] to the neighbours that a surface's normal comes from
+
+
 @dataclass(frozen=True)
 class Rays:
     """B rays; directions have z = 1 in the camera's frame, so that the parameter along them is depth."""
@@ -42,8 +45,10 @@ class Rays:
         """Each `step`-th ray from `first` on."""
         return Rays(*(getattr(self, name)[first::step].contiguous() for name in Rays.__dataclass_fields__))
 
-
-_REACH = 2  # [px] to the neighbours that a surface's normal comes from
+    def in_turns(self, steps: int) -> "Rays":
+        """The rays of the first step (`every`), then those of the second, and so on."""
+        order = torch.arange(len(self), device=self.depth.device).view(-1, steps).T.flatten()
+        return Rays(*(getattr(self, name)[order] for name in Rays.__dataclass_fields__))
 
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:

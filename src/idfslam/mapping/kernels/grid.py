@@ -77,8 +77,8 @@ def sparse_adam(
     *,
     step: int,
     learning_rate: float,
-    betas: tuple[float, float] = (0.9, 0.99),
-    eps: float = 1e-15,
+    betas: tuple[float, float] = torch_grid.BETAS,
+    eps: float = torch_grid.EPS,
     touched: Tensor | None = None,
     implementation: Implementation | None = None,
 ) -> None:

@@ -248,3 +248,16 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
             for p in range(count):
                 for k in range(inputs):
                     g_features[start + p, k] = g_x[k, p]
+
+
+@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+def adam(x, parts, m, v, step_size, beta1, beta2, correction, eps) -> None:  # type: ignore[no-untyped-def]
+    """Adam on weights x (N,) whose gradient comes in parts (PARTS, N) to be added up, which are zero afterwards."""
+    for i in range(len(x)):
+        g = _ZERO
+        for part in range(len(parts)):
+            g += parts[part, i]
+            parts[part, i] = _ZERO
+        m[i] = beta1 * m[i] + (_ONE - beta1) * g
+        v[i] = beta2 * v[i] + (_ONE - beta2) * g * g
+        x[i] -= step_size * m[i] / (np.sqrt(v[i]) * correction + eps)

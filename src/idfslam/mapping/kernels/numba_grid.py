@@ -12,8 +12,6 @@ Helpers are inlined by force. Left as functions, each would exist once by itself
 copy a process runs depends on what it happens to load first, and their sums round differently: a run would not repeat to the bit.
 """
 
-import math
-
 import numba
 import numpy as np
 import torch
@@ -21,7 +19,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from idfslam.mapping.kernels.torch_grid import RUN, touched_runs
+from idfslam.mapping.kernels.torch_grid import BETAS, EPS, RUN, adam_rates, touched_runs
 
 Floats = NDArray[np.float32]
 Entries = NDArray[np.uint32]
@@ -313,7 +311,28 @@ def adam_step(
     eps: float,
 ) -> None:
     """Adam on the numbers whose gradient is not zero, in place; looked for in `touched` runs alone, if given. Both are zero afterwards."""
-    step_size, correction = learning_rate / (1 - betas[0] ** step), 1 / math.sqrt(1 - betas[1] ** step)
     x, g, first, second = (_array(tensor).reshape(-1) for tensor in (tables, grad, m, v))
     flags = (touched_runs(tables).fill_(1) if touched is None else touched).numpy().reshape(-1)
-    _adam_step(x, g, first, second, flags, tuple(np.float32(rate) for rate in (step_size, *betas, correction, eps)))
+    _adam_step(x, g, first, second, flags, adam_rates(learning_rate, *betas, eps, step))
+
+
+class Tables:
+    """The tables that a map update works on, as arrays: each call is a kernel and nothing else."""
+
+    def __init__(self, tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor, cells: Tensor) -> None:
+        self._tables, self._grad, self._inverse, self._lanes = _array(tables), _array(grad), _inverse(cells), (0,) * tables.shape[2]
+        self._touched, self._workers = touched.numpy(), min(tables.shape[0], numba.get_num_threads())
+        self._flat = [array.reshape(-1) for array in (self._tables, self._grad, _array(m), _array(v))]
+
+    def forward(self, points: Floats, features: Floats) -> None:
+        """Fills features (N, L * F) at points (N, 3)."""
+        _forward(points, self._tables, self._inverse, self._lanes, features)
+
+    def backward(self, points: Floats, grad_features: Floats) -> None:
+        """Adds the gradient by the tables, given that by the features (N, L * F)."""
+        _backward_tables(points, self._inverse, self._lanes, grad_features, self._grad, self._touched, self._workers)
+
+    def adam(self, learning_rate: float, step: int) -> None:
+        """`sparse_adam`."""
+        x, grad, m, v = self._flat
+        _adam_step(x, grad, m, v, self._touched.reshape(-1), adam_rates(learning_rate, *BETAS, EPS, step))

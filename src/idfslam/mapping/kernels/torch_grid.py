@@ -11,12 +11,20 @@ take float32.
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
 PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x lie side by side
 
 RUN = 64  # entries that share a mark
+BETAS, EPS = (0.9, 0.99), 1e-15  # of Adam on the tables
+
+
+def adam_rates(learning_rate: float, beta1: float, beta2: float, eps: float, step: int) -> tuple[np.float32, ...]:
+    """What a step of Adam is made of: x -= step_size * m / (sqrt(v) * correction + eps); step size, betas, correction, eps."""
+    step_size, correction = learning_rate / (1 - beta1**step), 1 / math.sqrt(1 - beta2**step)
+    return tuple(np.float32(rate) for rate in (step_size, beta1, beta2, correction, eps))
 
 
 def touched_runs(tables: Tensor) -> Tensor:
