@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
-from idfslam.mapping.kernels import grid_encode, grid_jacobian
+from idfslam.mapping.kernels import grid_encode
 from idfslam.mapping.kernels.torch_grid import adam_rates
 from idfslam.mapping.optimiser import MOMENTS, MapOptimiser
 from idfslam.mapping.rays import Rays
@@ -49,13 +49,14 @@ def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
 
 def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
     """`Field.distance` for a fusable field."""
-    from idfslam.mapping.kernels.numba_field import evaluate
+    from idfslam.mapping.kernels import numba_field
 
-    assert isinstance(field.encoding, GridEncoding)
-    features, slopes = grid_jacobian(points, field.encoding.tables, field.encoding.cells)
+    grid = field.encoding
+    assert isinstance(grid, GridEncoding)
+    tables, inverse = grid.tables.detach().numpy(), np.float32(1) / grid.cells.numpy()
     values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
-    inputs, outputs = _arrays(features, slopes), _arrays(values, gradient)
-    evaluate(*inputs, *weights(field)[:4], np.float32(field.config.truncation), *outputs)  # type: ignore[call-arg]
+    inputs = points.contiguous().numpy(), tables, inverse, (0,) * tables.shape[2], *weights(field)[:4]
+    numba_field.distance(*inputs, np.float32(field.config.truncation), *_arrays(values, gradient))  # type: ignore[call-arg]
     return values, gradient
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from idfslam.mapping.kernels.numba_grid import locate, stage, trilinear
+
 Floats = NDArray[np.float32]
 
 BLOCK = 64  # points: the block's activations fill half of the first-level cache
@@ -153,16 +155,33 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
 
 
 @_parallel
-def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> None:  # type: ignore[no-untyped-def]
-    """scale * T-SDF (N,) and its derivative (N, 3) by the point, from features (N, K) and their slopes (N, K, 3)."""
-    inputs, hidden = w1.shape[1], w1.shape[0]
+def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradient) -> None:  # type: ignore[no-untyped-def]
+    """scale * T-SDF (N,) and its derivative (N, 3) by points (N, 3): grid and network in one, so that slopes never leave the cache."""
+    inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
+    mask = np.uint32(tables.shape[1] - 1)
     w1_t = w1.T.copy()
-    for block in prange((len(features) + BLOCK - 1) // BLOCK):
+    for block in prange((len(points) + BLOCK - 1) // BLOCK):
         start = block * BLOCK
-        count = min(len(features) - start, BLOCK)
-        x, g_x = np.empty((inputs, BLOCK), np.float32), np.empty((inputs, BLOCK), np.float32)
+        count = min(len(points) - start, BLOCK)
+        e, xyz, fraction = np.empty((8, BLOCK), np.uint32), np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
+        x, g_x, slopes = (
+            np.zeros((inputs, BLOCK), np.float32),
+            np.empty((inputs, BLOCK), np.float32),
+            np.empty((inputs, 3, BLOCK), np.float32),
+        )
         h, s = np.empty((hidden, BLOCK), np.float32), np.empty((1, BLOCK), np.float32)
-        _transpose(features, start, count, x)
+        stage(points, start, count, xyz)
+        for level in range(len(tables)):
+            t, cells = tables[level], inverse[level]
+            locate(xyz, count, cells, mask, e, fraction)
+            for i in range(count):
+                u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
+                e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
+                for f in range(width):
+                    k = level * width + f
+                    feature, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
+                    x[k, i] = feature
+                    slopes[k, 0, i], slopes[k, 1, i], slopes[k, 2, i] = du * cells, dv * cells, dw * cells
         _linear(w1, b1, x, h)
         _relu(h)
         _linear(ws, bs, h, s)
@@ -170,13 +189,16 @@ def evaluate(features, slopes, w1, b1, ws, bs, scale, distance, gradient) -> Non
             for p in range(BLOCK):
                 h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
         _linear_back(w1_t, h, g_x)
+        for axis in range(3):
+            for p in range(BLOCK):
+                xyz[axis, p] = _ZERO
+            for k in range(inputs):
+                for p in range(BLOCK):
+                    xyz[axis, p] += g_x[k, p] * slopes[k, axis, p]
         for p in range(count):
-            distance[start + p] = scale * s[0, p]
+            value[start + p] = scale * s[0, p]
             for axis in range(3):
-                total = _ZERO
-                for k in range(inputs):
-                    total += g_x[k, p] * slopes[start + p, k, axis]
-                gradient[start + p, axis] = scale * total
+                gradient[start + p, axis] = scale * xyz[axis, p]
 
 
 @_parallel

@@ -39,7 +39,7 @@ _parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy"
 
 
 @_inlined
-def _stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
+def stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
     """Copy a block of points to `xyz` (3, BLOCK), where a vector of x lies together."""
     for i in range(count):
         for axis in range(3):
@@ -53,7 +53,7 @@ def _part(vertex: np.uint32, prime8: np.uint32, shift: np.uint32) -> np.uint32:
 
 
 @_inlined
-def _locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entries: Entries, fraction: Floats) -> None:
+def locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entries: Entries, fraction: Floats) -> None:
     """Fill `entries` (8, BLOCK), x changing fastest, and `fraction` (3, BLOCK) for one block of points at one level.
 
     Numba widens uint32 arithmetic to 64 bits; the casts after every operation let the loop vectorise over 32-bit lanes.
@@ -74,7 +74,7 @@ def _locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entri
 
 
 @_inlined
-def _trilinear(c0, c1, c2, c3, c4, c5, c6, c7, u, v, w):  # type: ignore[no-untyped-def]
+def trilinear(c0, c1, c2, c3, c4, c5, c6, c7, u, v, w):  # type: ignore[no-untyped-def]
     """Value and derivatives by u, v, w of the interpolation between 8 corners, x changing fastest."""
     d0, d2, d4, d6 = c1 - c0, c3 - c2, c5 - c4, c7 - c6
     b0, b2, b4, b6 = c0 + u * d0, c2 + u * d2, c4 + u * d4, c6 + u * d6
@@ -93,10 +93,10 @@ def _forward(points: Floats, tables: Floats, inverse: Floats, lanes: tuple[int, 
         count = min(len(points) - start, BLOCK)
         e = np.empty((8, BLOCK), np.uint32)
         xyz, fraction = np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        _stage(points, start, count, xyz)
+        stage(points, start, count, xyz)
         for level in range(len(tables)):
             table = tables[level]
-            _locate(xyz, count, inverse[level], mask, e, fraction)
+            locate(xyz, count, inverse[level], mask, e, fraction)
             for i in range(count):
                 u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
                 low, high = (_ONE - v) * (_ONE - w), (_ONE - v) * w
@@ -119,16 +119,16 @@ def _jacobian(points: Floats, tables: Floats, inverse: Floats, lanes: tuple[int,
         count = min(len(points) - start, BLOCK)
         e = np.empty((8, BLOCK), np.uint32)
         xyz, fraction = np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        _stage(points, start, count, xyz)
+        stage(points, start, count, xyz)
         for level in range(len(tables)):
             t = tables[level]
-            _locate(xyz, count, inverse[level], mask, e, fraction)
+            locate(xyz, count, inverse[level], mask, e, fraction)
             for i in range(count):
                 n = start + i
                 u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
                 e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
                 for f in range(width):
-                    value, du, dv, dw = _trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
+                    value, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
                     k = level * width + f
                     features[n, k] = value
                     slopes[n, k, 0], slopes[n, k, 1], slopes[n, k, 2] = du * inverse[level], dv * inverse[level], dw * inverse[level]
@@ -153,13 +153,13 @@ def _backward_points(
         count = min(len(points) - start, BLOCK)
         e = np.empty((8, BLOCK), np.uint32)
         xyz, fraction = np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        _stage(points, start, count, xyz)
+        stage(points, start, count, xyz)
         for level in range(len(tables)):
             t, g, k, scale = tables[level], grad_features, level * width, inverse[level]
-            _locate(xyz, count, scale, mask, e, fraction)
+            locate(xyz, count, scale, mask, e, fraction)
             for i in range(count):
                 n = start + i
-                _, du, dv, dw = _trilinear(
+                _, du, dv, dw = trilinear(
                     _dot(t, e[0, i], g, n, k, lanes),
                     _dot(t, e[1, i], g, n, k, lanes),
                     _dot(t, e[2, i], g, n, k, lanes),
@@ -214,8 +214,8 @@ def _backward_tables(
         for level in range(worker, len(grad_tables), workers):  # interleaved: fine levels miss the cache more often
             for start in range(0, len(points), BLOCK):
                 count = min(len(points) - start, BLOCK)
-                _stage(points, start, count, xyz)
-                _locate(xyz, count, inverse[level], mask, e, fraction)
+                stage(points, start, count, xyz)
+                locate(xyz, count, inverse[level], mask, e, fraction)
                 _scatter(grad_tables[level], touched[level], e, fraction, count, lanes, grad_features, start, level * width)
 
 
