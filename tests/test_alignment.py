@@ -283,6 +283,40 @@ def test_doubt(corner: Mapper) -> None:
     assert judge.doubtful(replace(good, brightness=0.034))
 
 
+def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:
+    # Three levels of two steps each, each good for 1.5 of its own pixels: 1.5, 3 and 6 of the finest's
+    judge = aligner(corner, replace(CONFIG, level_reach=1.5, steps_a_level=2))
+    assert [judge._first_step(within) for within in (None, 100.0, 3.1, 3.0, 1.6, 1.5, 0.0)] == [0, 0, 0, 2, 2, 4, 4]
+
+
+def test_predictions_are_expected_to_be_as_far_off_as_lately(corner: Mapper) -> None:
+    judge = aligner(corner, replace(CONFIG, level_reach=1.5))
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5, focal=100.0, radius=2.0)
+    off = lambda x, turn: se3.exp(torch.tensor([x, 0, 0, 0, turn, 0], dtype=torch.float64))  # noqa: E731
+    assert judge.expected is None
+    judge.accept(good, off(0.02, 0.0))  # 2 cm at 2 m are 0.01 of a focal length: 1 pixel, and half as much again
+    assert judge.expected == pytest.approx(1.5)
+    judge.accept(good, off(0.0, 0.02))  # 2 pixels
+    assert judge.expected == pytest.approx(3.0, rel=1e-3)
+    judge.accept(good, EYE)
+    assert judge.expected == pytest.approx(0.95 * 3.0, rel=1e-3)
+    # What was to be within 2 pixels, and moved 4 of them, may have missed
+    assert judge.unexpected(good, off(0.09, 0.0), 2.0) and not judge.unexpected(good, off(0.07, 0.0), 2.0)
+    assert judge.unexpected(good, off(0.07, 0.0), 0.1) and not judge.unexpected(good, off(0.05, 0.0), 0.1)  # a level's reach at least
+    assert not judge.unexpected(good, off(9.0, 0.0), None)
+
+
+def test_from_the_finest_images_it_is_as_exact(corner: Mapper) -> None:
+    whole = aligner(corner).align(view(CORNER, EYE), off_by_a_little(), [view(CORNER, EYE)])
+    near = aligner(corner).align(view(CORNER, EYE), off_by_a_little(), [view(CORNER, EYE)], within=1.0)
+    assert near.iterations < whole.iterations
+    assert error(near.T_wc, EYE)[0] < 0.002 and error(whole.T_wc, EYE)[0] < 0.002
+
+
+def off_by_a_little() -> Tensor:
+    return se3.exp(torch.tensor([0.004, -0.003, 0.004, 0.002, -0.002, 0.001], dtype=torch.float64))
+
+
 def test_score_prefers_overlap_closeness_and_colour() -> None:
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
     for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"brightness": 0.03}, {"in_view": 0.5}, {"status": Status.LOST}):
