@@ -54,7 +54,7 @@ class MapperConfig:
     """Volume rendering (Eqs. 1-3), or T-SDF and colour of the samples themselves."""
     pixels: int = 512
     """B: pixels an image and step (Sec. VI-A: 1024)."""
-    step_pixels: int = 1536
+    step_pixels: int = 1024
     """Pixels of a step over all its keyframes, so that steps cost the same however many they are; 0: B of each, as in the paper."""
     samples: int = 6
     """Stratified samples a ray."""
@@ -321,7 +321,7 @@ class AlignmentConfig:
     """Information, per unit weight of depth, below which a direction is held to the guess (a bare wall leaves three open)."""
     hold_registered: float = 0.1
     """The same for a keyframe that the neural tracker has registered with the last one: held to that; 0: it is not asked."""
-    converged: float = 1e-4
+    converged: float = 3e-4
     """Steps below this [m, rad] end the iteration."""
     refined: int = 1
     """Replayed keyframes whose pose is aligned anew at each map update, in turns with the map: bundle adjustment."""

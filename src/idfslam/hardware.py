@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
 from typing import Literal
 
 import torch
@@ -32,19 +33,35 @@ def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.devic
     return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]
 
 
+class _Repeating:
+    """How many are within `repeatable` now, in all threads: torch has one setting for them all."""
+
+    lock = Lock()
+    count = 0
+    before = (False, False)  # the setting of those who are not
+
+
 @contextmanager
 def repeatable(device: torch.device) -> Iterator[None]:
     """Within, gradients on the CPU are summed in one order; torch would add those of indexed tensors as its threads happen to come.
 
     How many threads it has is not only its own setting: Numba and torch share OpenMP's.
     """
-    before, warn_only = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
-    if device.type == "cpu":
-        torch.use_deterministic_algorithms(True, warn_only=True)
+    if device.type != "cpu":
+        yield
+        return
+    with _Repeating.lock:
+        if _Repeating.count == 0:
+            _Repeating.before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+            torch.use_deterministic_algorithms(True, warn_only=True)
+        _Repeating.count += 1
     try:
         yield
     finally:
-        torch.use_deterministic_algorithms(before, warn_only=warn_only)
+        with _Repeating.lock:
+            _Repeating.count -= 1
+            if _Repeating.count == 0:
+                torch.use_deterministic_algorithms(_Repeating.before[0], warn_only=_Repeating.before[1])
 
 
 @contextmanager

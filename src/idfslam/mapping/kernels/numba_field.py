@@ -155,7 +155,7 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
 
 
 @_parallel
-def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradient) -> None:  # type: ignore[no-untyped-def]
+def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradient) -> None:  # type: ignore[no-untyped-def] # noqa: C901 (there and back, block by block)
     """scale * T-SDF (N,) and its derivative (N, 3) by points (N, 3): grid and network in one, so that slopes never leave the cache."""
     inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
     mask = np.uint32(tables.shape[1] - 1)
