@@ -126,7 +126,7 @@ def test_views_from_a_file(known_run: Path, tmp_path: Path) -> None:
     cli.main(["render", str(known_run), "--poses", str(tmp_path / "poses.txt"), "--width", "32", "--out", str(tmp_path / "out")])
     depth = cv2.imread(str(tmp_path / "out" / "000000-depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (24, 32)
-    assert depth[12, 16] == pytest.approx(1000, abs=25)
+    assert int(depth[12, 16]) == pytest.approx(1000, abs=25)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,7 @@ def test_the_gap_is_filled_and_marked(kidnapped: tuple[Slam, list[FrameResult]])
 
 def test_a_view_is_found_by_its_looks_alone(kidnapped: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     slam, _ = kidnapped
+    before = slam.relocalisations
     assert room.ground_truth is not None
     truth = np.linalg.inv(room.ground_truth[0]) @ room.ground_truth
     for j in (5, 20, 35):
@@ -69,7 +70,7 @@ def test_a_view_is_found_by_its_looks_alone(kidnapped: tuple[Slam, list[FrameRes
         assert found is not None
         np.testing.assert_allclose(found.T_wc[:3, 3], truth[j, :3, 3], atol=0.02)
         assert slam.graph.reference in slam.graph.keyframes
-    assert slam.relocalisations == 3
+    assert slam.relocalisations == before + 3
 
 
 def elsewhere(first: int, count: int) -> Iterator[Frame]:

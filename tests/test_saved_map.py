@@ -137,7 +137,7 @@ def test_truncated(saved: Path, tmp_path: Path) -> None:
 def test_other_files(saved: Path, tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     save_file({"weight": torch.zeros(3)}, path)
-    assert "map format none, expected 1" in refused(path)
+    assert "map format none, expected 2" in refused(path)
     (tmp_path / "mesh.ply").write_bytes(b"ply\nformat ascii 1.0\n" * 20)
     refused(tmp_path / "mesh.ply")
     refused(tmp_path / "missing.safetensors")

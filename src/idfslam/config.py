@@ -73,7 +73,7 @@ class MapperConfig:
     beside: bool = True
     """Learn beside the frames that follow, on a core of its own; they are aligned to the map of the update before. Off: in turns."""
     known: float = 0.95
-    """A keyframe of whose depth the map knows a smaller share is learnt before the next frame all the same."""
+    """A keyframe of whose depth the map knows a smaller share is learnt before the next frame all the same, and one soon after the last."""
     redraw: int = 10
     """Steps for which pixels are drawn at once; 1: the losses of each step decide on the pixels of the next, as in the paper."""
     active_sampling: bool = True

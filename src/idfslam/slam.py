@@ -33,6 +33,7 @@ from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
 
+_HURRIED = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of the map
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
 
 
@@ -274,7 +275,8 @@ class Slam:
 
     def _map(self, keyframe: Keyframe) -> dict[str, float]:
         """The pose against the map, then the map by the new keyframe and the replayed (Sec. IV)."""
-        first = not self.graph.keyframes
+        first, last = not self.graph.keyframes, self.graph.reference
+        hurried = last is not None and keyframe.index - last.index <= _HURRIED * self.config.mapper.every
         losses: dict[str, float] = {}
         if self.config.mapper.pose_optimisation and not first:
             with self._timed("pose"):
@@ -292,7 +294,7 @@ class Slam:
         if first:
             with self._timed("map"), threads(1.0):
                 return self.mapper.initialise(keyframe)
-        return losses | self._optimise(keyframe, at_once=self._known < self.config.mapper.known)
+        return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known)
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""
