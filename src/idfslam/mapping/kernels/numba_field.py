@@ -38,12 +38,13 @@ def _transpose(rows: Floats, start: int, count: int, columns: Floats) -> None:
 
 
 @_inlined
-def _add_product(weight: Floats, x: Floats, y: Floats) -> None:  # noqa: C901 (tiles, and what is left beside them)
-    """y (O, BLOCK) += weight (O, K) x (K, BLOCK), four by four weights at a time: each vector that is loaded serves four."""
-    outputs, inputs = weight.shape
-    rows, columns = outputs // 4 * 4, inputs // 4 * 4
-    for o in range(0, rows, 4):
-        for k in range(0, columns, 4):
+def _add_product(weight: Floats, x: Floats, y: Floats) -> None:
+    """y (O, BLOCK) += weight (O, K) x (K, BLOCK), four by four weights at a time: each vector that is loaded serves four.
+
+    O and K are multiples of four. The compiler sees a copy of this at each of its calls: what is small has a loop of its own.
+    """
+    for o in range(0, weight.shape[0], 4):
+        for k in range(0, weight.shape[1], 4):
             a0, a1, a2, a3 = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
             b0, b1, b2, b3 = weight[o + 1, k], weight[o + 1, k + 1], weight[o + 1, k + 2], weight[o + 1, k + 3]
             c0, c1, c2, c3 = weight[o + 2, k], weight[o + 2, k + 1], weight[o + 2, k + 2], weight[o + 2, k + 3]
@@ -54,27 +55,27 @@ def _add_product(weight: Floats, x: Floats, y: Floats) -> None:  # noqa: C901 (t
                 y[o + 1, p] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
                 y[o + 2, p] += c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3
                 y[o + 3, p] += d0 * x0 + d1 * x1 + d2 * x2 + d3 * x3
-        for k in range(columns, inputs):
-            for r in range(4):
-                for p in range(BLOCK):
-                    y[o + r, p] += weight[o + r, k] * x[k, p]
-    for o in range(rows, outputs):
-        for k in range(0, columns, 4):
-            a0, a1, a2, a3 = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
-            for p in range(BLOCK):
-                y[o, p] += a0 * x[k, p] + a1 * x[k + 1, p] + a2 * x[k + 2, p] + a3 * x[k + 3, p]
-        for k in range(columns, inputs):
-            for p in range(BLOCK):
-                y[o, p] += weight[o, k] * x[k, p]
 
 
 @_inlined
 def _linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
-    """y (O, BLOCK) = weight (O, K) x (K, BLOCK) + bias (O,)."""
+    """y (O, BLOCK) = weight (O, K) x (K, BLOCK) + bias (O,) of a hidden layer."""
     for o in range(len(bias)):
         for p in range(BLOCK):
             y[o, p] = bias[o]
     _add_product(weight, x, y)
+
+
+@_inlined
+def _head(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
+    """The same of a layer with few outputs."""
+    for o in range(len(bias)):
+        for p in range(BLOCK):
+            y[o, p] = bias[o]
+        for k in range(0, weight.shape[1], 4):
+            a, b, c, d = weight[o, k], weight[o, k + 1], weight[o, k + 2], weight[o, k + 3]
+            for p in range(BLOCK):
+                y[o, p] += a * x[k, p] + b * x[k + 1, p] + c * x[k + 2, p] + d * x[k + 3, p]
 
 
 @_inlined
@@ -86,11 +87,22 @@ def _relu(x: Floats) -> None:
 
 @_inlined
 def _linear_back(transposed: Floats, g_y: Floats, g_x: Floats) -> None:
-    """g_x (K, BLOCK) = weight^T (K, O) g_y (O, BLOCK)."""
+    """g_x (K, BLOCK) = weight^T (K, O) g_y (O, BLOCK) of a hidden layer."""
     for k in range(len(g_x)):
         for p in range(BLOCK):
             g_x[k, p] = _ZERO
     _add_product(transposed, g_y, g_x)
+
+
+@_inlined
+def _head_back(weight: Floats, g_y: Floats, g_x: Floats) -> None:
+    """The same of a layer with few outputs, by its weight (O, K)."""
+    for k in range(len(g_x)):
+        for p in range(BLOCK):
+            g_x[k, p] = _ZERO
+        for o in range(len(g_y)):
+            for p in range(BLOCK):
+                g_x[k, p] += weight[o, k] * g_y[o, p]
 
 
 @_inlined
@@ -102,17 +114,19 @@ def _masked(g: Floats, activation: Floats) -> None:
 
 
 @_inlined
-def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats, g_bias: Floats) -> None:
-    """Adds g_y (O, BLOCK) x^T to g_weight (O, K), two rows by four columns at a time, and the sums of g_y to g_bias (O,)."""
-    outputs, inputs = g_weight.shape
-    for o in range(outputs):
+def _bias_gradient(g_y: Floats, g_bias: Floats) -> None:
+    for o in range(len(g_bias)):
         total = _ZERO
         for p in range(BLOCK):
             total += g_y[o, p]
         g_bias[o] += total
-    rows = outputs // 2 * 2
-    for o in range(0, rows, 2):
-        for k in range(0, inputs, 4):
+
+
+@_inlined
+def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats) -> None:
+    """Adds g_y (O, BLOCK) x^T to g_weight (O, K) of a hidden layer, two rows by four columns at a time."""
+    for o in range(0, g_weight.shape[0], 2):
+        for k in range(0, g_weight.shape[1], 4):
             a0, a1, a2, a3 = _ZERO, _ZERO, _ZERO, _ZERO
             b0, b1, b2, b3 = _ZERO, _ZERO, _ZERO, _ZERO
             for p in range(BLOCK):
@@ -120,11 +134,21 @@ def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats, g_bias: Floats) -
                 x0, x1, x2, x3 = x[k, p], x[k + 1, p], x[k + 2, p], x[k + 3, p]
                 a0, a1, a2, a3 = a0 + g * x0, a1 + g * x1, a2 + g * x2, a3 + g * x3
                 b0, b1, b2, b3 = b0 + h * x0, b1 + h * x1, b2 + h * x2, b3 + h * x3
-            for j, (a, b) in enumerate(((a0, b0), (a1, b1), (a2, b2), (a3, b3))):
-                g_weight[o, k + j] += a
-                g_weight[o + 1, k + j] += b
-    for o in range(rows, outputs):
-        for k in range(inputs):
+            g_weight[o, k] += a0
+            g_weight[o, k + 1] += a1
+            g_weight[o, k + 2] += a2
+            g_weight[o, k + 3] += a3
+            g_weight[o + 1, k] += b0
+            g_weight[o + 1, k + 1] += b1
+            g_weight[o + 1, k + 2] += b2
+            g_weight[o + 1, k + 3] += b3
+
+
+@_inlined
+def _head_gradient(g_y: Floats, x: Floats, g_weight: Floats) -> None:
+    """The same of a layer with few outputs."""
+    for o in range(g_weight.shape[0]):
+        for k in range(g_weight.shape[1]):
             total = _ZERO
             for p in range(BLOCK):
                 total += g_y[o, p] * x[k, p]
@@ -149,7 +173,7 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
         _transpose(features, start, count, x)
         _linear(w1, b1, x, h)
         _relu(h)
-        _linear(ws, bs, h, s)
+        _head(ws, bs, h, s)
         for p in range(count):
             sdf[start + p] = s[0, p]
 
@@ -184,7 +208,7 @@ def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradi
                     slopes[k, 0, i], slopes[k, 1, i], slopes[k, 2, i] = du * cells, dv * cells, dw * cells
         _linear(w1, b1, x, h)
         _relu(h)
-        _linear(ws, bs, h, s)
+        _head(ws, bs, h, s)
         for k in range(hidden):
             for p in range(BLOCK):
                 h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
@@ -214,7 +238,7 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
     """
     inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
     n = len(features)
-    w1_t, wc1_t, wc2_t = w1.T.copy(), wc1.T.copy(), wc2.T.copy()
+    w1_t, wc1_t = w1.T.copy(), wc1.T.copy()
     near_blocks = (coloured + BLOCK - 1) // BLOCK
     blocks = near_blocks + (n - coloured + BLOCK - 1) // BLOCK
     for part in prange(PARTS):
@@ -228,21 +252,22 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
             _transpose(features, start, count, x)
             _linear(w1, b1, x, h)
             _relu(h)
-            _linear(ws, bs, h, s)
+            _head(ws, bs, h, s)
             for p in range(count):
                 residual = s[0, p] - target[start + p] if near else min(s[0, p] - margin, _ZERO)
                 loss[start + p] = weight[start + p] * residual * residual
                 s[0, p] = np.float32(2) * weight[start + p] * residual
             for p in range(count, BLOCK):
                 s[0, p] = _ZERO
-            _weight_gradient(s, h, g_ws[part], g_bs[part])
+            _head_gradient(s, h, g_ws[part])
+            _bias_gradient(s, g_bs[part])
             for k in range(hidden):
                 for p in range(BLOCK):
                     g_h[k, p] = ws[0, k] * s[0, p]
             if near:
                 _linear(wc1, bc1, h, c)
                 _relu(c)
-                _linear(wc2, bc2, c, o)
+                _head(wc2, bc2, c, o)
                 _sigmoid(o)
                 for p in range(count):
                     total = _ZERO
@@ -256,16 +281,19 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
                 for k in range(3):
                     for p in range(count, BLOCK):
                         o[k, p] = _ZERO
-                _weight_gradient(o, c, g_wc2[part], g_bc2[part])
-                _linear_back(wc2_t, o, g_c)
+                _head_gradient(o, c, g_wc2[part])
+                _bias_gradient(o, g_bc2[part])
+                _head_back(wc2, o, g_c)
                 _masked(g_c, c)
-                _weight_gradient(g_c, h, g_wc1[part], g_bc1[part])
+                _weight_gradient(g_c, h, g_wc1[part])
+                _bias_gradient(g_c, g_bc1[part])
                 _linear_back(wc1_t, g_c, g_more)
                 for k in range(hidden):
                     for p in range(BLOCK):
                         g_h[k, p] += g_more[k, p]
             _masked(g_h, h)
-            _weight_gradient(g_h, x, g_w1[part], g_b1[part])
+            _weight_gradient(g_h, x, g_w1[part])
+            _bias_gradient(g_h, g_b1[part])
             _linear_back(w1_t, g_h, g_x)
             for p in range(count):
                 for k in range(inputs):
