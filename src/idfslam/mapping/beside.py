@@ -10,6 +10,16 @@ from idfslam.state import State
 Losses = dict[str, float]
 
 
+def loops_may_overlap() -> bool:
+    """Whether two threads may run parallel loops at once: Numba's own layer, without OpenMP and TBB, ends the program then."""
+    import numba
+
+    try:
+        return bool(numba.threading_layer() != "workqueue")
+    except ValueError:  # no loop has run yet
+        return True
+
+
 class Beside:
     """Runs functions in one thread of its own, each after the one before."""
 
@@ -22,6 +32,9 @@ class Beside:
     def start(self, work: Callable[[], Losses]) -> None:
         """Begins with it, after the one that may still be running."""
         self.wait()
+        if not loops_may_overlap():
+            self._losses = self._timed(work)  # to the same result, only later
+            return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(1, thread_name_prefix="map")
         self._running = self._pool.submit(self._timed, work)
