@@ -75,5 +75,5 @@ class FinishedRun:
             known = np.setdiff1d(np.arange(len(self.trajectory)), guessed)
             found = known[np.unique(np.linspace(0, len(known) - 1, count).round().astype(int))] if len(known) else known
         if not len(found):
-            raise ResultError(f"{self.folder}: the run has no {'keyframes' if count is None else 'frame that is not lost'}")
+            raise ResultError(f"{self.folder}: the run has no {'keyframes' if count is None else 'frame whose pose was measured'}")
         return found

@@ -232,12 +232,11 @@ class Slam:
         """From the predicted pose; in doubt also from the tracker's and the last pose: one that is better stands. And the tracker's."""
         references = self.graph.references(self.config.alignment.references)
         predicted, expected = current.T_wk, self.aligner.expected
+        narrow = [] if expected is None else [("motion", expected)]
         best: Alignment | None = None
         tracked: Tensor | None = None
-        for guess, within in (("motion", expected), ("motion", None), ("tracker", None), ("last", None)):
+        for guess, within in (*narrow, ("motion", None), ("tracker", None), ("last", None)):
             T_guess = predicted if guess == "motion" else self._last_pose(current)
-            if guess == "motion" and best is not None and expected is None:
-                continue  # from all images already
             if guess == "tracker":
                 T_guess, status = self._register(current)
                 if status is Status.LOST:

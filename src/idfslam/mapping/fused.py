@@ -148,7 +148,7 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
         )  # fmt: skip
         tables.backward(points, g_features)
         rate, table_rate = optimiser.advance()
-        rates = adam_rates(rate, *_BETAS, _EPS, optimiser.steps)
+        rates = numba_grid.single(adam_rates(rate, *_BETAS, _EPS, optimiser.steps))
         for w, g, (m, v) in zip(network, g_network, moments):
             numba_field.adam(w.reshape(-1), g.reshape(len(g), -1), m, v, *rates)  # type: ignore[call-arg]
         tables.adam(table_rate, optimiser.steps)

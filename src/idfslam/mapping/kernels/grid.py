@@ -93,7 +93,7 @@ def sparse_adam(
     if not all(tensor.is_contiguous() for tensor in (tables, grad, m, v)):
         raise ValueError("tables, grad, m and v must be contiguous")
     kernels = _kernels(tables.device, implementation)
-    kernels.adam_step(tables, grad, m, v, touched, step=step, learning_rate=learning_rate, betas=betas, eps=eps)
+    kernels.adam_step(tables, grad, m, v, touched, torch_grid.adam_rates(learning_rate, *betas, eps, step))
     torch.autograd.graph.increment_version(tables)  # a graph that still needs the old values must fail, not use the new ones
 
 

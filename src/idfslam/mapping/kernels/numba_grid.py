@@ -19,7 +19,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from idfslam.mapping.kernels.torch_grid import BETAS, EPS, RUN, adam_rates, touched_runs
+from idfslam.mapping.kernels.torch_grid import BETAS, EPS, RUN, Rates, adam_rates, touched_runs
 
 Floats = NDArray[np.float32]
 Entries = NDArray[np.uint32]
@@ -298,22 +298,16 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
     return grad_points
 
 
-def adam_step(
-    tables: Tensor,
-    grad: Tensor,
-    m: Tensor,
-    v: Tensor,
-    touched: Tensor | None = None,
-    *,
-    step: int,
-    learning_rate: float,
-    betas: tuple[float, float],
-    eps: float,
-) -> None:
+def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
     """Adam on the numbers whose gradient is not zero, in place; looked for in `touched` runs alone, if given. Both are zero afterwards."""
     x, g, first, second = (_array(tensor).reshape(-1) for tensor in (tables, grad, m, v))
     flags = (touched_runs(tables).fill_(1) if touched is None else touched).numpy().reshape(-1)
-    _adam_step(x, g, first, second, flags, adam_rates(learning_rate, *betas, eps, step))
+    _adam_step(x, g, first, second, flags, single(rates))
+
+
+def single(rates: Rates) -> tuple[np.float32, ...]:
+    """Rates as the kernels take them."""
+    return tuple(np.float32(rate) for rate in rates)
 
 
 class Tables:
@@ -335,4 +329,4 @@ class Tables:
     def adam(self, learning_rate: float, step: int) -> None:
         """`sparse_adam`."""
         x, grad, m, v = self._flat
-        _adam_step(x, grad, m, v, self._touched.reshape(-1), adam_rates(learning_rate, *BETAS, EPS, step))
+        _adam_step(x, grad, m, v, self._touched.reshape(-1), single(adam_rates(learning_rate, *BETAS, EPS, step)))

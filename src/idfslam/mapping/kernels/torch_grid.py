@@ -11,7 +11,6 @@ take float32.
 
 import math
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,10 +20,13 @@ RUN = 64  # entries that share a mark
 BETAS, EPS = (0.9, 0.99), 1e-15  # of Adam on the tables
 
 
-def adam_rates(learning_rate: float, beta1: float, beta2: float, eps: float, step: int) -> tuple[np.float32, ...]:
-    """What a step of Adam is made of: x -= step_size * m / (sqrt(v) * correction + eps); step size, betas, correction, eps."""
-    step_size, correction = learning_rate / (1 - beta1**step), 1 / math.sqrt(1 - beta2**step)
-    return tuple(np.float32(rate) for rate in (step_size, beta1, beta2, correction, eps))
+Rates = tuple[float, float, float, float, float]
+"""A step of Adam, x -= step_size * m / (sqrt(v) * correction + eps): step size, betas, correction, eps."""
+
+
+def adam_rates(learning_rate: float, beta1: float, beta2: float, eps: float, step: int) -> Rates:
+    """Those of a step, counted from 1."""
+    return learning_rate / (1 - beta1**step), beta1, beta2, 1 / math.sqrt(1 - beta2**step), eps
 
 
 def touched_runs(tables: Tensor) -> Tensor:
@@ -96,22 +98,11 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
     return torch.einsum("nk,nkd->nd", grad_features, jacobian(points, tables, cells)[1])
 
 
-def adam_step(
-    tables: Tensor,
-    grad: Tensor,
-    m: Tensor,
-    v: Tensor,
-    touched: Tensor | None = None,
-    *,
-    step: int,
-    learning_rate: float,
-    betas: tuple[float, float],
-    eps: float,
-) -> None:
+def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
     """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
+    step_size, beta1, beta2, correction, eps = rates
     moved = grad != 0
-    m.copy_(torch.where(moved, betas[0] * m + (1 - betas[0]) * grad, m))
-    v.copy_(torch.where(moved, betas[1] * v + (1 - betas[1]) * grad * grad, v))
-    denominator = v.sqrt() / math.sqrt(1 - betas[1] ** step) + eps
-    tables.sub_(torch.where(moved, learning_rate / (1 - betas[0] ** step) * m / denominator, 0.0))
+    m.copy_(torch.where(moved, beta1 * m + (1 - beta1) * grad, m))
+    v.copy_(torch.where(moved, beta2 * v + (1 - beta2) * grad * grad, v))
+    tables.sub_(torch.where(moved, step_size * m / (v.sqrt() * correction + eps), 0.0))
     grad.zero_()

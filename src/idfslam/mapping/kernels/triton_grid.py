@@ -11,6 +11,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from idfslam.mapping.kernels.torch_grid import Rates
+
 BLOCK = 128  # points a program
 ADAM_BLOCK = 1024  # numbers a program
 
@@ -227,19 +229,7 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
     return grad_points
 
 
-def adam_step(
-    tables: Tensor,
-    grad: Tensor,
-    m: Tensor,
-    v: Tensor,
-    touched: Tensor | None = None,
-    *,
-    step: int,
-    learning_rate: float,
-    betas: tuple[float, float],
-    eps: float,
-) -> None:
+def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
     """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
-    step_size, correction = learning_rate / (1 - betas[0] ** step), (1 - betas[1] ** step) ** -0.5
     blocks = (triton.cdiv(tables.numel(), ADAM_BLOCK),)
-    _adam_kernel[blocks](tables, grad, m, v, tables.numel(), step_size, *betas, correction, eps, BLOCK=ADAM_BLOCK)
+    _adam_kernel[blocks](tables, grad, m, v, tables.numel(), *rates, BLOCK=ADAM_BLOCK)
