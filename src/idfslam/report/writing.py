@@ -161,7 +161,8 @@ def _charts(gallery: _Gallery, run: FinishedRun, known: Known, metrics: dict[str
         )
         losses = gallery.chart("losses", "Losses of the map and of the tracker's finetuning", figures.losses_chart(run.frames))
     stages = metrics.get("ms_per_frame")
-    bars = gallery.chart("stages", "Where the time goes", figures.stages_chart(stages)) if stages else []
+    beside = "; the map learns beside the rest" if "wait" in (stages or {}) else ""
+    bars = gallery.chart("stages", f"Where the time goes{beside}", figures.stages_chart(stages)) if stages else []
     return {"error": errors, "frames": times, "stages": bars, "losses": losses}
 
 

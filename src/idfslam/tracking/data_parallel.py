@@ -49,5 +49,6 @@ def workers(device: torch.device) -> Iterator[Workers]:
     distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Workers(distributed.get_rank(), distributed.get_world_size())
+        distributed.barrier()  # none leaves while another still works: its threads would lose their connections while they end
     finally:
         distributed.destroy_process_group()
