@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch import nn
 
-WORKED_OUT_AGAIN = {"described", "appearance", "landmarks", "pixels", "_images", "_archive", "archive"}  # from keyframes' images
+# from keyframes' images
+WORKED_OUT_AGAIN = {"described", "appearance", "landmarks", "pixels", "farthest", "has_depth", "_images", "_archive", "archive"}
 OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
 
 

@@ -12,6 +12,7 @@ from idfslam.tracking.photometric import (
     Appearance,
     Landmarks,
     compiled_steepest,
+    half,
     landmarks,
     photometric_term,
     plain_photometric_term,
@@ -59,6 +60,11 @@ def test_pyramid_cameras_and_means() -> None:
     assert (fine.cx, fine.cy) == pytest.approx((23.5, 17.5))
     torch.testing.assert_close(levels[0].luminance[3, 5], colour[6:8, 10:12].mean())
     torch.testing.assert_close(levels[1].luminance[2, 4], colour[8:12, 16:20].mean())
+
+
+def test_halves_of_opencv_are_those_of_torch() -> None:
+    image = torch.rand(72, 96, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(half(image), torch.nn.functional.avg_pool2d(image[None], 2)[0])
 
 
 def test_a_small_image_is_not_enlarged() -> None:

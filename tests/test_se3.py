@@ -58,6 +58,7 @@ def test_exp_undoes_log(dtype: torch.dtype, axis: list[float], angle: float, tra
 def test_log_undoes_exp_at_hard_angles(angle: float, axis: list[float], translation: list[float]) -> None:
     xi = increment(axis, angle, translation)
     assert close(se3.log(se3.exp(xi)), xi, 1e-9 if angle < 3 else 1e-8)
+    assert close(se3.angle(se3.exp(xi)), xi[3:].norm(), 1e-9)
     xi32 = xi.float()
     error = se3.log(se3.exp(xi32)) - xi32
     # float32 may round an angle beyond pi, where the axis turns round: compare the transforms there

@@ -13,6 +13,8 @@ from idfslam.tracking.alignment import Aligner
 from idfslam.tracking.localisation import Localiser
 from idfslam.tracking.motion import change_between, moved
 
+_FIRM = 2.0  # of `hold_registered`: with so much of its own a pose follows a registered one by 6 % of the way
+
 
 class BundleAdjustment:
     """Refines keyframes of a graph together with the map."""
@@ -20,13 +22,14 @@ class BundleAdjustment:
     def __init__(self, config: Config, graph: KeyframeGraph, mapper: Mapper, aligner: Aligner, localiser: Localiser) -> None:
         self.config, self.graph, self.mapper, self.aligner, self.localiser = config, graph, mapper, aligner, localiser
 
-    def register(self, keyframe: Keyframe) -> None:
+    def register(self, keyframe: Keyframe, known: float) -> None:
         """A new keyframe's pose and the neural tracker's, which knows best where the map is bare or noisy and images are few.
 
-        It counts only where the images of the two keyframes agree with it.
+        It counts only where the images of the two keyframes agree with it. known: information of the pose in any direction, per unit
+        weight; where that is far above `hold_registered` the tracker could not move it by a millimetre, and is not asked.
         """
         reference = self.graph.reference
-        if reference is None or not self.config.alignment.hold_registered:
+        if reference is None or known >= _FIRM * self.config.alignment.hold_registered:
             return
         T_wc = self.localiser.registered(keyframe, reference)
         if T_wc is None or not self.localiser.agrees(keyframe, reference, T_wc):

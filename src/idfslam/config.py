@@ -30,7 +30,7 @@ class FieldConfig:
     """The layer at which the encoded position is fed in again; 0: nowhere."""
     colour_width: int = 32
     """Width of the colour head's hidden layer."""
-    levels: int = 8
+    levels: int = 6
     """Levels of the feature grid."""
     features: int = 2
     """Features a level of the grid."""

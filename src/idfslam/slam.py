@@ -59,10 +59,12 @@ class Slam:
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
         self._unmapped: Keyframe | None = None  # the last frame, if it is no keyframe
+        self._updated_at = 0  # frames processed when the map last got an update
         self.motion = MotionModel()
         self._live: list[NDArray[np.float64]] = []  # each frame's pose as it was first told
         self._in_view = 1.0  # share of the references' landmarks that the last frame saw
         self._known = 1.0  # share of its depth that the map knew
+        self._least_information = 0.0  # of its pose in any direction, by map and images, per unit weight
 
     def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
         """Before the first frame: a saved map, whose field is of this config, and its keyframes with poses T_wk (4, 4).
@@ -93,7 +95,7 @@ class Slam:
         self._unmapped = None if chosen or status is Status.LOST else current
         if chosen:
             losses = self._map(current)
-        elif self.config.mapper.every and frame.index % self.config.mapper.every == 0 and status is not Status.LOST:
+        elif self._due and status is not Status.LOST:
             losses = self._refresh(current)
         else:
             losses = self._finetune()
@@ -148,6 +150,8 @@ class Slam:
             "unmapped": None if self._unmapped is None else self._unmapped.state(),
             "in_view": self._in_view,
             "known": self._known,
+            "least_information": self._least_information,
+            "updated_at": self._updated_at,
             "relocalisations": self.relocalisations,
             "live": torch.from_numpy(self.live_trajectory()),
             "finished": self._finished,
@@ -171,8 +175,8 @@ class Slam:
         for name, part in self._parts().items():
             part.restore(state[name])
         self._unmapped = None if state["unmapped"] is None else revive(state["unmapped"])
-        self._in_view, self._known, self._finished = state["in_view"], state["known"], state["finished"]
-        self.relocalisations = state["relocalisations"]
+        self._in_view, self._known, self._least_information = state["in_view"], state["known"], state["least_information"]
+        self.relocalisations, self._updated_at, self._finished = state["relocalisations"], state["updated_at"], state["finished"]
         self._live = list(state["live"].numpy())
         self.timings = defaultdict(list, {stage: ms.tolist() for stage, ms in state["timings"].items()})
 
@@ -194,7 +198,7 @@ class Slam:
         The first frame with depth is the world; those before it are lost.
         """
         if not self.graph.keyframes:
-            return Status.OK if bool((current.depth > 0).any()) else Status.LOST
+            return Status.OK if current.has_depth else Status.LOST
         last, information = self._last_pose(current), None
         was_lost, found_before = self._lost, self.relocalisations
         if self.config.alignment.enabled:
@@ -224,8 +228,9 @@ class Slam:
             best, tracked = self._relocalised(current) or replace(best, status=Status.LOST), None if self._lost else tracked
         if best.status is not Status.LOST:
             self.aligner.accept(best, current.T_wk)
-            self._in_view, self._known = best.in_view, best.overlap
+            self._in_view, self._known, self._least_information = best.in_view, best.overlap, best.least_information
             return best.T_wc, best.status, best.information
+        self._least_information = 0.0
         return (current.T_wk, Status.LOST, None) if tracked is None else (tracked, Status.OK, None)
 
     def _aligned(self, current: Keyframe) -> tuple[Alignment, Tensor | None]:
@@ -253,7 +258,7 @@ class Slam:
 
     def _relocalised(self, current: Keyframe) -> Alignment | None:
         """The view's pose by the keyframes that look most like it, which it is then held against; None if none is convincing."""
-        if not bool((current.depth > 0).any()):
+        if not current.has_depth:
             return None
         keyframes, answers = self.graph.keyframes, []
         with self._timed("relocalise"):
@@ -270,7 +275,7 @@ class Slam:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
         if status is Status.LOST and self._relocalises:
             return False
-        return bool((current.depth > 0).any()) and self.graph.asks_for_keyframe(current.T_wk, status, self._in_view)
+        return current.has_depth and self.graph.asks_for_keyframe(current.T_wk, status, self._in_view)
 
     def _map(self, keyframe: Keyframe) -> dict[str, float]:
         """The pose against the map, then the map by the new keyframe and the replayed (Sec. IV)."""
@@ -282,9 +287,8 @@ class Slam:
                 losses |= self.mapper.optimise_pose(keyframe)
         if self.config.alignment.enabled:
             with self._timed("register"), threads(1.0):
-                self.adjustment.register(keyframe)
-        if self.graph.promote(keyframe):
-            self.mapper.grow()
+                self.adjustment.register(keyframe, self._least_information)
+        stored = self.graph.promote(keyframe)
         self._described(keyframe)
         if self.graph.verify:
             with self._timed("loops"):
@@ -293,7 +297,7 @@ class Slam:
         if first:
             with self._timed("map"), threads(1.0):
                 return self.mapper.initialise(keyframe)
-        return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known)
+        return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known, grow=stored)
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""
@@ -302,22 +306,23 @@ class Slam:
         self.graph.cover(current)
         return self._optimise(current, at_once=False)
 
-    def _optimise(self, current: Keyframe, *, at_once: bool) -> dict[str, float]:
+    def _optimise(self, current: Keyframe, *, at_once: bool, grow: bool = False) -> dict[str, float]:
         """Bundle adjustment over the replay window, in turns: the replayed keyframes' poses against the map, the map against all.
 
         at_once: the next frame is aligned to it already. Otherwise the map learns beside the frames that follow, and the losses are those
         of the update before.
         """
+        self._updated_at = len(self.graph)
         replayed = self.graph.replay(current)
         with self._timed("refine"):
             self.adjustment.refine(replayed[: self.config.alignment.refined])
         window, iterations = [current, *replayed], self.config.mapper.iterations
         if at_once or not self.config.mapper.beside:
             with self._timed("map"), threads(1.0):
-                losses = self.mapper.optimise_map(window, iterations)
+                losses = self.mapper.optimise_map(window, iterations, grow=grow)
         else:
             with self._timed("wait"):
-                losses = self.mapper.start(window, iterations)
+                losses = self.mapper.start(window, iterations, grow=grow)
         self.timings["map"] += self.mapper.beside.times()
         return losses
 
@@ -337,6 +342,11 @@ class Slam:
 
     def _described(self, keyframe: Keyframe) -> Described:
         return self.localiser.described(keyframe)
+
+    @property
+    def _due(self) -> bool:
+        """Whether the map's last update is `every` frames old."""
+        return 0 < self.config.mapper.every <= len(self.graph) - self._updated_at
 
     @property
     def _lost(self) -> bool:

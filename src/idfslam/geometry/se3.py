@@ -17,6 +17,11 @@ def hat(omega: Tensor) -> Tensor:
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
 
 
+def _vee(R: Tensor) -> Tensor:
+    """(..., 3, 3) -> (..., 3): the vector of the skew part, a rotation's axis times its angle's sine."""
+    return torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1) / 2
+
+
 def _coefficients(theta2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """sin(t)/t, (1-cos t)/t^2, (t-sin t)/t^3 from t^2, smooth (also in their gradients) at zero."""
     small = theta2 < _SMALL**2
@@ -44,7 +49,7 @@ def exp(xi: Tensor) -> Tensor:
 def log(T: Tensor) -> Tensor:
     """Transform (..., 4, 4) -> increment (..., 6), `exp(log(T)) = T`; rotation angle in [0, pi]."""
     R, t = T[..., :3, :3], T[..., :3, 3]
-    vee = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1) / 2
+    vee = _vee(R)
     sine = vee.norm(dim=-1)
     cosine = (R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
     theta = torch.atan2(sine, cosine)
@@ -83,8 +88,10 @@ def transform(T_ab: Tensor, points_b: Tensor) -> Tensor:
 
 
 def angle(T: Tensor) -> Tensor:
-    """Rotation angle (...) [rad] of transforms (..., 4, 4)."""
-    return log(T)[..., 3:].norm(dim=-1)
+    """Rotation angle (...) [rad] of transforms (..., 4, 4), in [0, pi]."""
+    R = T[..., :3, :3]
+    sine, cosine = _vee(R).norm(dim=-1), (R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    return torch.atan2(sine, cosine)
 
 
 def orthonormal(T: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """A keyframe: a frame that is kept, its pose, and what components remember of it."""
 
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -23,7 +24,6 @@ class Keyframe:
         self.T_wk = T_wk
         self.index, self.timestamp = frame.index, frame.timestamp
         self.camera: Camera = frame.camera
-        self.farthest = float(depth.max())  # reading [m]
         self._images: tuple[Frame, Tensor, Tensor] | None = (frame, depth, colour)
         self._device = depth.device
         self._archive: Archive | None = None
@@ -51,6 +51,16 @@ class Keyframe:
     @property
     def colour(self) -> Tensor:
         return self._loaded()[2]
+
+    @cached_property
+    def farthest(self) -> float:
+        """Its farthest reading [m]; 0: it has no depth."""
+        return float(self.depth.max())
+
+    @cached_property
+    def has_depth(self) -> bool:
+        """Whether any of its pixels has a reading."""
+        return bool((self.depth > 0).any())
 
     def _loaded(self) -> tuple[Frame, Tensor, Tensor]:
         if self._images is None:

@@ -277,7 +277,7 @@ class KeyframeGraph:
         """
         if self.reference is None:
             return []
-        if self.config.reference == "last" or not bool((frame.depth > 0).any()):
+        if self.config.reference == "last" or not frame.has_depth:
             return [self.reference]
         most = self._covisibility(frame).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
         candidates = [self.reference, *(self.keyframes[i] for i in most)]

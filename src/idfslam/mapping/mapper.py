@@ -75,14 +75,17 @@ class Mapper:
         """Teach the map its first frame."""
         return self.optimise_map([keyframe], self.config.first_iterations)
 
-    def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int) -> dict[str, float]:
-        """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses."""
+    def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int, *, grow: bool = False) -> dict[str, float]:
+        """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses.
+
+        grow: before, tables that have filled up are doubled; the map stays the same function.
+        """
         self.beside.wait()
-        losses = self._learn([MapView(k) for k in keyframes], iterations)
+        losses = self._learn([MapView(k) for k in keyframes], iterations, grow=grow)
         self.publish()
         return losses
 
-    def start(self, keyframes: Sequence[Keyframe], iterations: int, *, anneal: float = 1.0) -> dict[str, float]:
+    def start(self, keyframes: Sequence[Keyframe], iterations: int, *, anneal: float = 1.0, grow: bool = False) -> dict[str, float]:
         """`optimise_map` beside what the caller does next; returns the losses of the one before, whose map is published now.
 
         The keyframes' poses and images are those of now. What is published is so at the same calls on every machine, however long learning
@@ -90,11 +93,11 @@ class Mapper:
         """
         if not self.config.beside:
             self.optimiser.anneal = anneal
-            return self.optimise_map(keyframes, iterations)
+            return self.optimise_map(keyframes, iterations, grow=grow)
         losses = self.finish()
         self.optimiser.anneal = anneal
         views = [MapView(k) for k in keyframes]
-        self.beside.start(lambda: self._learn(views, iterations))
+        self.beside.start(lambda: self._learn(views, iterations, grow=grow))
         return losses
 
     def finish(self) -> dict[str, float]:
@@ -108,20 +111,17 @@ class Mapper:
         self.beside.wait()
         return self.field
 
-    def grow(self) -> bool:
-        """Double the tables when they fill up; the map stays the same function."""
-        self.beside.wait()
-        return self.optimiser.grow()
-
     @torch.no_grad()
     def publish(self) -> None:
         """From now on `published` is the map as it has been learnt so far."""
         if self.published is not self.field:
             load_field(self.published, self.field.state_dict())
 
-    def _learn(self, views: Sequence[MapView], iterations: int) -> dict[str, float]:
+    def _learn(self, views: Sequence[MapView], iterations: int, *, grow: bool) -> dict[str, float]:
         """Eq. 3 on views as they are."""
         numbers: dict[str, float] = {}
+        if grow:
+            self.optimiser.grow()
         with self.optimiser.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)

@@ -46,6 +46,11 @@ class Alignment:
     radius: float = 1.0  # mean distance of the points [m]
 
     @property
+    def least_information(self) -> float:
+        """Of depth and images in any direction, per unit weight [1]; 0 without any."""
+        return 0.0 if self.information is None else float(self.information.values[0])
+
+    @property
     def score(self) -> float:
         """To compare two alignments of one view: much of it explained, closely, and in its colours; 0 if lost.
 

@@ -10,6 +10,7 @@ Changes of a pose are 6-vectors: the shift [m] of the camera's centre and its tu
 from dataclasses import dataclass
 
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from idfslam.geometry import se3
@@ -57,9 +58,8 @@ def moved(T: Tensor, change: Tensor) -> Tensor:
 
 def change_between(T: Tensor, other: Tensor) -> Tensor:
     """(6,) with moved(T, change) = other."""
-    turn = torch.eye(4, dtype=T.dtype)
-    turn[:3, :3] = other[:3, :3] @ T[:3, :3].T
-    return torch.cat([other[:3, 3] - T[:3, 3], se3.log(turn)[3:]])
+    turn = Rotation.from_matrix((other[:3, :3] @ T[:3, :3].T).numpy()).as_rotvec()
+    return torch.cat([other[:3, 3] - T[:3, 3], torch.from_numpy(turn)])
 
 
 class MotionModel:
