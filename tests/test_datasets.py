@@ -30,7 +30,7 @@ from recordings import (
 from idfslam.datasets import FORMATS, Prefetch, open_recording
 from idfslam.datasets.association import associate
 from idfslam.datasets.images import Undistortion
-from idfslam.datasets.recording import Selection
+from idfslam.datasets.recording import Selection, readers
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -381,6 +381,36 @@ def test_prefetch_yields_every_frame_in_order_and_bad_ones_as_errors(tmp_path: P
         assert isinstance(frame, Frame)
         check_frame(frame, i)
     assert not prefetch_threads()
+
+
+class Slow:
+    """A dataset whose frames wait for each other: frame 2k is there only once 2k + 1 has been asked for."""
+
+    readers = 2
+
+    def __init__(self, dataset: Selection) -> None:
+        self.dataset, self.asked = dataset, [threading.Event() for _ in range(len(dataset))]
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, i: int) -> Frame:
+        self.asked[i].set()
+        assert self.asked[i | 1].wait(20)
+        return self.dataset[i]
+
+
+def test_a_slow_dataset_is_read_by_several_threads_in_order(tmp_path: Path) -> None:
+    slow = Slow(open_recording(write_folder(tmp_path / "room", frames=6)))
+    assert [frame.index for _, frame in Prefetch(slow) if isinstance(frame, Frame)] == list(range(6))
+    assert not prefetch_threads()
+
+
+def test_a_selection_has_as_many_readers_as_what_it_selects_from(tmp_path: Path) -> None:
+    recording = open_recording(write_folder(tmp_path / "room", frames=4))
+    assert readers(recording) == 1
+    recording.readers = 2
+    assert readers(Selection(recording, stride=2)) == 2
 
 
 class Counting:

@@ -51,6 +51,11 @@ class Dataset(FrameSource, Protocol):
     def surface(self) -> "trimesh.Trimesh | None": ...  # the true surface in the frame of ground_truth, where it is known
 
 
+def readers(dataset: Dataset) -> int:
+    """How many threads may read its frames at once: what its attribute `readers` says, or one."""
+    return int(getattr(dataset, "readers", 1))
+
+
 @dataclass(frozen=True)
 class Reader:
     """One layout: its name for --format, what it looks like, whether a path has it, and how to open it."""
@@ -155,7 +160,7 @@ class Selection:
             found = f"frames {frames} from start {start} with stride {stride}"
             raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")
         self._dataset, self._indices = dataset, indices[:frames]
-        self.name, self.camera = dataset.name, dataset.camera
+        self.name, self.camera, self.readers = dataset.name, dataset.camera, readers(dataset)
         self.timestamps = dataset.timestamps[self._indices]
         truth = dataset.ground_truth
         self.ground_truth = None if truth is None else truth[self._indices]

@@ -21,6 +21,8 @@ class RenderedRecording:
     A frame depends on `seed`, its index and its pose alone; `noise` adds what a Kinect does to depth and colour.
     """
 
+    readers = 2  # a frame takes several times as long as SLAM has for it
+
     def __init__(
         self, name: str, scene: BakedScene, ground_truth: NDArray[np.float64], size: tuple[int, int], *, seed: int, noise: bool
     ) -> None:

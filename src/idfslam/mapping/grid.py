@@ -24,7 +24,7 @@ class GridEncoding(nn.Module):
     def __init__(self, config: FieldConfig) -> None:
         super().__init__()
         ratio = (config.finest / config.coarsest) ** (1 / max(config.levels - 1, 1))
-        self.register_buffer("cells", config.coarsest * ratio ** torch.arange(config.levels, dtype=torch.float32))
+        self.register_buffer("cells", torch.tensor([config.coarsest * ratio**level for level in range(config.levels)]))
         tables = torch.empty(config.levels, 2**config.table_log2, config.features).uniform_(-1e-4, 1e-4)
         self.tables = nn.Parameter(roomy_zeros(tables.shape, tables.device).copy_(tables))
         self.register_buffer("gradient", roomy_zeros(tables.shape, tables.device), persistent=False)  # backward adds, Adam zeroes

@@ -1,6 +1,7 @@
 """The pictures of a report: the mesh from outside and inside, the room's plan, slices of the map, frames beside what the map shows."""
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,7 @@ _HEIGHTS = (0.25, 0.5, 0.75)  # of slices, as shares of the room's height
 _WIDTH = 320  # px of a frame's pictures
 _FRAMES = 4
 _LEAST_SHOWN = 0.01  # share of a picture of the mesh that is mesh
+_AT_ONCE = 2  # pictures that are drawn side by side: each takes some 100 MB
 _ERROR = 0.05  # [m] at the end of the scale
 
 
@@ -51,13 +53,18 @@ class Room:
         """From four sides (H, W, 4), but for those that show backs alone."""
         angles = 0.6 + np.arange(4) * np.pi / 2
         poses = [overview_pose(self._mesh, self._poses, _OUTSIDE, azimuth=float(angle)) for angle in angles]
-        images = [self._picture.cut_out(T, _OUTSIDE, Shading()) for T in poses]
+        images = self._seen(poses, _OUTSIDE, Shading())
         return [image for image in images if (image[..., 3] > 0).mean() > _LEAST_SHOWN]
 
     def inside(self) -> list[Image]:
         """From four places of the path, at a wide angle (H, W, 4)."""
         lit = Shading(occlusion=0)  # it would take most of the report's time here, where all of the picture is surface
-        return [self._picture.cut_out(self._poses[i], _INSIDE, lit) for i in spread(len(self._poses), 4)]
+        return self._seen([self._poses[i] for i in spread(len(self._poses), 4)], _INSIDE, lit)
+
+    def _seen(self, poses: Sequence[Floats], camera: Camera, shading: Shading) -> list[Image]:
+        """Side by side: casting rays and arithmetic on whole images leave the interpreter to others."""
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            return list(pool.map(lambda T_wc: self._picture.cut_out(T_wc, camera, shading), poses))
 
     def plan(self) -> Plan:
         """From above, without the ceiling."""
