@@ -2,8 +2,8 @@
 
     NUMBA_NUM_THREADS=2 python benchmarks/grid.py --points 49152 --features 2
 
-Prints milliseconds a call, fastest and median of `--repeats`, wall clock: `forward` features; `jacobian` features and their derivatives;
-`points` and `tables` the two backward passes; `step` the Adam step after one backward pass.
+Prints milliseconds a call, fastest and median of `--repeats`, wall clock: `forward` features; `points` and `tables` the two
+backward passes; `step` the Adam step after one backward pass.
 """
 
 import time
@@ -14,7 +14,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from idfslam.mapping.kernels import Implementation, grid_encode, grid_jacobian, sparse_adam
+from idfslam.mapping.kernels import Implementation, grid_encode, sparse_adam
 
 BETAS = (0.9, 0.99)
 
@@ -60,7 +60,6 @@ def time_grid(implementation: Implementation, points: Tensor, tables: Tensor, ce
     by_points, by_tables = encode(by_points=True, by_tables=False), encode(by_points=False, by_tables=True)
     calls: dict[str, Callable[[], object]] = {
         "forward": lambda: grid_encode(points, tables, cells, implementation=implementation),
-        "jacobian": lambda: grid_jacobian(points, tables, cells, implementation=implementation),
         "points": lambda: by_points.backward(grad, retain_graph=True),
         "tables": lambda: by_tables.backward(grad, retain_graph=True),
     }

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.mapping.kernels import grid_encode, grid_jacobian, grid_scatter, load, sparse_adam, torch_grid, touched_runs
+from idfslam.mapping.kernels import grid_encode, grid_scatter, load, sparse_adam, torch_grid, touched_runs
 
 HAS_TRITON = importlib.util.find_spec("triton") is not None
 INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
@@ -66,7 +66,8 @@ def test_value_by_hand(implementation: str) -> None:
     assert grid_encode(point, tables, cells, implementation=implementation).item() == pytest.approx(3.25)
     # At (-0.5, 0, 2) only x is between vertices: 0.25 + 0 + 4. In 2 m, forward from there, x falls by 1, y rises by 2, z falls by 4.
     point = torch.tensor([[-0.5, 0.0, 2.0]], device=where)
-    value, slope = grid_jacobian(point, tables, cells, implementation=implementation)
+    value = grid_encode(point.requires_grad_(), tables, cells, implementation=implementation)
+    (slope,) = torch.autograd.grad(value, point)
     assert value.item() == pytest.approx(4.25)
     assert slope.flatten().tolist() == pytest.approx([-0.5, 1.0, -2.0])
 
@@ -85,17 +86,6 @@ def test_equal_to_reference(implementation: str, features: int) -> None:
     # Values are sums of 8 float32 terms of size 1; gradients by points have the factor 1 / 0.07; those by tables are sums of ~100 terms.
     for expected, actual, tolerance in zip(*results, (2e-6, 2e-4, 2e-5)):
         assert torch.allclose(expected, actual, rtol=1e-5, atol=tolerance)
-
-
-@pytest.mark.parametrize("implementation", ["torch", *COMPILED])
-def test_jacobian_equals_autograd(implementation: str) -> None:
-    points, tables, cells = grid(implementation, count=65)
-    features, slopes = grid_jacobian(points, tables, cells, implementation=implementation)
-    x = points.clone().requires_grad_()
-    out = torch_grid.forward(x, tables, cells)
-    expected = torch.stack([torch.autograd.grad(column.sum(), x, retain_graph=True)[0] for column in out.T], 1)
-    assert torch.allclose(features, out, atol=2e-6)
-    assert torch.allclose(slopes, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_reference_against_finite_differences() -> None:
@@ -131,8 +121,7 @@ def test_no_points(implementation: str) -> None:
     x, t = torch.zeros(0, 3, device=tables.device, requires_grad=True), tables.clone().requires_grad_()
     out = grid_encode(x, t, cells, implementation=implementation)
     out.sum().backward()
-    features, slopes = grid_jacobian(x.detach(), tables, cells, implementation=implementation)
-    assert out.shape == features.shape == (0, 8) and slopes.shape == (0, 8, 3)
+    assert out.shape == (0, 8)
     assert x.grad is not None and x.grad.shape == (0, 3)
     assert t.grad is not None and not t.grad.any()
 

@@ -42,14 +42,6 @@ def grid_encode(
 
 
 @torch.no_grad()
-def grid_jacobian(points: Tensor, tables: Tensor, cells: Tensor, *, implementation: Implementation | None = None) -> tuple[Tensor, Tensor]:
-    """Features (N, L * F) and their derivative by the points (N, L * F, 3) [1/m], outside autograd; arguments as in `grid_encode`."""
-    kernels = _kernels(points.device, implementation)
-    _check(points, tables, cells, any_dtype=kernels is torch_grid)
-    return kernels.jacobian(points.contiguous(), tables, cells)
-
-
-@torch.no_grad()
 def grid_scatter(
     points: Tensor,
     cells: Tensor,

@@ -110,30 +110,6 @@ def _forward(points: Floats, tables: Floats, inverse: Floats, lanes: tuple[int, 
                     )
 
 
-@_parallel
-def _jacobian(points: Floats, tables: Floats, inverse: Floats, lanes: tuple[int, ...], features: Floats, slopes: Floats) -> None:
-    width = len(lanes)
-    mask = np.uint32(tables.shape[1] - 1)
-    for block in prange((len(points) + BLOCK - 1) // BLOCK):
-        start = block * BLOCK
-        count = min(len(points) - start, BLOCK)
-        e = np.empty((8, BLOCK), np.uint32)
-        xyz, fraction = np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        stage(points, start, count, xyz)
-        for level in range(len(tables)):
-            t = tables[level]
-            locate(xyz, count, inverse[level], mask, e, fraction)
-            for i in range(count):
-                n = start + i
-                u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
-                e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
-                for f in range(width):
-                    value, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
-                    k = level * width + f
-                    features[n, k] = value
-                    slopes[n, k, 0], slopes[n, k, 1], slopes[n, k, 2] = du * inverse[level], dv * inverse[level], dw * inverse[level]
-
-
 @_inlined
 def _dot(table: Floats, entry: np.uint32, grad: Floats, n: int, first: int, lanes: tuple[int, ...]) -> np.float32:
     total = np.float32(0)
@@ -273,14 +249,6 @@ def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
     features = torch.empty(len(points), levels * width)
     _forward(_array(points), _array(tables), _inverse(cells), (0,) * width, _array(features))
     return features
-
-
-def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Tensor]:
-    """Features (N, L * F) and their derivative by the points (N, L * F, 3) [1/m]."""
-    levels, _, width = tables.shape
-    features, slopes = torch.empty(len(points), levels * width), torch.empty(len(points), levels * width, 3)
-    _jacobian(_array(points), _array(tables), _inverse(cells), (0,) * width, _array(features), _array(slopes))
-    return features, slopes
 
 
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:

@@ -3,7 +3,7 @@
 The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space: the lattice of every
 level is infinite and its vertices are hashed into a table of S = 2^k entries, here eight at a time: the vertices of a block of 2 x 2 x 2
 lie side by side, so that with two features a cell's corners are in 3.4 cache lines in the mean instead of 6. The grid modules share one
-contract of five functions, `forward`, `jacobian`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables`
+contract of four functions, `forward`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables`
 (L, S, F) and `cells` (L,) [m]; features come out level-major, (N, L * F). Where tables have a gradient `touched` (L, S / RUN) uint8
 marks, so that Adam need not look everywhere (Numba; the others do without). Any floating dtype works here; the other implementations
 take float32.
@@ -72,17 +72,6 @@ def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
     return (weights[..., None] * gather(tables, entries)).sum(2).flatten(1)
 
 
-def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Tensor]:
-    """Features (N, L * F) and their derivative by the points (N, L * F, 3) [1/m]."""
-    entries, fraction = locate(points, cells, tables.shape[1])
-    values, factors = gather(tables, entries), axis_weights(fraction)
-    signs = torch.where(torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1 == 1, 1.0, -1.0)
-    others = torch.stack([factors[..., [1, 2]].prod(-1), factors[..., [0, 2]].prod(-1), factors[..., [0, 1]].prod(-1)], -1)
-    slopes = signs.to(others.dtype) * others / cells[None, :, None, None]
-    features = (factors.prod(-1)[..., None] * values).sum(2)
-    return features.flatten(1), torch.einsum("nlcf,nlcd->nlfd", values, slopes).flatten(1, 2)
-
-
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
     """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
     levels, size, width = grad_tables.shape
@@ -95,7 +84,13 @@ def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_t
 
 def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
     """Gradient by the points (N, 3), given that by the features (N, L * F)."""
-    return torch.einsum("nk,nkd->nd", grad_features, jacobian(points, tables, cells)[1])
+    entries, fraction = locate(points, cells, tables.shape[1])
+    factors = axis_weights(fraction)
+    signs = torch.where(torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1 == 1, 1.0, -1.0)
+    others = torch.stack([factors[..., [1, 2]].prod(-1), factors[..., [0, 2]].prod(-1), factors[..., [0, 1]].prod(-1)], -1)
+    slopes = signs.to(others.dtype) * others / cells[None, :, None, None]
+    along = torch.einsum("nlcf,nlf->nlc", gather(tables, entries), grad_features.unflatten(1, (len(cells), -1)))
+    return torch.einsum("nlc,nlcd->nd", along, slopes)
 
 
 def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:

@@ -68,45 +68,6 @@ def _forward_kernel(
 
 
 @triton.jit
-def _jacobian_kernel(
-    points,
-    tables,
-    inverse,
-    features,
-    slopes,
-    count,
-    size,
-    LEVELS: tl.constexpr,
-    WIDTH: tl.constexpr,
-    PADDED: tl.constexpr,
-    BLOCK: tl.constexpr,
-):
-    n = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    level = tl.program_id(1)
-    inside, f = n < count, tl.arange(0, PADDED)
-    tile = inside[:, None] & (f < WIDTH)[None, :]
-    px, py, pz = _load_points(points, n.to(tl.int64), inside)
-    scale = tl.load(inverse + level)
-    x, y, z, u, v, w = _locate(px, py, pz, scale)
-    table = tables + level.to(tl.int64) * size * WIDTH
-    total, du = tl.zeros((BLOCK, PADDED), tl.float32), tl.zeros((BLOCK, PADDED), tl.float32)
-    dv, dw = tl.zeros((BLOCK, PADDED), tl.float32), tl.zeros((BLOCK, PADDED), tl.float32)
-    for corner in tl.static_range(8):
-        wu, wv, ww = _side(u, corner % 2), _side(v, corner // 2 % 2), _side(w, corner // 4)
-        offset = _entry(x, y, z, size - 1, corner).to(tl.int64)[:, None] * WIDTH + f[None, :]
-        value = tl.load(table + offset, tile, 0.0)
-        total += (wu * wv * ww)[:, None] * value
-        du += (wv * ww)[:, None] * value * (2 * (corner % 2) - 1)
-        dv += (wu * ww)[:, None] * value * (2 * (corner // 2 % 2) - 1)
-        dw += (wu * wv)[:, None] * value * (2 * (corner // 4) - 1)
-    k = n.to(tl.int64)[:, None] * (LEVELS * WIDTH) + level * WIDTH + f[None, :]
-    tl.store(features + k, total, tile)
-    tl.store(slopes + 3 * k, du * scale, tile)
-    tl.store(slopes + 3 * k + 1, dv * scale, tile)
-    tl.store(slopes + 3 * k + 2, dw * scale, tile)
-
-
-@triton.jit
 def _backward_tables_kernel(
     points,
     inverse,
@@ -198,16 +159,6 @@ def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
         blocks = (triton.cdiv(len(points), BLOCK), levels)
         _forward_kernel[blocks](points, tables, 1 / cells, features, len(points), size, **_shape(tables))
     return features
-
-
-def jacobian(points: Tensor, tables: Tensor, cells: Tensor) -> tuple[Tensor, Tensor]:
-    """Features (N, L * F) and their derivative by the points (N, L * F, 3) [1/m]."""
-    levels, size, width = tables.shape
-    features, slopes = points.new_empty(len(points), levels * width), points.new_empty(len(points), levels * width, 3)
-    if len(points):
-        blocks = (triton.cdiv(len(points), BLOCK), levels)
-        _jacobian_kernel[blocks](points, tables, 1 / cells, features, slopes, len(points), size, **_shape(tables))
-    return features, slopes
 
 
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
