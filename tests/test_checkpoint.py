@@ -220,9 +220,9 @@ def test_a_truncated_checkpoint_is_refused(kept: Checkpoints) -> None:
 
 def test_another_format_is_refused(kept: Checkpoints) -> None:
     save_file(load_file(kept.path), kept.path, {"format": "99"})
-    with pytest.raises(ResultError, match="checkpoint format 99, expected 2"):
+    with pytest.raises(ResultError, match="checkpoint format 99, expected 3"):
         kept.read()
-    save_file(load_file(kept.path), kept.path, {"format": "2", "made": json.dumps(MADE)})
+    save_file(load_file(kept.path), kept.path, {"format": "3", "made": json.dumps(MADE)})
     with pytest.raises(ResultError, match="is damaged"):
         kept.read()
 
