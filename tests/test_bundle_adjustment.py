@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import torch
-from test_alignment import CONFIG, EYE, WALL, aligner, error, pose, taught, view
+from test_alignment import CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view
 from torch import Tensor
 
 from idfslam.bundle_adjustment import BundleAdjustment
@@ -71,3 +71,19 @@ def test_the_tracker_is_asked_only_where_it_can_add_something(graph: KeyframeGra
     keyframe = view(WALL, EYE, index=1, paint=0.0)
     adjustment(graph, wall, Registration(SLID)).register(keyframe, known)
     assert (error(keyframe.T_wk, SLID)[0] < 0.005) is asked
+
+
+def test_where_a_loop_has_put_a_keyframe_it_stays_until_the_map_has_followed() -> None:
+    learner, made = taught(CORNER), KeyframeGraph(UNCULLED, torch.Generator().manual_seed(0), verify=True)
+    for i in range(2):
+        made.append(0.1 * i, EYE, Status.OK)
+        made.promote(view(CORNER, EYE, index=i))
+    moved, refiner = made.keyframes[1], adjustment(made, learner, Registration(None))
+    moved.T_wk, moved.unlearnt = pose(0.01, 0, 0, 0, 0, 0), 2
+    refiner.refine([moved])
+    assert error(moved.T_wk, EYE)[0] == pytest.approx(0.01)
+    for _ in range(2):
+        learner.optimise_map([moved], 0)
+    assert moved.unlearnt == 0
+    refiner.refine([moved])
+    assert error(moved.T_wk, EYE)[0] == pytest.approx(0.005, abs=0.001)  # half way to where the map, which has learnt nothing, has it

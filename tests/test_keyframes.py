@@ -122,6 +122,16 @@ def test_replay_of_connected_keyframes_is_apart() -> None:
     assert [k.index for k in made.replay(made.keyframes[-1])] == [1]
 
 
+def test_what_a_loop_has_moved_is_replayed_first_and_the_nearest_of_it() -> None:
+    made = graph(KeyframeConfig(cull=0.5, replay=1, replay_connected=1), places=(0.0, 1.7, 3.4, 5.1))
+    for i in (0, 1, 3):
+        made.keyframes[i].unlearnt = 1
+    assert [k.index for k in made.replay(made.keyframes[-1])] == [1, 0]  # the newest itself is learnt anyway
+    for moved in made.keyframes[:2]:
+        moved.unlearnt = 0
+    assert sorted(k.index for k in made.replay(made.keyframes[-1])) in ([0, 2], [1, 2])
+
+
 def test_a_culled_frame_replays_by_its_own_neighbours() -> None:
     made = graph(places=(0.0, 1.7, 3.4))
     made.append(1.0, at(3.5), Status.OK)

@@ -188,6 +188,20 @@ def test_finetuning_moves_the_out_conv_alone() -> None:
     assert all(name.startswith("out_conv.") for name in changed)
 
 
+def test_a_step_is_due_after_so_many_registrations() -> None:
+    tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, every=2))
+    assert [tracker.learns(n) for n in (2, 3)] == [False, True]
+    assert not Tracker(CONFIG, FinetuneConfig(enabled=False)).learns(99)
+    frame = tracker.describe(view(pose(0, 0, 0, 0, 0, 0)))
+    due = []
+    for _ in range(3):
+        due.append(tracker.due)
+        tracker.track(frame, frame)
+    assert due == [False, False, True]
+    finetuned(tracker)
+    assert not tracker.due
+
+
 def test_finetuning_lowers_the_correspondence_loss() -> None:
     tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=1e-3, photometric_weight=0.0, depth_weight=0.0))
     losses = [step["correspondence"] for step in finetuned(tracker, 30) if step is not None]

@@ -205,9 +205,9 @@ class FinetuneConfig:
     """Online finetuning of the tracker's out-conv (Sec. V-B, Eqs. 6-8)."""
 
     enabled: bool = True
-    """Finetune on frames that are not keyframes."""
+    """Finetune on frames that are neither keyframes nor learnt by the map."""
     every: int = 20
-    """One step on every so many of these frames (the paper: on each)."""
+    """One step after every so many registrations (the paper: after each); where the tracker is not asked, it need not learn."""
     keyframes: int = 10
     """N_kf: keyframes that must be stored before it starts."""
     learning_rate: float = 1e-4
@@ -364,9 +364,7 @@ class LoopConfig:
     confirmed_within: float = 1.0
     """A second loop, from no farther than this [m], must ask for the same correction."""
     relearnt: int = 6
-    """Times that the map learns a keyframe anew which a loop has moved ..."""
-    relearnt_at_once: int = 5
-    """... so many keyframes at a time, on every frame until it is done."""
+    """Map updates that replay a keyframe which a loop has moved, instead of a random one, until the map has followed."""
 
 
 @dataclass(frozen=True)

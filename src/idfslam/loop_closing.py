@@ -1,6 +1,6 @@
-"""Loop closing: a new keyframe is compared with places seen before, drift is undone, and the map follows.
+"""Loop closing: a new keyframe is compared with places seen before, and drift is undone.
 
-`graph/loops.py` says what may be believed; here the tracker and the images are asked, and the map learns what has moved anew.
+`graph/loops.py` says what may be believed; here the tracker and the images are asked. The map follows by what is replayed next.
 """
 
 from idfslam.config import LoopConfig
@@ -8,7 +8,6 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.loops import Loop, Loops
-from idfslam.mapping.mapper import Mapper
 from idfslam.state import State
 from idfslam.tracking.localisation import Localiser
 
@@ -17,26 +16,19 @@ _OVERLAPPING = 2  # of the keyframes compared, those that should see the same by
 
 
 class LoopCloser:
-    """Closes loops in a graph, and sees to it that the map follows."""
+    """Closes loops in a graph, and says which keyframes the map has yet to follow."""
 
-    def __init__(self, config: LoopConfig, localiser: Localiser, graph: KeyframeGraph, mapper: Mapper) -> None:
-        self.config, self.localiser, self.graph, self.mapper = config, localiser, graph, mapper
+    def __init__(self, config: LoopConfig, localiser: Localiser, graph: KeyframeGraph) -> None:
+        self.config, self.localiser, self.graph = config, localiser, graph
         self.loops = Loops(config)
-        self._stale: dict[int, int] = {}  # keyframes that a loop has moved, and how often the map has yet to learn them anew
 
     def state(self) -> State:
-        """Loops, and what the map has yet to learn anew."""
-        return {"loops": self.loops.state(), "stale": list(self._stale.items())}
+        """The loops."""
+        return {"loops": self.loops.state()}
 
     def restore(self, state: State) -> None:
         """What `state` told."""
         self.loops.restore(state["loops"])
-        self._stale = {i: times for i, times in state["stale"]}
-
-    @property
-    def relearning(self) -> bool:
-        """Whether the map has yet to follow."""
-        return bool(self._stale)
 
     def close(self, keyframe: Keyframe) -> None:
         """Has a chosen keyframe's place been seen before, from a pose that it was not measured against? Then drift is undone."""
@@ -51,7 +43,9 @@ class LoopCloser:
                 T_wb = self.graph.keyframes[keyframe.anchor].T_wk
                 T_ab = se3.inverse(other.T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
                 changes = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab, keyframe.index))
-                self._stale |= {k: self.config.relearnt for k, change in enumerate(changes) if change > _MOVED}
+                for moved, change in zip(self.graph.keyframes, changes):
+                    if change > _MOVED:
+                        moved.unlearnt = self.config.relearnt
                 break
 
     def _candidates(self, keyframe: Keyframe, apart: list[int]) -> list[int]:
@@ -59,13 +53,3 @@ class LoopCloser:
         overlapping = [i for i in keyframe.unlinked if i in apart][:_OVERLAPPING]
         alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.tries)]
         return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.tries]
-
-    def relearn(self, current: Keyframe, iterations: int) -> None:
-        """The map learns a few keyframes anew that a loop has moved, those about the current frame first, beside that frame."""
-        near = sorted(self._stale, key=lambda i: float((self.graph.keyframes[i].T_wk - current.T_wk)[:3, 3].norm()))
-        chosen = near[: self.config.relearnt_at_once]
-        self.mapper.start([current, *(self.graph.keyframes[i] for i in chosen)], iterations)
-        for i in chosen:
-            self._stale[i] -= 1
-            if self._stale[i] <= 0:
-                del self._stale[i]

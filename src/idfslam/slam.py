@@ -53,7 +53,7 @@ class Slam:
         self.aligner = Aligner(config.alignment, self.mapper.published, host)
         self.localiser = Localiser(self.tracker, self.aligner)
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
-        self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph, self.mapper)
+        self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph)
         self.adjustment = BundleAdjustment(config, self.graph, self.mapper, self.aligner, self.localiser)
         self.relocalisations = 0
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
@@ -99,9 +99,6 @@ class Slam:
             losses = self._refresh(current)
         else:
             losses = self._finetune()
-        if self.loop_closer.relearning and status is not Status.LOST:
-            with self._timed("relearn"):
-                self.loop_closer.relearn(current, self.config.mapper.iterations)
         self._live.append(self.graph.T_wc(-1).numpy())
         return FrameResult(frame.index, frame.timestamp, self._live[-1], status, chosen, losses)
 
@@ -328,8 +325,7 @@ class Slam:
 
     def _finetune(self) -> dict[str, float]:
         """One step of the tracker on a pair of consecutive keyframes (Eq. 6), the map frozen."""
-        config = self.config.finetune
-        if not config.enabled or len(self.graph.keyframes) < config.keyframes or len(self.graph) % config.every:
+        if not (self.tracker.due and self.tracker.learns(len(self.graph.keyframes))):
             return {}
         with self._timed("finetune"):
             described = Descriptions(self.localiser, self.graph.keyframes)

@@ -33,6 +33,7 @@ class Keyframe:
         self.appearance: Any = None  # the aligner's image pyramid of it
         self.cell_losses: Tensor | None = None  # (8, 8) for active sampling
         self.landmarks: Any = None  # the aligner's landmarks in it
+        self.unlearnt = 0  # updates of the map that have yet to learn it where a loop has moved it
         self.place: Tensor | None = None  # what the place looks like (tracking/place.py)
         self.anchor = 0  # the stored keyframe that it is, or that it hangs on
         self.neighbours: set[int] = set()  # stored keyframes it is connected with, by its pose
@@ -89,12 +90,13 @@ class Keyframe:
         if self._checksum is None:
             self._checksum = self.frame.checksum()
         links = {"neighbours": sorted(self.neighbours), "linked": sorted(self.linked), "unlinked": self.unlinked, "alike": self.alike}
-        own = {"T_wk": self.T_wk, "cell_losses": self.cell_losses, "place": self.place, "anchor": self.anchor}
+        own = {"T_wk": self.T_wk, "cell_losses": self.cell_losses, "place": self.place, "anchor": self.anchor, "unlearnt": self.unlearnt}
         return {"index": self.index, "images": self._checksum, **own, **links}
 
     def restore(self, state: State) -> None:
         """What `state` told, for a keyframe of the same frame."""
         self.T_wk, self.anchor, self._checksum = state["T_wk"], state["anchor"], state["images"]
+        self.unlearnt = state["unlearnt"]
         self.neighbours, self.linked = set(state["neighbours"]), set(state["linked"])
         self.unlinked, self.alike = state["unlinked"], state["alike"]
         for name in ("cell_losses", "place"):

@@ -301,8 +301,12 @@ class KeyframeGraph:
     def replay(self, keyframe: Keyframe) -> list[Keyframe]:
         """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).
 
-        Beyond the paper, `replay_connected` random ones that are: they keep the shared view an average of many.
+        Beyond the paper, `replay_connected` random ones that are: they keep the shared view an average of many. And where a loop has
+        moved keyframes, as many of those instead, the nearest first, until the map has followed.
         """
+        if unlearnt := [k for k in self.keyframes if k.unlearnt and k is not keyframe]:
+            unlearnt.sort(key=lambda k: float((k.T_wk - keyframe.T_wk)[:3, 3].norm()))
+            return unlearnt[: self.config.replay + self.config.replay_connected]
         apart: list[Keyframe] = []
         connected: list[Keyframe] = []
         for i, other in enumerate(self.keyframes):

@@ -81,7 +81,7 @@ class Mapper:
         grow: before, tables that have filled up are doubled; the map stays the same function.
         """
         self.beside.wait()
-        losses = self._learn([MapView(k) for k in keyframes], iterations, grow=grow)
+        losses = self._learn(_views(keyframes), iterations, grow=grow)
         self.publish()
         return losses
 
@@ -96,7 +96,7 @@ class Mapper:
             return self.optimise_map(keyframes, iterations, grow=grow)
         losses = self.finish()
         self.optimiser.anneal = anneal
-        views = [MapView(k) for k in keyframes]
+        views = _views(keyframes)
         self.beside.start(lambda: self._learn(views, iterations, grow=grow))
         return losses
 
@@ -204,6 +204,13 @@ class Mapper:
             known = view.keyframe.cell_losses
             assert known is not None
             view.keyframe.cell_losses = update_cell_losses(known, torch.cat(uv), torch.cat(found), *view.depth.shape)
+
+
+def _views(keyframes: Sequence[Keyframe]) -> list[MapView]:
+    """What the map learns of keyframes: where they are now."""
+    for keyframe in keyframes:
+        keyframe.unlearnt = max(0, keyframe.unlearnt - 1)
+    return [MapView(k) for k in keyframes]
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:

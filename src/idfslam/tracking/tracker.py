@@ -63,11 +63,13 @@ class Tracker:
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
         self.guard = Guard(learning, self.optimiser, finetune.margin)
         self._steps = 0  # of finetuning
+        self._asked = 0  # registrations since the last
 
     def state(self) -> State:
         """What is finetuned, its optimiser and the generator; of the rest a checksum."""
         learnt = dict(self.extractor.out_conv.state_dict())
-        optimiser = {"adam": plain_adam(self.optimiser.state_dict()), "steps": self._steps, "guard": self.guard.state()}
+        counts = {"steps": self._steps, "asked": self._asked}
+        optimiser = {"adam": plain_adam(self.optimiser.state_dict()), **counts, "guard": self.guard.state()}
         return {"weights": self._checksum(), "learnt": learnt, "generator": self.generator.get_state(), **optimiser}
 
     def restore(self, state: State) -> None:
@@ -78,7 +80,7 @@ class Tracker:
         self.extractor.out_conv.load_state_dict(state["learnt"])
         self.optimiser.load_state_dict(adam_dict(state["adam"]))
         self.guard.restore(state["guard"])
-        self._steps = state["steps"]
+        self._steps, self._asked = state["steps"], state["asked"]
         self.generator.set_state(state["generator"])
 
     def _checksum(self) -> int:
@@ -99,6 +101,7 @@ class Tracker:
     @torch.no_grad()
     def track(self, frame: Described, keyframe: Described) -> TrackingResult:
         """The frame's pose in the keyframe; LOST without the matches, inliers or spread that a pose needs."""
+        self._asked += 1
         found, pose = self.register(frame, keyframe)
         if pose is None:
             return TrackingResult(np.eye(4), Status.LOST, len(found), 0, float("nan"))
@@ -120,6 +123,15 @@ class Tracker:
         least = self.config.min_agreement
         return believable(pose, found, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
 
+    def learns(self, keyframes: int) -> bool:
+        """Whether it is finetuned once so many keyframes are stored: N_kf of them."""
+        return self.finetuning.enabled and keyframes >= max(2, self.finetuning.keyframes)
+
+    @property
+    def due(self) -> bool:
+        """Whether `every` registrations have been asked for since the last step of finetuning."""
+        return self._asked >= self.finetuning.every
+
     def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
         """One step of Eq. 6 on a random pair of consecutive keyframes with poses (N, 4, 4); its losses by name.
 
@@ -127,8 +139,9 @@ class Tracker:
         Raises DivergedError for a loss that is not finite.
         """
         config = self.finetuning
-        if not config.enabled or len(keyframes) < max(2, config.keyframes):
+        if not self.learns(len(keyframes)):
             return None
+        self._asked = 0
         i = int(torch.randint(len(keyframes) - 1, (), generator=self.generator))
         reference, current = keyframes[i], keyframes[i + 1]
         matches = self._match(current, reference)
