@@ -24,7 +24,7 @@ from safetensors.torch import load_file, save_file
 from test_slam import small
 
 from idfslam import cli, results
-from idfslam.checkpoint import Checkpoints, made_of
+from idfslam.checkpoint import FORMAT, Checkpoints, made_of
 from idfslam.config import Config, dump
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError
@@ -218,9 +218,9 @@ def test_a_truncated_checkpoint_is_refused(kept: Checkpoints) -> None:
 
 def test_another_format_is_refused(kept: Checkpoints) -> None:
     save_file(load_file(kept.path), kept.path, {"format": "99"})
-    with pytest.raises(ResultError, match="checkpoint format 99, expected 3"):
+    with pytest.raises(ResultError, match=f"checkpoint format 99, expected {FORMAT}"):
         kept.read()
-    save_file(load_file(kept.path), kept.path, {"format": "3", "made": json.dumps(MADE)})
+    save_file(load_file(kept.path), kept.path, {"format": str(FORMAT), "made": json.dumps(MADE)})
     with pytest.raises(ResultError, match="is damaged"):
         kept.read()
 
