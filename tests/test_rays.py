@@ -60,3 +60,17 @@ def test_samples_are_placed_alike(near: int, free: int) -> None:
     found, plain = compiled_placed(rays, chance, free_chance, 0.1), placed(rays, chance, free_chance, 0.1)
     torch.testing.assert_close(found[0], plain[0], rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(found[1], plain[1], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_noise_does_not_move_the_surface(noise: float) -> None:
+    # What the field learns of a point is the mean of its targets there; of a wall at 2 m, seen with noise, that is 0 at 2 m.
+    g = torch.Generator().manual_seed(2)
+    count, truncation = 200_000, 0.06
+    along = torch.tensor([0.0, 0.0, 1.0]).expand(count, 3)
+    depth = 2 + noise * torch.randn(count, generator=g)
+    rays = Rays(torch.zeros(count, 3), along, depth, torch.zeros(count, 3), torch.ones(count))
+    points, target = placed(rays, torch.rand(count, 6, generator=g), torch.rand(count, 1, generator=g), truncation)
+    z, target = points[: 6 * count, 2], target[: 6 * count]
+    there = (z - 2).abs() < 0.002
+    assert truncation * float(target[there].mean()) == pytest.approx(0, abs=0.01 * noise)

@@ -105,7 +105,7 @@ class SampleObjective:
         return losses
 
     def samples(self, rays: Rays, generator: torch.Generator) -> Samples:
-        """S near the surface, the first of them on it, and S' in free space, of each ray."""
+        """S near the surface and S' in free space, of each ray."""
         c = self.config
         like = rays.depth
         chance, free_chance = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
@@ -148,12 +148,11 @@ def uniform(like: Tensor, rays: int, samples: int, generator: torch.Generator) -
 def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
     """Points (B * (S + S'), 3) on B rays and their T-SDF [tr], as far as it is known: in free space 1.
 
-    S of each ray lie within `truncation` of the surface, the first on it, and S' before that; each in its own part, where chance (B, S)
-    and free_chance (B, S') say.
+    S of each ray lie within `truncation` of the surface, as far before it as behind: one-sided they would move the surface as soon as
+    readings are noisy. S' lie before that. Each is in its own part of the way, where chance (B, S) and free_chance (B, S') say.
     """
     depth = rays.depth[:, None]
     near = depth - truncation + 2 * truncation * parts(chance)
-    near[:, 0] = rays.depth
     first, last = 0.05, (depth - truncation).clamp(min=0.1)
     free = first + (last - first) * parts(free_chance)
     target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()

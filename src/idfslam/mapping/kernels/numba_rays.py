@@ -91,7 +91,7 @@ def place(origins, directions, depth, facing, chance, free_chance, truncation, p
         z = depth[n]
         slope = facing[n] / truncation
         for s in range(near):
-            at = z if s == 0 else z - truncation + _TWO * truncation * ((np.float32(s) + chance[n, s]) / np.float32(near))
+            at = z - truncation + _TWO * truncation * ((np.float32(s) + chance[n, s]) / np.float32(near))
             k = n * near + s
             for axis in range(3):
                 points[k, axis] = origins[n, axis] + directions[n, axis] * at
