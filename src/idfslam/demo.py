@@ -9,6 +9,7 @@ from rich.console import Console
 from idfslam import results
 from idfslam.config import Config
 from idfslam.datasets import Dataset
+from idfslam.datasets.ahead import Ahead
 from idfslam.evaluate import evaluate_folder
 from idfslam.evaluation.pictures import draw_mesh
 from idfslam.evaluation.report import Evaluation
@@ -21,6 +22,7 @@ from idfslam.source import open_source
 
 VIEWS = "views.png"
 _VIEWS = 4
+_AHEAD = 128  # frames rendered while kernels are compiled: 5 MB each
 _DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
 
 
@@ -37,8 +39,9 @@ def demo(
     with compiling_beside(config) as until_compiled:
         recording = open_source(source)
         recording[0]  # compiles what renders it
-        until_compiled()
-        done = run(recording, config, folder, source=source, console=console)
+        with Ahead(recording, most=_AHEAD) as begun:
+            until_compiled()
+        done = run(begun, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     if report:
         write_report(folder, recording=recording)

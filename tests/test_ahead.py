@@ -1,0 +1,61 @@
+"""Frames made while something else is waited for."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from idfslam.datasets.ahead import Ahead
+from idfslam.datasets.recording import readers
+from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.errors import FrameError
+from idfslam.frame import Frame
+
+
+class Counted(SyntheticRoom):
+    """Says which frames were rendered, and when so many have been; frame `bad` cannot be."""
+
+    def __init__(self, until: int, *, bad: int = -1) -> None:
+        super().__init__(0, frames=6, width=32, height=24)
+        self.asked: list[int] = []
+        self.bad, self.until, self.reached = bad, until, threading.Event()
+
+    def __getitem__(self, index: int) -> Frame:
+        self.asked.append(index)
+        if len(self.asked) == self.until:
+            self.reached.set()
+        if index == self.bad:
+            raise FrameError("frame 1 is torn")
+        return super().__getitem__(index)
+
+
+def test_frames_are_made_meanwhile_and_once() -> None:
+    counted = Counted(3)
+    with Ahead(counted, most=3) as ahead:
+        assert counted.reached.wait(60)
+    assert (ahead.name, len(ahead), readers(ahead)) == (counted.name, 6, 2)
+    again = SyntheticRoom(0, frames=6, width=32, height=24)
+    for i in range(6):
+        assert np.array_equal(ahead[i].colour, again[i].colour)
+    assert counted.asked == [0, 1, 2, 3, 4, 5]
+    assert np.array_equal(ahead[0].depth, again[0].depth)  # asked for again it is made again
+    assert counted.asked[-1] == 0
+
+
+def test_a_frame_that_cannot_be_made_is_left_to_whoever_asks() -> None:
+    counted = Counted(2, bad=1)
+    with Ahead(counted, most=6) as ahead:
+        assert counted.reached.wait(60)
+    assert counted.asked == [0, 1]
+    with pytest.raises(FrameError, match="frame 1 is torn"):
+        ahead[1]
+
+
+def test_it_ends_with_the_context() -> None:
+    counted = Counted(1)
+    with Ahead(counted, most=6) as ahead:
+        assert counted.reached.wait(60)
+    made = len(counted.asked)
+    assert all(thread.name != "ahead" for thread in threading.enumerate())
+    assert len(counted.asked) == made
+    assert ahead.surface() is not None
