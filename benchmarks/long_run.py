@@ -46,7 +46,7 @@ def main() -> None:
         if i % EVERY == 0 or i == count:
             ate = absolute_trajectory_error(slam.trajectory(), truth[:i]).translation.rmse
             frames_in = i - int(rows[-1][0]) if rows else i
-            rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loops.closed), 100 * ate))
+            rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loop_closer.loops.closed), 100 * ate))
             print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), flush=True)
             seconds = 0.0
     if len(sys.argv) > 3:
