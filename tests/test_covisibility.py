@@ -6,7 +6,7 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.covisibility import covisibility
+from idfslam.graph.covisibility import compiled_in_view, covisibility, plain_in_view, sampled_points
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
 
@@ -55,6 +55,17 @@ def test_occlusion() -> None:
     stored[:, :240, 320:] = 0
     assert float(covisibility(depth, CAMERA, shifted()[None], CAMERA)[0]) == 1
     assert float(covisibility(depth, CAMERA, shifted()[None], CAMERA, stored)[0]) == 0.5
+
+
+def test_compiled_equals_plain() -> None:
+    """Tilted wall, forty cameras all around it, another camera's image: the same points in view, but for one on an edge now and then."""
+    depth = torch.linspace(1, 5, 640).expand(480, 640).contiguous()
+    points = sampled_points(depth, CAMERA, 8)
+    T_kn = se3.exp(torch.randn(40, 6, generator=torch.Generator().manual_seed(2)))
+    narrow = Camera(320, 200, 300.0, 310.0, 150.0, 120.0)
+    plain = plain_in_view(points, T_kn, narrow).sum(1)
+    assert int((plain > 0).sum()) > 10
+    assert int((plain - compiled_in_view(points, T_kn, narrow)).abs().max()) <= 1
 
 
 def test_other_camera() -> None:

@@ -12,7 +12,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.loops import Loop, Loops
-from idfslam.graph.ways import ways_from
+from idfslam.graph.ways import distances, ways_from
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 CONFIG = LoopConfig(slack=0.1, drift=0.03, confirmed_within=1.0)
@@ -41,6 +41,14 @@ def graph() -> KeyframeGraph:
 def test_keyframes_are_linked_one_after_the_other(graph: KeyframeGraph) -> None:
     assert [sorted(k.linked) for k in graph.keyframes[:3]] == [[1], [0, 2], [1, 3]]
     np.testing.assert_allclose(ways_from(graph.keyframes, 0)[[0, 1, 20, 40]], [0, 0.5, 10, 20], atol=0.11)
+
+
+def test_a_turn_is_as_far_as_it_moves_what_is_ahead() -> None:
+    """3 m of shift; a quarter turn about any axis: 2 m ahead, pi / 2 rad of it; a nearly half turn, where cosines are flat; none at all."""
+    turns = [torch.zeros(3), torch.tensor([0, np.pi / 2, 0]), torch.tensor([3.1, 0, 0]), torch.tensor([0, 0, 1e-6])]
+    T_b = se3.exp(torch.stack([torch.cat([torch.zeros(3), turn]) for turn in turns]).double())
+    T_b[0, 0, 3] = 3.0
+    np.testing.assert_allclose(distances(np.eye(4)[None], T_b.numpy()), [3, np.pi, 6.2, 2e-6], rtol=1e-6)
 
 
 def test_what_may_be_a_loop(graph: KeyframeGraph) -> None:

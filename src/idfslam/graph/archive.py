@@ -1,17 +1,16 @@
-"""The archive: images of keyframes that have not been used for long, packed without loss, in a temporary file.
+"""The archive: images of keyframes that have not been used for long, in a temporary file.
 
-However long a recording, the images of so many keyframes are in memory and no more; the file goes with the process.
+However long a recording, the images of so many keyframes are in memory and no more; the file goes with the process. Nothing is packed:
+replay asks for some of them at each update of the map, and the system's cache gives them faster than anything unpacks.
 """
 
 import tempfile
-import zlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -26,16 +25,14 @@ class Archived(Protocol):
 
 
 @dataclass(frozen=True)
-class Packed:
+class Stored:
     """A frame in the archive's file."""
 
     index: int
     timestamp: float
     camera: Camera
-    eight_bits: bool  # colour as PNG; otherwise as floats
-    offset: int
-    colour_bytes: int
-    depth_bytes: int
+    offset: int  # where its colour begins; its depth follows
+    colour: DTypeLike  # of whole steps of 1 / 255, or floats
 
 
 class Archive:
@@ -44,7 +41,7 @@ class Archive:
     def __init__(self, in_memory: int) -> None:
         self.in_memory = in_memory
         self._loaded: OrderedDict[int, Archived] = OrderedDict()  # the least recently used first
-        self._packed: dict[int, Packed] = {}
+        self._stored: dict[int, Stored] = {}
         self._file = tempfile.TemporaryFile(prefix="idf-slam-")  # noqa: SIM115 (open as long as the archive)
         self._end = 0
 
@@ -55,39 +52,30 @@ class Archive:
         while len(self._loaded) > self.in_memory:
             oldest, other = self._loaded.popitem(last=False)
             frame = other.put_away()
-            if oldest not in self._packed:  # images never change: once is enough
-                self._packed[oldest] = self._write(frame)
+            if oldest not in self._stored:  # images never change: once is enough
+                self._stored[oldest] = self._write(frame)
 
     def load(self, key: int) -> Frame:
         """The images that were put away, exactly as they were."""
-        packed = self._packed[key]
-        self._file.seek(packed.offset)
-        colour = self._file.read(packed.colour_bytes)
-        depth = np.frombuffer(zlib.decompress(self._file.read(packed.depth_bytes)), np.uint8)
-        shape = (packed.camera.height, packed.camera.width)
-        return Frame(packed.index, packed.timestamp, _colour(colour, shape, packed.eight_bits), _floats(depth, shape), packed.camera)
+        stored = self._stored[key]
+        shape = stored.camera.height, stored.camera.width
+        self._file.seek(stored.offset)
+        colour, depth = self._read((*shape, 3), stored.colour), self._read(shape, np.float32)
+        if colour.dtype == np.uint8:
+            colour = np.multiply(colour, _EIGHT_BITS, dtype=np.float32)
+        return Frame(stored.index, stored.timestamp, colour, depth, stored.camera)
 
-    def _write(self, frame: Frame) -> Packed:
+    def _write(self, frame: Frame) -> Stored:
         steps = np.rint(frame.colour * 255).astype(np.uint8)
-        exact = bool(np.array_equal(steps * _EIGHT_BITS, frame.colour))
-        colour = cv2.imencode(".png", steps, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes() if exact else _bytes(frame.colour)
-        depth = _bytes(frame.depth)
-        packed = Packed(frame.index, frame.timestamp, frame.camera, exact, self._end, len(colour), len(depth))
+        exact = np.array_equal(steps * _EIGHT_BITS, frame.colour)
+        colour: NDArray[np.uint8] | NDArray[np.float32] = steps if exact else frame.colour
+        stored = Stored(frame.index, frame.timestamp, frame.camera, self._end, colour.dtype)
         self._file.seek(self._end)
-        self._end += self._file.write(colour) + self._file.write(depth)
-        return packed
+        for image in (colour, frame.depth):
+            self._end += self._file.write(np.ascontiguousarray(image).data)
+        return stored
 
-
-def _bytes(values: NDArray[np.float32]) -> bytes:
-    """Floats with their first bytes together, then their second, ...: these are alike from pixel to pixel."""
-    return zlib.compress(np.ascontiguousarray(values, np.float32).view(np.uint8).reshape(-1, 4).T.tobytes(), 1)
-
-
-def _floats(raw: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    return np.ascontiguousarray(raw.reshape(4, -1).T).view(np.float32).reshape(shape)
-
-
-def _colour(data: bytes, shape: tuple[int, int], eight_bits: bool) -> NDArray[np.float32]:
-    if eight_bits:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) * _EIGHT_BITS
-    return _floats(np.frombuffer(zlib.decompress(data), np.uint8), (*shape, 3))
+    def _read(self, shape: tuple[int, ...], kind: DTypeLike) -> NDArray[np.float32]:
+        image = np.empty(shape, kind)
+        self._file.readinto(image.data)
+        return image

@@ -1,5 +1,6 @@
 """Covisibility (Eq. 5): how much of what one keyframe measured other keyframes have in view."""
 
+import torch
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
@@ -24,18 +25,44 @@ def covisibility(
     [m] a point must also not be hidden there: no more than `depth_tolerance` (a share of the depth) behind what that keyframe measured at
     its pixel; where that has no reading, bounds decide.
     """
-    chosen = depth[::subsample, ::subsample]
-    points = camera.rays(camera.pixels(depth.device)[::subsample, ::subsample]).to(depth) * chosen[..., None]
-    points = points[chosen > 0]
+    points = sampled_points(depth, camera, subsample)
     if len(points) == 0:
         return T_kn.new_zeros(T_kn.shape[0])
+    if other_depths is None and points.device.type == "cpu":
+        return compiled_in_view(points, T_kn, other_camera) / len(points)
+    return plain_in_view(points, T_kn, other_camera, other_depths, depth_tolerance).float().mean(1)
+
+
+def sampled_points(depth: Tensor, camera: Camera, subsample: int) -> Tensor:
+    """Points (N, 3) [m] in the camera's frame of every `subsample`-th row and column that has a reading."""
+    chosen = depth[::subsample, ::subsample]
+    points = camera.rays(camera.pixels(depth.device)[::subsample, ::subsample]).to(depth) * chosen[..., None]
+    return points[chosen > 0]
+
+
+def plain_in_view(points: Tensor, T_kn: Tensor, camera: Camera, depths: Tensor | None = None, depth_tolerance: float = 0.1) -> Tensor:
+    """Which (K, N) of the points (N, 3) each of K cameras has in view and, with its depth (K, H, W), not behind what it measured."""
     T_kn = T_kn.to(points)
     points_k = T_kn[:, :3, :3] @ points.mT + T_kn[:, :3, 3:]  # (K, 3, N): coordinates apart in memory: project reads them faster
-    uv, z = other_camera.project(points_k.mT)
-    seen = other_camera.inside(uv, z)
-    if other_depths is not None:
-        u = uv[..., 0].round().long().clamp(0, other_camera.width - 1)
-        v = uv[..., 1].round().long().clamp(0, other_camera.height - 1)
-        measured = other_depths.flatten(1).gather(1, v * other_camera.width + u)
+    uv, z = camera.project(points_k.mT)
+    seen = camera.inside(uv, z)
+    if depths is not None:
+        u = uv[..., 0].round().long().clamp(0, camera.width - 1)
+        v = uv[..., 1].round().long().clamp(0, camera.height - 1)
+        measured = depths.flatten(1).gather(1, v * camera.width + u)
         seen &= (measured <= 0) | (z <= measured * (1 + depth_tolerance))
-    return seen.float().mean(1)
+    return seen
+
+
+def compiled_in_view(points: Tensor, T_kn: Tensor, camera: Camera) -> Tensor:
+    """How many (K,) of the points (N, 3) each of K cameras has in view: by the five planes around what it sees, without a division."""
+    from idfslam.graph.kernels.numba_covisibility import in_view
+
+    x, y, z = T_kn[:, 0], T_kn[:, 1], T_kn[:, 2]  # (K, 4): rows that give a point's coordinates in each camera
+    left, right = camera.fx * x + (camera.cx + 0.5) * z, (camera.width - 0.5 - camera.cx) * z - camera.fx * x
+    top, bottom = camera.fy * y + (camera.cy + 0.5) * z, (camera.height - 0.5 - camera.cy) * z - camera.fy * y
+    sides = torch.stack([left, right, top, bottom, z], 1).float().contiguous()
+    counts = torch.zeros(len(T_kn), dtype=torch.int64)
+    coordinates = points.float().T.contiguous().numpy()
+    in_view(*coordinates, sides.numpy(), counts.numpy())  # type: ignore[call-arg]
+    return counts

@@ -238,7 +238,7 @@ class KeyframeGraph:
         """Eq. 5 against all stored keyframes: (K,)."""
         if not self.keyframes:
             return torch.zeros(0)
-        T_kn = torch.stack([se3.inverse(k.T_wk) @ keyframe.T_wk for k in self.keyframes]).to(keyframe.depth)
+        T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
         others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
         return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera, others).cpu()
 

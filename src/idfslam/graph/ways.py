@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 
 _AHEAD = 2.0  # [m] a turn counts as far as a point so far ahead moves
@@ -19,9 +18,15 @@ def ways_from(keyframes: Sequence[Keyframe], a: int, limit: float = np.inf) -> N
     pairs = [(i, j) for j, keyframe in enumerate(keyframes) for i in keyframe.linked if i < j]
     if not pairs:
         return np.where(np.arange(len(keyframes)) == a, 0.0, np.inf)
-    T = torch.stack([k.T_wk for k in keyframes])
-    i, j = torch.tensor(pairs).T
-    T_ij = se3.inverse(T[i]) @ T[j]
-    length = (T_ij[:, :3, 3].norm(dim=1) + _AHEAD * se3.angle(T_ij)).clamp(min=1e-3).numpy()
-    ways = coo_array((length, (i.numpy(), j.numpy())), shape=(len(T), len(T))).tocsr()
+    T = torch.stack([k.T_wk for k in keyframes]).numpy()
+    i, j = np.array(pairs).T
+    length = np.maximum(distances(T[i], T[j]), 1e-3)
+    ways = coo_array((length, (i, j)), shape=(len(T), len(T))).tocsr()
     return np.asarray(dijkstra(ways, directed=False, indices=a, limit=limit))
+
+
+def distances(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(E,) how far it is [m] from poses (E, 4, 4) to others: their shift, and their turn as what it moves ahead of the camera."""
+    shift = np.linalg.norm(T_b[:, :3, 3] - T_a[:, :3, 3], axis=1)
+    chord = np.linalg.norm(T_b[:, :3, :3] - T_a[:, :3, :3], axis=(1, 2))
+    return shift + _AHEAD * 2 * np.arcsin(np.minimum(chord / 8**0.5, 1.0))  # of rotations, |B - A| is the square root of 8 sin(angle / 2)

@@ -3,6 +3,7 @@
 import copy
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from itertools import islice
 from typing import Any
 
 import torch
@@ -64,9 +65,13 @@ class Guard:
 
 def held_out(keyframes: Sequence[Described], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
     """Up to `count` pairs (i, i + 2) of keyframes with poses (N, 4, 4) that see the same, at random; of at most 3 * count drawn."""
-    order = torch.randperm(max(0, len(keyframes) - _APART), generator=generator)[: 3 * count]
-    pairs = [(i, i + _APART) for i in order.tolist()]
-    return [(i, j) for i, j in pairs if _overlap(keyframes[i], keyframes[j], se3.inverse(T_wk[i]) @ T_wk[j]) >= _SEEN][:count]
+
+    def see_the_same(i: int, j: int) -> bool:
+        return _overlap(keyframes[i], keyframes[j], se3.inverse(T_wk[i]) @ T_wk[j]) >= _SEEN
+
+    drawn = torch.randperm(max(0, len(keyframes) - _APART), generator=generator)[: 3 * count].tolist()
+    pairs = ((i, i + _APART) for i in drawn if see_the_same(i, i + _APART))
+    return list(islice(pairs, count))  # and no more are looked at: to describe a keyframe anew takes as long as to track a frame
 
 
 def _overlap(keyframe: Described, frame: Described, T_kc: Tensor) -> float:
