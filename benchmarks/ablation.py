@@ -74,8 +74,8 @@ def completion_ratio(slam: Slam, recording: Dataset, truth: np.ndarray, T_gt_est
     mesh = extract_mesh(slam.mapper.field.sdf, None, views, resolution=0.03, truncation=config.field.truncation, device=slam.device)
     if len(mesh.faces) == 0:
         return 0.0
-    options = {"poses": truth[::10], "camera": recording.camera, "T_gt_est": T_gt_est, "samples": 20_000, "views": 1}
-    return mesh_error(mesh, surface, **options).completion_ratio
+    poses, camera = truth[::10], recording.camera
+    return mesh_error(mesh, surface, poses=poses, camera=camera, T_gt_est=T_gt_est, samples=20_000, views=1).completion_ratio
 
 
 def measure(config: Config, recording: Dataset, frames: Sequence[Frame]) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def measure(config: Config, recording: Dataset, frames: Sequence[Frame]) -> dict
         except DivergedError as error:
             return {"diverged": f"frame {frame.index}: {error}"}
     seconds = time.perf_counter() - began
-    truth = recording.ground_truth[: len(frames)]
+    truth = np.asarray(recording.ground_truth)[: len(frames)]
     ate = absolute_trajectory_error(slam.trajectory(), truth)
     return {
         "ate_cm": ate.translation.rmse * 100,

@@ -20,7 +20,7 @@ prepare_process()
 
 import torch  # noqa: E402
 
-from idfslam.datasets import Recording, open_recording  # noqa: E402
+from idfslam.datasets import Dataset, open_recording  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.frame import Frame  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
@@ -29,7 +29,7 @@ EVERY = 1000
 AT_A_TIME = 50
 
 
-def in_blocks(recording: Recording) -> Iterator[Frame]:
+def in_blocks(recording: Dataset) -> Iterator[Frame]:
     """All frames in order; while one is being processed, none is being rendered or decoded."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for first in range(0, len(recording), AT_A_TIME):
@@ -47,8 +47,8 @@ def main() -> None:
     recording, slam = open_recording(name, frames=count), Slam()
     truth = np.asarray(recording.ground_truth)
     rows: list[tuple[float, ...]] = []
-    seconds = 0.0
-    print("frames | frames/s | memory [MiB] | keyframes | loops | ATE so far [cm]")
+    seconds, before = 0.0, dict[str, float]()
+    print("frames | frames/s | memory [MiB] | keyframes | loops | ATE so far [cm] | ms a frame by stage ('map' beside the others)")
     for i, frame in enumerate(in_blocks(recording), start=1):
         start = time.perf_counter()
         slam.process(frame)
@@ -57,8 +57,10 @@ def main() -> None:
             ate = absolute_trajectory_error(slam.trajectory(), truth[:i]).translation.rmse
             frames_in = i - int(rows[-1][0]) if rows else i
             rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loop_closer.loops.closed), 100 * ate))
-            print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), flush=True)
-            seconds = 0.0
+            spent = {stage: sum(times) for stage, times in slam.timings.items()}
+            stages = ", ".join(f"{stage} {(ms - before.get(stage, 0.0)) / frames_in:.1f}" for stage, ms in spent.items())
+            print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), "|", stages, flush=True)
+            seconds, before = 0.0, spent
     if len(sys.argv) > 3:
         draw(Path(sys.argv[3]), np.array(rows))
 
