@@ -171,12 +171,11 @@ class KeyframeGraph:
         """Stored keyframes whose pose relative to the last chosen one was measured, over no long way."""
         if not self.verify or self.reference is None:
             return range(len(self.keyframes))
-        return self._near(self.reference)
+        return self._near(self.reference, ways_from(self.keyframes, self.reference.anchor))
 
-    def _near(self, keyframe: Keyframe) -> set[int]:
-        """Stored keyframes to which only a short way of measured relations leads from a chosen one."""
-        ways = ways_from(self.keyframes, keyframe.anchor, self.config.linked_within)
-        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(np.isfinite(ways)).tolist()}
+    def _near(self, keyframe: Keyframe, ways: NDArray[np.float64]) -> set[int]:
+        """Stored keyframes to which only a short way of measured relations leads from a chosen one; ways (K,) [m] from its anchor."""
+        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(ways <= self.config.linked_within).tolist()}
 
     def link(self, keyframe: Keyframe, i: int) -> None:
         """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
@@ -186,9 +185,9 @@ class KeyframeGraph:
         if self.keyframes[keyframe.anchor] is keyframe:
             self.keyframes[i].linked.add(keyframe.anchor)
 
-    def apart(self, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes that no short way of measured relations connects with a chosen one."""
-        near = self._near(keyframe)
+    def apart(self, keyframe: Keyframe, ways: NDArray[np.float64]) -> list[int]:
+        """Stored keyframes that no short way of measured relations connects with a chosen one; ways (K,) [m] from its anchor."""
+        near = self._near(keyframe, ways)
         return [i for i in range(len(self.keyframes)) if i not in near]
 
     def status(self) -> Status:

@@ -19,7 +19,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.pose_graph import Edge, optimise
-from idfslam.graph.ways import ways_from
+from idfslam.graph.ways import linked_pairs, ways_from
 from idfslam.state import State
 
 log = logging.getLogger(__name__)
@@ -69,13 +69,14 @@ class Loops:
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
         """Stored keyframes not linked with a chosen one that may yet see the same, whatever drift there may be between the two."""
-        apart = graph.apart(keyframe)
+        ways = ways_from(graph.keyframes, keyframe.anchor)
+        apart = graph.apart(keyframe, ways)
         if not apart:
             return []
         T = torch.stack([graph.keyframes[i].T_wk for i in apart])
         change = se3.inverse(keyframe.T_wk) @ T
         shift, turn = change[:, :3, 3].norm(dim=1).numpy(), se3.angle(change).numpy()
-        allowed, turn_allowed = self._allowed(ways_from(graph.keyframes, keyframe.anchor)[apart])
+        allowed, turn_allowed = self._allowed(ways[apart])
         near = (shift < allowed + _OVERLAP[0]) & (turn < turn_allowed + _OVERLAP[1])
         return [i for i, reachable in zip(apart, near) if reachable]
 
@@ -149,10 +150,9 @@ class Loops:
 
 def links(graph: KeyframeGraph) -> list[Edge]:
     """The measured relations between stored keyframes, as the present poses have them."""
-    edges = []
-    for b, keyframe in enumerate(graph.keyframes):
-        for a in sorted(i for i in keyframe.linked if i < b):
-            T_ab = se3.inverse(graph.keyframes[a].T_wk) @ keyframe.T_wk
-            distance, angle = float(T_ab[:3, 3].norm()), float(se3.angle(T_ab))
-            edges.append(Edge(a, b, T_ab, _LINK[0][0] + _LINK[0][1] * distance, _LINK[1][0] + _LINK[1][1] * angle))
-    return edges
+    a, b = linked_pairs(graph.keyframes)
+    T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
+    T_ab = se3.inverse(T[a]) @ T[b]
+    translation = (_LINK[0][0] + _LINK[0][1] * T_ab[:, :3, 3].norm(dim=1)).tolist()
+    rotation = (_LINK[1][0] + _LINK[1][1] * se3.angle(T_ab)).tolist()
+    return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, translation, rotation)]

@@ -1,6 +1,7 @@
 """Ways: how far it is from one keyframe to another along measured relations, which is how far their poses may have drifted apart."""
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 import torch
@@ -13,16 +14,20 @@ from idfslam.graph.keyframe import Keyframe
 _AHEAD = 2.0  # [m] a turn counts as far as a point so far ahead moves
 
 
-def ways_from(keyframes: Sequence[Keyframe], a: int, limit: float = np.inf) -> NDArray[np.float64]:
-    """(K,) the shortest ways [m] over links from keyframe a to each; infinite where none leads there, or only longer ones than `limit`."""
-    pairs = [(i, j) for j, keyframe in enumerate(keyframes) for i in keyframe.linked if i < j]
-    if not pairs:
-        return np.where(np.arange(len(keyframes)) == a, 0.0, np.inf)
+def linked_pairs(keyframes: Sequence[Keyframe]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Stored keyframes that are linked: the earlier of each two (E,), and the later, which they are sorted by."""
+    counts = [len(keyframe.linked) for keyframe in keyframes]
+    i = np.fromiter(chain.from_iterable(sorted(keyframe.linked) for keyframe in keyframes), np.int64, sum(counts))
+    j = np.repeat(np.arange(len(keyframes)), counts)
+    return i[i < j], j[i < j]
+
+
+def ways_from(keyframes: Sequence[Keyframe], a: int) -> NDArray[np.float64]:
+    """(K,) the shortest ways [m] over links from keyframe a to each; infinite where none leads there."""
+    i, j = linked_pairs(keyframes)
     T = torch.stack([k.T_wk for k in keyframes]).numpy()
-    i, j = np.array(pairs).T
     length = np.maximum(distances(T[i], T[j]), 1e-3)
-    ways = coo_array((length, (i, j)), shape=(len(T), len(T))).tocsr()
-    return np.asarray(dijkstra(ways, directed=False, indices=a, limit=limit))
+    return np.asarray(dijkstra(coo_array((length, (i, j)), shape=(len(T), len(T))).tocsr(), directed=False, indices=a))
 
 
 def distances(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> NDArray[np.float64]:
