@@ -52,12 +52,14 @@ def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
 def main() -> None:
     """What `compiling_beside` starts: a config on stdin; a line on stdout once a frame can be processed."""
     from idfslam.evaluation.mesh_error import mesh_error
+    from idfslam.mapping.saved_map import SavedMap
     from idfslam.warm_up import warm_up
 
     slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"))
     print("ready", flush=True)
-    mesh = slam.mesh(_COARSE)
-    mesh_error(mesh, mesh, poses=slam.trajectory(), camera=slam.graph.keyframes[0].camera, samples=100, views=1)
+    mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
+    mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
+    SavedMap(slam.mapper.learnt(), slam.graph.views()).render(poses[0], camera)
 
 
 if __name__ == "__main__":

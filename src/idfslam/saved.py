@@ -1,12 +1,14 @@
 """What can be made of a saved map: a mesh at any resolution, pictures and videos from anywhere."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from idfslam import results
 from idfslam.camera_paths import fly_through, load_poses, orbit
@@ -20,6 +22,7 @@ from idfslam.pictures import write_colour, write_depth
 from idfslam.video import write_video
 
 MESH_FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
+Item = TypeVar("Item")
 _ORBIT = 0.08  # radius of an orbit, as a share of the room's size
 
 
@@ -76,12 +79,15 @@ def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | N
     return ViewPoints(names, found, camera)
 
 
-def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None) -> list[Path]:
-    """Colour (8 bit) and depth (16 bit, mm) that the map shows from there, as PNG; returns the paths. Raises ResultError without a map."""
+def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *, console: Console | None = None) -> list[Path]:
+    """Colour (8 bit) and depth (16 bit, mm) that the map shows from there, as PNG; returns the paths. Raises ResultError without a map.
+
+    console: where a bar shows how far it is.
+    """
     target, saved = out or run.folder / "render", run.map
     results.prepare(target)
     paths = []
-    for name, T_wc in zip(points.names, points.poses):
+    for name, T_wc in _bar(list(zip(points.names, points.poses)), console):
         colour, depth = saved.render(T_wc, points.camera)
         pair = [target / f"{name}-colour.png", target / f"{name}-depth.png"]
         write_colour(pair[0], np.asarray(colour))
@@ -91,9 +97,20 @@ def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None) -
 
 
 def write_flight(
-    run: FinishedRun, path: Path, kind: Literal["along", "orbit"], *, poses: NDArray[np.float64], camera: Camera, seconds: float, fps: float
+    run: FinishedRun,
+    path: Path,
+    kind: Literal["along", "orbit"],
+    *,
+    poses: NDArray[np.float64],
+    camera: Camera,
+    seconds: float,
+    fps: float,
+    console: Console | None = None,
 ) -> Path:
-    """A video of the map: along T_wc (N, 4, 4), smoothed, or around the room's middle. Raises ConfigError for times that cannot be."""
+    """A video of the map: along T_wc (N, 4, 4), smoothed, or around the room's middle. Raises ConfigError for times that cannot be.
+
+    console: where a bar shows how far it is.
+    """
     frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
     if frames < 2:
         raise ConfigError(f"--seconds {seconds} at --fps {fps}, expected a video of two frames or more, at most 240 a second")
@@ -102,12 +119,16 @@ def write_flight(
     results.prepare(path.parent)
 
     def images() -> Iterator[NDArray[np.uint8]]:
-        for T_wc in flight:
+        for T_wc in _bar(list(flight), console):
             yield (np.clip(saved.render(T_wc, camera)[0], 0, 1) * 255 + 0.5).astype(np.uint8)
 
     with results.replacing(path) as part:
         write_video(part, images(), fps=fps)
     return path
+
+
+def _bar(views: Sequence[Item], console: Console | None) -> Iterable[Item]:
+    return track(views, "views", console=console, disable=console is None)
 
 
 def _orbit(run: FinishedRun, poses: NDArray[np.float64], frames: int) -> NDArray[np.float64]:

@@ -38,8 +38,9 @@ class Render:
         run = FinishedRun(self.folder)
         points = view_points(run, frames=self.frames, poses=self.poses, width=self.width)
         if self.video is None:
-            print(*write_views(run, points, self.out), sep="\n")
+            print(*write_views(run, points, self.out, console=console), sep="\n")
             return
         path = self.out or self.folder / "video.mp4"
         along = points.poses if self.frames or self.poses else run.trajectory.poses
-        print(write_flight(run, path, self.video, poses=along, camera=points.camera, seconds=self.seconds, fps=self.fps))
+        options = {"seconds": self.seconds, "fps": self.fps}
+        print(write_flight(run, path, self.video, poses=along, camera=points.camera, **options, console=console))

@@ -17,7 +17,7 @@ from idfslam.config import FieldConfig, update
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field
-from idfslam.mapping.fused import sdf_function
+from idfslam.mapping.fused import sdf_function, tracer
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import View, extract_mesh, observed, reduced_view
 from idfslam.mapping.sphere_tracing import trace_image
@@ -56,6 +56,7 @@ class SavedMap:
             far=farthest,
             truncation=self.field.config.truncation,
             observed=seen,
+            tracer=tracer(self.field),
         )
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
 

@@ -5,6 +5,8 @@ free space that its neighbours share. The pixels' own rays start where their con
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -12,13 +14,19 @@ from torch import Tensor
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.rendering import RenderedImage, world_rays
 
-_LEAST_STEP = 0.1  # [tr]: close to a surface that a ray passes by, steps would otherwise vanish
-_CAUTION = 0.9  # share of the free distance by which a ray advances: the field is a little wrong
+LEAST_STEP = 0.1  # [tr]: close to a surface that a ray passes by, steps would otherwise vanish
+CAUTION = 0.9  # share of the free distance by which a ray advances: the field is a little wrong
 _TILE = 8  # pixels along the edge of a cone's tile
 _NEAR = 0.05  # [m] where rays start
 _LAYERS = 5  # unobserved surfaces that a ray passes before it is given up
 
 Sdf = Callable[[Tensor], Tensor]  # points (N, 3) [m] -> (N,) [tr]
+
+
+class Trace(Protocol):
+    """`trace` through some field."""
+
+    def __call__(self, origins: Tensor, directions: Tensor, *, near: float | Tensor, far: float, truncation: float) -> Tensor: ...
 
 
 @torch.no_grad()
@@ -37,7 +45,7 @@ def trace(sdf: Sdf, origins: Tensor, directions: Tensor, *, near: float | Tensor
         hit = (before > 0) & (here <= 0)
         share = before / (before - here).where(hit, torch.ones_like(here))
         depth[ray[hit]] = (t_before + (t - t_before) * share)[hit]
-        following = t + _CAUTION * here.abs().clamp(_LEAST_STEP, 1) * reach[ray]
+        following = t + CAUTION * here.abs().clamp(LEAST_STEP, 1) * reach[ray]
         on = ~hit & (following < far)
         ray, t_before, before, t = ray[on], t[on], here[on], following[on]
     return depth
@@ -54,10 +62,10 @@ def march_cones(sdf: Sdf, origins: Tensor, directions: Tensor, spread: float, *,
     reach = truncation / directions.norm(dim=-1)
     while len(ray):
         free = sdf(origins[ray] + directions[ray] * t[:, None]) - spread * t / truncation  # [tr]
-        on = free > _LEAST_STEP
+        on = free > LEAST_STEP
         ray, t, free = ray[on], t[on], free[on]
         reached[ray] = t
-        t = t + _CAUTION * free.clamp(max=1) * reach[ray]
+        t = t + CAUTION * free.clamp(max=1) * reach[ray]
         on = t < far
         ray, t = ray[on], t[on]
     return reached
@@ -73,20 +81,22 @@ def trace_image(
     far: float,
     truncation: float,
     observed: Callable[[Tensor], Tensor] | None = None,
+    tracer: Trace | None = None,
     rays_a_chunk: int = 1 << 16,
 ) -> RenderedImage:
     """The surface as `camera` at T_wc (4, 4) sees it up to depth `far` [m]; black, and depth 0, where it sees none.
 
     colour: points (N, 3) [m], directions (N, 3) -> (N, 3). observed: points (N, 3) -> whether surface there is to be believed (N,);
-    rays pass through what is not, since a field says anything where it was taught nothing.
+    rays pass through what is not, since a field says anything where it was taught nothing. tracer: a faster `trace` through this field.
     """
+    tracer = tracer or partial(trace, sdf)
     near = _free_depths(sdf, T_wc, camera, far, truncation).flatten().split(rays_a_chunk)
     colours, depths = [], []
     for uv, start in zip(camera.pixels(T_wc.device).view(-1, 2).split(rays_a_chunk), near):
         origins, directions = world_rays(T_wc, camera, uv)
-        depth = trace(sdf, origins, directions, near=start, far=far, truncation=truncation)
+        depth = tracer(origins, directions, near=start, far=far, truncation=truncation)
         if observed is not None:
-            _pass_through(sdf, observed, origins, directions, depth, far, truncation)
+            _pass_through(tracer, observed, origins, directions, depth, far, truncation)
         met = depth > 0
         seen = torch.zeros_like(origins)
         seen[met] = colour((origins + directions * depth[:, None])[met], directions[met])
@@ -97,7 +107,7 @@ def trace_image(
 
 
 def _pass_through(
-    sdf: Sdf, observed: Callable[[Tensor], Tensor], origins: Tensor, directions: Tensor, depth: Tensor, far: float, truncation: float
+    tracer: Trace, observed: Callable[[Tensor], Tensor], origins: Tensor, directions: Tensor, depth: Tensor, far: float, truncation: float
 ) -> None:
     """Moves depths (B,) on, in place, to the first surface that was observed; 0 where there is none."""
     ray = torch.nonzero(depth > 0)[:, 0]
@@ -105,7 +115,8 @@ def _pass_through(
         ray = ray[~observed(origins[ray] + directions[ray] * depth[ray, None])]
         if not len(ray):
             return
-        depth[ray] = trace(sdf, origins[ray], directions[ray], near=depth[ray] + _LEAST_STEP * truncation, far=far, truncation=truncation)
+        near = depth[ray] + LEAST_STEP * truncation
+        depth[ray] = tracer(origins[ray], directions[ray], near=near, far=far, truncation=truncation)
         ray = ray[depth[ray] > 0]
     depth[ray] = 0
 

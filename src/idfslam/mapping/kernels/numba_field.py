@@ -58,7 +58,7 @@ def _add_product(weight: Floats, x: Floats, y: Floats) -> None:
 
 
 @_inlined
-def _linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
+def linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
     """y (O, BLOCK) = weight (O, K) x (K, BLOCK) + bias (O,) of a hidden layer."""
     for o in range(len(bias)):
         for p in range(BLOCK):
@@ -67,7 +67,7 @@ def _linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
 
 
 @_inlined
-def _head(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
+def head(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
     """The same of a layer with few outputs."""
     for o in range(len(bias)):
         for p in range(BLOCK):
@@ -79,7 +79,7 @@ def _head(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
 
 
 @_inlined
-def _relu(x: Floats) -> None:
+def relu(x: Floats) -> None:
     for k in range(x.shape[0]):
         for p in range(BLOCK):
             x[k, p] = max(x[k, p], _ZERO)
@@ -171,9 +171,9 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
         x, h = np.empty((w1.shape[1], BLOCK), np.float32), np.empty((w1.shape[0], BLOCK), np.float32)
         s = np.empty((1, BLOCK), np.float32)
         _transpose(features, start, count, x)
-        _linear(w1, b1, x, h)
-        _relu(h)
-        _head(ws, bs, h, s)
+        linear(w1, b1, x, h)
+        relu(h)
+        head(ws, bs, h, s)
         for p in range(count):
             sdf[start + p] = s[0, p]
 
@@ -206,9 +206,9 @@ def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradi
                     feature, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
                     x[k, i] = feature
                     slopes[k, 0, i], slopes[k, 1, i], slopes[k, 2, i] = du * cells, dv * cells, dw * cells
-        _linear(w1, b1, x, h)
-        _relu(h)
-        _head(ws, bs, h, s)
+        linear(w1, b1, x, h)
+        relu(h)
+        head(ws, bs, h, s)
         for k in range(hidden):
             for p in range(BLOCK):
                 h[k, p] = ws[0, k] if h[k, p] > _ZERO else _ZERO
@@ -250,9 +250,9 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
             start = block * BLOCK if near else coloured + (block - near_blocks) * BLOCK
             count = min((coloured if near else n) - start, BLOCK)
             _transpose(features, start, count, x)
-            _linear(w1, b1, x, h)
-            _relu(h)
-            _head(ws, bs, h, s)
+            linear(w1, b1, x, h)
+            relu(h)
+            head(ws, bs, h, s)
             for p in range(count):
                 residual = s[0, p] - target[start + p] if near else min(s[0, p] - margin, _ZERO)
                 loss[start + p] = weight[start + p] * residual * residual
@@ -265,9 +265,9 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
                 for p in range(BLOCK):
                     g_h[k, p] = ws[0, k] * s[0, p]
             if near:
-                _linear(wc1, bc1, h, c)
-                _relu(c)
-                _head(wc2, bc2, c, o)
+                linear(wc1, bc1, h, c)
+                relu(c)
+                head(wc2, bc2, c, o)
                 _sigmoid(o)
                 for p in range(count):
                     total = _ZERO
