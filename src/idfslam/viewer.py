@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from itertools import groupby
@@ -26,9 +27,10 @@ if TYPE_CHECKING:
 Place = Literal["window", "web", "file"]
 PORT = 9090  # of the page; the data come from the next one
 
-_IMAGES, _GRAPH, _MESH = 0.02, 0.01, 0.03  # shares of the run's time
+_SHARES = {"camera": 0.01, "images": 0.015, "graph": 0.01, "mesh": 0.02}  # of the run's time
 _RESOLUTION = 0.05  # [m] of the mesh while it grows
 _HEIGHT = 240  # rows of the images, at most
+_PLOTTED = 30  # frames whose losses and times are handed over together: one by one they take longer than the images
 _TAIL = 30  # frames after which the whole trajectory is due again without a keyframe
 _FRUSTUM = 0.08  # [m] depth of a keyframe's pyramid
 _COLOURS = {
@@ -72,8 +74,8 @@ class NullViewer:
 class RerunViewer:
     """Shows a run with rerun in `place`, and keeps it as recording.rrd.
 
-    Images, graph and mesh each have a share of the time, 6 % together: what does not fit in is left out, and comes later. Raises
-    ConfigError without rerun, without a display for a window, and for a port that is in use.
+    Camera, images, graph and mesh each have a share of the time, 5.5 % together: what does not fit in is left out, and comes later.
+    Raises ConfigError without rerun, without a display for a window, and for a port that is in use.
     """
 
     files = frozenset({results.RECORDING})
@@ -93,10 +95,12 @@ class RerunViewer:
         self._status: Status | None = None
         self._loops: set[tuple[int, int]] = set()
         self._calls: dict[str, int] = {}  # of each stage of Slam, as far as they are plotted
+        self._plots: dict[str, list[tuple[int, float, float]]] = defaultdict(list)  # frame, [s] and value that have yet to be shown
+        self._poses: list[tuple[int, float, NDArray[np.float64]]] = []  # frame, [s] and T_wc, likewise
 
     @contextmanager
     def opened(self, folder: Path, name: str) -> Iterator[None]:
-        self._budgets = {name: Budget(share) for name, share in (("images", _IMAGES), ("graph", _GRAPH), ("mesh", _MESH))}
+        self._budgets = {what: Budget(share) for what, share in _SHARES.items()}
         part = folder / f".part-{results.RECORDING}"
         rr = self._rr
         self._recorded = rr.RecordingStream("idf-slam")
@@ -108,15 +112,15 @@ class RerunViewer:
         try:
             yield
         finally:
+            self._show_what_waits()
             self._recorded.flush()
             self._recorded.disconnect()
             os.replace(part, folder / results.RECORDING)
 
     def frame(self, frame: Frame, result: FrameResult, slam: "Slam") -> None:
-        self._set_time(frame)
-        self._log("world/camera", self._rr.Transform3D(translation=result.T_wc[:3, 3], mat3x3=result.T_wc[:3, :3]))
+        seconds = self._set_time(frame)
         self._show_status(result)
-        self._plot(result, slam)
+        self._plot(frame.index, seconds, result, slam)
         if self._budgets["images"].allows():
             with self._budgets["images"].spending():
                 self._show_images(frame)
@@ -126,9 +130,11 @@ class RerunViewer:
         if closed or (due and self._budgets["graph"].allows()):
             with self._budgets["graph"].spending():
                 self._show_graph(slam)
+        if self._budgets["camera"].allows():
+            with self._budgets["camera"].spending():
+                self._show_camera(result)
         else:
-            positions, statuses = zip(*self._newest)
-            self._show_path(_NEWEST, np.array(positions), statuses)
+            self._poses.append((frame.index, seconds, result.T_wc))
         if slam.graph.keyframes and self._budgets["mesh"].allows():
             with self._budgets["mesh"].spending():
                 self._show_mesh(slam.mesh(_RESOLUTION))
@@ -160,10 +166,12 @@ class RerunViewer:
     def _log(self, entity: str, value: Any, *, static: bool = False) -> None:
         self._recorded.log(entity, value, static=static)
 
-    def _set_time(self, frame: Frame) -> None:
+    def _set_time(self, frame: Frame) -> float:
+        """What is logged from now on belongs to this frame; its time [s] since the first."""
         self._first = frame.timestamp if self._first is None else self._first
         self._recorded.set_time("frame", sequence=frame.index)
         self._recorded.set_time("recorded", duration=frame.timestamp - self._first)
+        return frame.timestamp - self._first
 
     def _show_status(self, result: FrameResult) -> None:
         """Only where it changes."""
@@ -171,13 +179,32 @@ class RerunViewer:
             self._status = result.status
             self._log("status", self._rr.StateChange(state=result.status.value))
 
-    def _plot(self, result: FrameResult, slam: "Slam") -> None:
-        """Losses, and the milliseconds that each stage took for this frame."""
+    def _plot(self, frame: int, seconds: float, result: FrameResult, slam: "Slam") -> None:
+        """Losses, and the milliseconds that each stage took for this frame; shown many frames at a time."""
         for name, loss in result.losses.items():
-            self._log(f"losses/{name}", self._rr.Scalars(loss))
+            self._plots[f"losses/{name}"].append((frame, seconds, loss))
         for stage, ms in slam.timings.items():
-            self._log(f"milliseconds/{stage}", self._rr.Scalars(sum(ms[self._calls.get(stage, 0) :])))
+            self._plots[f"milliseconds/{stage}"].append((frame, seconds, sum(ms[self._calls.get(stage, 0) :])))
             self._calls[stage] = len(ms)
+        if max(map(len, self._plots.values()), default=0) >= _PLOTTED:
+            self._show_what_waits()
+
+    def _show_what_waits(self) -> None:
+        """What has been plotted since the last time, and the poses that were not shown at once."""
+        rr = self._rr
+        for entity, rows in self._plots.items():
+            self._send(entity, rows, rr.Scalars.columns(scalars=[value for _, _, value in rows]))
+        if self._poses:
+            T_wc = np.array([T for _, _, T in self._poses])
+            self._send("world/camera", self._poses, rr.Transform3D.columns(translation=T_wc[:, :3, 3], mat3x3=T_wc[:, :3, :3]))
+        self._plots.clear()
+        self._poses.clear()
+
+    def _send(self, entity: str, rows: Sequence[tuple[int, float, Any]], columns: Any) -> None:
+        """Many frames' values at once."""
+        frames, seconds, _ = zip(*rows)
+        times = [self._rr.TimeColumn("frame", sequence=frames), self._rr.TimeColumn("recorded", duration=seconds)]
+        self._recorded.send_columns(entity, times, columns)
 
     def _show_images(self, frame: Frame) -> None:
         """Colour as JPEG, depth in millimetres as PNG, both reduced."""
@@ -195,6 +222,13 @@ class RerunViewer:
         png = cv2.imencode(".png", np.round(depth * 1000).clip(0, 65535).astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
         encoded = self._rr.EncodedDepthImage(png.tobytes(), media_type="image/png", meter=1000.0, colormap="turbo")
         self._log("world/camera/image/depth", encoded)
+
+    def _show_camera(self, result: FrameResult) -> None:
+        """Where it is, and its path since the whole trajectory was drawn."""
+        self._log("world/camera", self._rr.Transform3D(translation=result.T_wc[:3, 3], mat3x3=result.T_wc[:3, :3]))
+        if len(self._newest) > 1:
+            positions, statuses = zip(*self._newest)
+            self._show_path(_NEWEST, np.array(positions), statuses)
 
     def _show_loops_that_closed(self, slam: "Slam") -> bool:
         """A line for each new one."""
