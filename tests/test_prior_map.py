@@ -48,6 +48,14 @@ def test_the_map_grew(runs: tuple[Path, Path]) -> None:
     assert second.mesh(0.05).area > 1.1 * first.mesh(0.05).area
 
 
+def test_images_that_fit_no_better_than_the_first_ones(tmp_path: Path) -> None:
+    """Stripes seen by keyframes far apart, as a live camera leaves them that drops frames: no reason to doubt the place."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    main(["run", "synthetic:7", "--frames", "14", "--stride", "6", "--no-report", "--out", str(first), *FAST_RUN])
+    main(["run", "synthetic:7", "--start", "40", "--frames", "3", "--no-report", "--map", str(first), "--out", str(second), *FAST_RUN])
+    assert json.loads((second / "metrics.json").read_text())["lost_frames"] == 0
+
+
 def test_a_map_without_its_recording(runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("map.safetensors", "keyframes.json", "config.yaml"):
         (tmp_path / name).write_bytes((runs[0] / name).read_bytes())

@@ -34,6 +34,7 @@ from idfslam.tracking.tracker import Described, Tracker
 log = logging.getLogger(__name__)
 
 _HURRIED = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of the map
+_EXAMPLES = 16  # keyframes of a saved map that tell how well its images fit each other
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
 
 
@@ -77,6 +78,16 @@ class Slam:
             view.T_wk = T_wk
             self.graph.adopt(view)
         self.graph.cover_with(saved.views)
+        self._expect_what_keyframes_show()
+
+    def _expect_what_keyframes_show(self) -> None:
+        """How well the colours of keyframes fit each other at their poses is how well those of a frame can, that is found among them."""
+        differences = []
+        for keyframe in self.graph.sample(_EXAMPLES):
+            references = self.graph.earlier(keyframe, self.config.alignment.references)
+            differences += [self.aligner.compare(keyframe, other, keyframe.T_wk)[1] for other in references]
+            keyframe.appearance = None
+        self.aligner.expect(differences)
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""

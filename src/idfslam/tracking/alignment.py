@@ -181,6 +181,11 @@ class Aligner:
         """Colours that differ more than this are not noise: the images do not lie on each other."""
         return self.config.doubtful_brightness * max(self._usual_brightness, self.config.colour_noise)
 
+    def expect(self, differences: Sequence[float]) -> None:
+        """How well colours usually fit, before anything was aligned: the median of differences of brightness; 0: nothing was in view."""
+        if seen := sorted(difference for difference in differences if difference > 0):
+            self._usual_brightness = seen[len(seen) // 2]
+
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Remember how well colours fit, as a slow running mean, and how far off the prediction (4, 4) was."""
         if alignment.brightness > 0:
