@@ -66,7 +66,6 @@ def learnt_plain(n: int) -> tuple[Losses, dict[str, Tensor]]:
     return losses, gradients(taught)
 
 
-# 5 samples near and 3 free a ray: 13 rays leave one block of 65 + 39 odd; 3 rays less than a block of each; 64 fill whole blocks alone
 @pytest.mark.parametrize("count", [1, 5000])  # more than a thread works off at a time
 def test_traced_rays(count: int) -> None:
     """The same surface as plain steps find, ray by ray, also for rays that start at depths of their own; most of them meet some."""
@@ -83,6 +82,7 @@ def test_traced_rays(count: int) -> None:
     assert count == 1 or (plain > 0).float().mean() > 0.5
 
 
+# 5 samples near and 3 free a ray: 13 rays leave one block of 65 + 39 odd; 3 rays less than a block of each; 64 fill whole blocks alone
 @pytest.mark.parametrize("n", [1, 3, 13, 64, 150])
 def test_learning_is_that_of_autograd(n: int) -> None:
     (losses, found), (plain_losses, expected) = learnt_fused(n), learnt_plain(n)

@@ -42,5 +42,5 @@ class Render:
             return
         path = self.out or self.folder / "video.mp4"
         along = points.poses if self.frames or self.poses else run.trajectory.poses
-        options = {"seconds": self.seconds, "fps": self.fps}
-        print(write_flight(run, path, self.video, poses=along, camera=points.camera, **options, console=console))
+        times = {"seconds": self.seconds, "fps": self.fps}
+        print(write_flight(run, path, self.video, poses=along, camera=points.camera, **times, console=console))
