@@ -8,7 +8,10 @@ import torch
 from torch import nn
 
 # from keyframes' images
-WORKED_OUT_AGAIN = {"described", "appearance", "landmarks", "pixels", "farthest", "has_depth", "_images", "_archive", "archive"}
+WORKED_OUT_AGAIN = {
+    *("appearance", "landmarks", "pixels", "farthest", "has_depth"),
+    *("_images", "_images_at", "_description", "_description_at", "_archive", "archive"),
+}
 OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
 
 

@@ -1,4 +1,4 @@
-"""Images put away and had again."""
+"""Images and descriptions put away and had again."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
+from idfslam.tracking.description import Described
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 
@@ -22,15 +23,20 @@ def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
     return made
 
 
+def described(index: int) -> Described:
+    """As the tracker makes it: channels last, the trunk in bf16."""
+    generator = torch.Generator().manual_seed(index)
+    trunk, colour, points = (torch.randn(12, 16, channels, generator=generator) for channels in (64, 3, 3))
+    return Described(trunk.bfloat16().permute(2, 0, 1), colour.permute(2, 0, 1), points, CAMERA.resized(16, 12), CAMERA)
+
+
 @pytest.mark.parametrize("eight_bits", [True, False])
 def test_images_come_back_exactly(eight_bits: bool) -> None:
     archive, keyframes = Archive(2), [keyframe(i, eight_bits=eight_bits) for i in range(5)]
     before = [(k.frame, k.depth.clone(), k.colour.clone()) for k in keyframes]
     for k in keyframes:
-        k.described = "features"
         k.keep_in(archive)
     assert [k._images is None for k in keyframes] == [True, True, True, False, False]
-    assert [k.described for k in keyframes] == [None, None, None, "features", "features"]
     for k, (frame, depth, colour) in zip(keyframes, before):
         assert torch.equal(k.depth, depth)
         assert torch.equal(k.colour, colour)
@@ -45,3 +51,32 @@ def test_what_was_used_last_stays() -> None:
     assert keyframes[0].depth.shape == (48, 64)  # used again
     keyframes[2].keep_in(archive)
     assert [k._images is None for k in keyframes] == [False, True, False]
+
+
+def test_descriptions_come_back_exactly_and_without_the_images() -> None:
+    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
+    assert keyframes[0].described is None
+    for k in keyframes:
+        k.described = described(k.index)
+        k.keep_in(archive)
+    for k in (keyframes[0], keyframes[2], keyframes[0]):
+        before = described(k.index)
+        assert (k._images, k._description) == (None, None)
+        assert (k.described.camera, k.described.source) == (before.camera, before.source)
+        for name in ("trunk", "colour", "points"):
+            again, once = getattr(k.described, name), getattr(before, name)
+            assert torch.equal(again, once)
+            assert (again.dtype, again.stride()) == (once.dtype, once.stride())
+        assert k._images is None
+    assert archive._end == 3 * (48 * 64 * 7 + 12 * 16 * (64 * 2 + 6 * 4))  # written once each, though put away twice
+
+
+def test_what_was_not_described_can_be_described_later() -> None:
+    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
+    for k in keyframes:
+        k.keep_in(archive)
+    keyframes[0].described = described(0)
+    assert keyframes[1].depth.shape == (48, 64)  # and the first is put away
+    assert keyframes[0].depth.shape == (48, 64)
+    assert keyframes[1].described is None
+    assert torch.equal(keyframes[0].described.trunk, described(0).trunk)

@@ -145,7 +145,7 @@ class KeyframeConfig:
     shared: float = 0.6
     """Covisibility above which an earlier keyframe serves as a second reference for alignment."""
     in_memory: int = 64
-    """Keyframes whose images are held in memory; those of the others lie in a temporary file."""
+    """Keyframes whose images and features are held in memory; those of the others lie in a temporary file."""
     occlusion: bool = False
     """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
     reference: Literal["last", "covisible"] = "last"

@@ -1,5 +1,6 @@
 """A frame as the tracker keeps it: images at the tracker's resolution, points, and the trunk's features."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,6 +41,16 @@ class Described:
     def normals(self) -> Tensor:
         """(h, w, 3) unit normals of the points, towards the camera; zero where they are not known."""
         return surface_normals(self.points)
+
+    def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], "Described"]]:
+        """Its tensors in the order they have in memory, channels last, and what makes the same description of them again."""
+        camera, source, device = self.camera, self.source, self.points.device
+
+        def unpacked(tensors: Sequence[Tensor]) -> Described:
+            trunk, colour, points = (tensor.to(device) for tensor in tensors)
+            return Described(trunk.permute(2, 0, 1), colour.permute(2, 0, 1), points, camera, source)
+
+        return [self.trunk.permute(1, 2, 0), self.colour.permute(1, 2, 0), self.points], unpacked
 
 
 def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
