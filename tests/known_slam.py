@@ -18,7 +18,8 @@ RED = (220, 30, 30, 255)
 
 class KnownSlam:
     def __init__(self, config: Config) -> None:
-        self.graph: Any = SimpleNamespace(keyframes=[])
+        keyframes: list[Any] = []
+        self.graph: Any = SimpleNamespace(keyframes=keyframes, placed=keyframes)
         self.loop_closer: Any = SimpleNamespace(loops=SimpleNamespace(closed=[]))
         self.timings: dict[str, list[float]] = {"track": [], "map": []}
         self.processed = 0
@@ -30,7 +31,7 @@ class KnownSlam:
         if keyframe:
             self.timings["map"].append(70.0)
             neighbours = {len(keyframes) - 1} if keyframes else set()
-            keyframes.append(SimpleNamespace(index=i, T_wk=self.trajectory()[-1], neighbours=neighbours))
+            keyframes.append(SimpleNamespace(index=i, T_wk=self.trajectory()[-1], neighbours=neighbours, piece=0))
         losses = {"sdf": 0.5 / (i + 1)} if keyframe else {}
         return FrameResult(i, frame.timestamp, self.trajectory()[-1], self.statuses()[-1], keyframe, losses)
 

@@ -86,7 +86,8 @@ class SeeingSlam:
 
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
-        self.graph = SimpleNamespace(keyframes=[])
+        keyframes: list[SimpleNamespace] = []
+        self.graph = SimpleNamespace(keyframes=keyframes, placed=keyframes)
         self.timings: dict[str, list[float]] = {}
 
     def process(self, frame: Frame) -> FrameResult:

@@ -35,7 +35,8 @@ class KnownSlam:
 
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
-        self.graph = SimpleNamespace(keyframes=[])
+        keyframes: list[SimpleNamespace] = []
+        self.graph = SimpleNamespace(keyframes=keyframes, placed=keyframes)
         self.timings = {"track": [2.0] * BOX_FRAMES, "map": [70.0]}
         self.finished = False
 

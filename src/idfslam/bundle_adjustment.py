@@ -39,12 +39,12 @@ class BundleAdjustment:
             keyframe.T_wk = aligned.T_wc
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Keyframes' poses against the map and earlier keyframes' images. The first stays: it is the world.
+        """Keyframes' poses against the map and earlier keyframes' images. The first of a piece stays: it is the world there.
 
         So do those that a loop has moved until the map has followed: it would draw them back.
         """
         for keyframe in keyframes if self.config.alignment.enabled else []:
-            if keyframe is self.graph.keyframes[0] or keyframe.unlearnt:
+            if keyframe.anchor == keyframe.piece or keyframe.unlearnt:
                 continue
             references = self.graph.earlier(keyframe, self.config.alignment.references)
             aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)

@@ -23,7 +23,7 @@ from idfslam.datasets import Dataset
 from idfslam.errors import ResultError
 from idfslam.state import State
 
-FORMAT = 4
+FORMAT = 5
 
 log = logging.getLogger(__name__)
 

@@ -352,7 +352,13 @@ class LoopConfig:
     tries: int = 3
     """Keyframes that a new keyframe is compared with in search of a loop ..."""
     relocalisation_tries: int = 4
-    """... and a lost frame."""
+    """... and a lost frame, or a keyframe of another piece."""
+    piece_after: int = 30
+    """Frames with depth for which a lost camera is looked for, before mapping goes on in a piece of its own; 0: it never does."""
+    agreeing: int = 3
+    """Keyframes in a row that must say the same of where two pieces lie before they become one ..."""
+    agreeing_span: float = 1.0
+    """... the last so far [m] from the first, or turned as much 2 m ahead: places that look alike do so for a while."""
     slack: float = 0.15
     """A loop may correct this [m] ..."""
     drift: float = 0.03

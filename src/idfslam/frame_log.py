@@ -1,12 +1,13 @@
 """frames.csv: what a run tells of each frame, a line each.
 
-Columns: index; timestamp [s]; status (ok, degenerate or lost); keyframe (0 or 1); ms, from the end of the frame before to the end of
-this one; then every loss that came up in the run, empty where a frame has none.
+Columns: index; timestamp [s]; status (ok, degenerate, lost or interpolated) as it is in the end; keyframe (0 or 1); ms, from the end of
+the frame before to the end of this one; then every loss that came up in the run, empty where a frame has none.
 """
 
 import csv
 import math
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,10 @@ class FrameLog:
     def add(self, result: FrameResult, ms: float) -> None:
         """One more frame, which took `ms`."""
         self.lines.append(FrameLine(result.index, result.timestamp, result.status, result.keyframe, ms, dict(result.losses)))
+
+    def settle(self, statuses: Sequence[Status]) -> None:
+        """What is known of the frames now: some that were lost may have been found since."""
+        self.lines[:] = [replace(line, status=status) for line, status in zip(self.lines, statuses, strict=True)]
 
     def state(self) -> State:
         """The lines."""

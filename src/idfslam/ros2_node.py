@@ -135,7 +135,7 @@ class SlamNode:
             self._tf.sendTransform(transform)
         if result.keyframe:  # the whole path, which keyframes carry, moves with them
             path = ros.nav_msgs.Path(header=pose.header)
-            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.keyframes]
+            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.placed]
             self._path.publish(path)
         self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}"))
 
@@ -165,8 +165,8 @@ class SlamNode:
         from idfslam.geometry.trajectory import Trajectory, save_tum
 
         slam, stamps = self.slam, np.array(self._stamps)
-        indices = np.array([k.index for k in slam.graph.keyframes], np.int64)
-        poses = np.array([k.T_wk.numpy() for k in slam.graph.keyframes], np.float64)
+        indices = np.array([k.index for k in slam.graph.placed], np.int64)
+        poses = np.array([k.T_wk.numpy() for k in slam.graph.placed], np.float64)
         with results.replacing(self._folder / results.TRAJECTORY) as part:
             save_tum(part, Trajectory(stamps, slam.trajectory()))
         results.write_keyframes(self._folder, results.KeyframeRecord(self._camera, indices, stamps[indices], poses))

@@ -107,9 +107,8 @@ def run(
                 raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
             slam.finish()
         except (DivergedError, RecordingError):
-            results.remove_stale(
-                folder, written=_write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log) | viewer.files
-            )
+            written = _write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log, slam)
+            results.remove_stale(folder, written=written | viewer.files)
             raise
         metrics = _metrics(slam, recording, meter, stop)
         bar.describe("writing")
@@ -117,7 +116,7 @@ def run(
         viewer.finish(slam, mesh)
         with results.writing(folder):
             written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
-            written |= _write_log(folder, frame_log) | viewer.files
+            written |= _write_log(folder, frame_log, slam) | viewer.files
             results.write_json(folder / results.METRICS, metrics)
             results.remove_stale(folder, written=written | {results.METRICS})
         if not stop.is_set():
@@ -256,7 +255,7 @@ def counts(slam: Slam) -> dict[str, Any]:
         "interpolated_frames": found[Status.INTERPOLATED],
         "degenerate_frames": found[Status.DEGENERATE],
     }
-    return {"keyframes": len(slam.graph.keyframes)} | frames | slam.figures()
+    return {"keyframes": len(slam.graph.placed)} | frames | slam.figures()
 
 
 def evaluation(slam: Slam, recording: FrameSource, *, live: bool = False) -> Evaluation | None:
@@ -281,7 +280,7 @@ def _write_poses(
     with results.replacing(folder / results.TRAJECTORY) as part:
         save_tum(part, trajectory)
     adopted = [] if prior is None else prior.keyframes
-    own = slam.graph.keyframes[len(adopted) :]
+    own = slam.graph.placed[len(adopted) :]
     indices = np.array([keyframe.index for keyframe in own], np.int64)
     poses = np.array([np.asarray(keyframe.T_wk) for keyframe in own], np.float64).reshape(-1, 4, 4)
     earlier = [replace(k.record, T_wk=np.asarray(stored.T_wk)) for k, stored in zip(adopted, slam.graph.keyframes)]
@@ -310,8 +309,9 @@ def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:
     return {results.MESH, results.MAP}
 
 
-def _write_log(folder: Path, frame_log: FrameLog) -> set[str]:
-    """What the frames were like; the name of the file."""
+def _write_log(folder: Path, frame_log: FrameLog, slam: Slam) -> set[str]:
+    """What the frames were like, and how their poses were found in the end; the name of the file."""
+    frame_log.settle(slam.statuses())
     with results.replacing(folder / results.FRAMES) as part:
         frame_log.save(part)
     return {results.FRAMES}

@@ -25,15 +25,17 @@ from idfslam.hardware import resolve_device, threads
 from idfslam.loop_closing import LoopCloser
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
+from idfslam.piece_joining import PieceJoiner
 from idfslam.state import State, Stateful
 from idfslam.tracking.alignment import Aligner, Alignment
-from idfslam.tracking.localisation import Descriptions, Localiser, unambiguous
+from idfslam.tracking.localisation import Descriptions, Localiser
 from idfslam.tracking.motion import Information, MotionModel
 from idfslam.tracking.tracker import Described, Tracker
 
 log = logging.getLogger(__name__)
 
 _HURRIED = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of the map
+_AT_ONCE = 10  # map updates on what a join has moved before the next frame; the rest follows as after a loop
 _EXAMPLES = 16  # keyframes of a saved map that tell how well its images fit each other
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
 
@@ -55,8 +57,10 @@ class Slam:
         self.localiser = Localiser(self.tracker, self.aligner)
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
         self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph)
+        self.piece_joiner = PieceJoiner(config.loops, self.localiser, self.graph)
         self.adjustment = BundleAdjustment(config, self.graph, self.mapper, self.aligner, self.localiser)
         self.relocalisations = 0
+        self._looked_for = 0  # frames with depth since the camera was lost
         self.timings: dict[str, list[float]] = defaultdict(list)  # [ms] a call, by stage
         self._finished = False
         self._unmapped: Keyframe | None = None  # the last frame, if it is no keyframe
@@ -99,9 +103,8 @@ class Slam:
         status = self._track(current)
         found_again = self._lost and status is not Status.LOST
         self.graph.append(frame.timestamp, current.T_wk, status)
-        if found_again and self._relocalises:
-            bridged = self.graph.bridge()
-            log.info("found again at frame %d; %d frames before it are interpolated", frame.index, bridged)
+        if found_again and self._relocalises and not self.graph.begins_piece:
+            log.info("found again at frame %d; %d frames before it are interpolated", frame.index, self.graph.bridge())
         chosen = self._chosen(current, status)
         self._unmapped = None if chosen or status is Status.LOST else current
         if chosen:
@@ -110,7 +113,11 @@ class Slam:
             losses = self._refresh(current)
         else:
             losses = self._finetune()
-        self._live.append(self.graph.T_wc(-1).numpy())
+        if self.graph.piece(-1) == 0:
+            self._live.append(self.graph.T_wc(-1).numpy())
+        else:  # where that is in the world is not known
+            self._live.append(self._live[-1] if self._live else np.eye(4))
+            status = Status.LOST
         return FrameResult(frame.index, frame.timestamp, self._live[-1], status, chosen, losses)
 
     def finish(self) -> None:
@@ -118,6 +125,8 @@ class Slam:
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
+        if alone := sum(self.graph.piece(i) != 0 for i in range(len(self.graph))):
+            log.warning("%d frames are of pieces that never met the first: they count as lost, and the map shows nothing of them", alone)
         if not self.config.refine:
             return
         if self._unmapped is not None:
@@ -143,7 +152,8 @@ class Slam:
 
     def figures(self) -> dict[str, Any]:
         """What metrics.json tells: links and loops (pairs of frames) of the keyframes, lost cameras found again, finetuning undone."""
-        found = {"relocalisations": self.relocalisations, "finetuning_undone": self.tracker.guard.undone}
+        pieces = {"pieces": len({k.piece for k in self.graph.keyframes}), "pieces_joined": self.piece_joiner.joined}
+        found = {"relocalisations": self.relocalisations, **pieces, "finetuning_undone": self.tracker.guard.undone}
         return self.loop_closer.loops.summary(self.graph) | found
 
     def statuses(self) -> list[Status]:
@@ -161,6 +171,7 @@ class Slam:
             "least_information": self._least_information,
             "updated_at": self._updated_at,
             "relocalisations": self.relocalisations,
+            "looked_for": self._looked_for,
             "live": torch.from_numpy(self.live_trajectory()),
             "finished": self._finished,
             "timings": {stage: torch.tensor(ms, dtype=torch.float64) for stage, ms in self.timings.items()},
@@ -185,12 +196,17 @@ class Slam:
         self._unmapped = None if state["unmapped"] is None else revive(state["unmapped"])
         self._in_view, self._known, self._least_information = state["in_view"], state["known"], state["least_information"]
         self.relocalisations, self._updated_at, self._finished = state["relocalisations"], state["updated_at"], state["finished"]
+        self._looked_for = state["looked_for"]
         self._live = list(state["live"].numpy())
         self.timings = defaultdict(list, {stage: ms.tolist() for stage, ms in state["timings"].items()})
 
     def _parts(self) -> dict[str, Stateful]:
         """What changes while a run goes on, beside the graph."""
-        localisation: dict[str, Stateful] = {"localiser": self.localiser, "loop_closer": self.loop_closer}
+        localisation: dict[str, Stateful] = {
+            "localiser": self.localiser,
+            "loop_closer": self.loop_closer,
+            "piece_joiner": self.piece_joiner,
+        }
         return {"tracker": self.tracker, "mapper": self.mapper, "aligner": self.aligner, "motion": self.motion, **localisation}
 
     def _view(self, frame: Frame) -> Keyframe:
@@ -213,6 +229,9 @@ class Slam:
             current.T_wk, status, information = self._align(current)
         else:
             current.T_wk, status = self._register(current)
+        if self._gives_up(current, status):
+            current.T_wk, status = self.graph.begin_piece(), Status.OK
+            log.info("not found for %d frames: from frame %d on a piece of its own is mapped", self._looked_for, current.index)
         if status is Status.LOST or was_lost or self.relocalisations > found_before:
             self.motion.stop()  # from where it was last known to where it was found is not the motion of one frame
         else:
@@ -268,16 +287,22 @@ class Slam:
         """The view's pose by the keyframes that look most like it, which it is then held against; None if none is convincing."""
         if not current.has_depth:
             return None
-        keyframes, answers = self.graph.keyframes, []
         with self._timed("relocalise"):
-            for i in self.localiser.most_alike(current, keyframes, self.config.loops.relocalisation_tries):
-                if found := self.localiser.locate(current, keyframes[i], self.graph.beside(keyframes[i], self.localiser.references)):
-                    answers.append((i, found))
-        if (answer := unambiguous(answers)) is None:
+            tries = self.config.loops.relocalisation_tries
+            answer = self.localiser.locate_among(current, self.graph.keyframes, tries, self.graph)
+        if answer is None:
             return None
-        self.graph.settle(current, keyframes[answer[0]])
+        self.graph.settle(current, answer[0])
         self.relocalisations += 1
         return answer[1]
+
+    def _gives_up(self, current: Keyframe, status: Status) -> bool:
+        """Whether a lost camera has been looked for long enough, by frames in which something could be seen."""
+        if status is not Status.LOST:
+            self._looked_for = 0
+        elif self._relocalises and current.has_depth:
+            self._looked_for += 1
+        return 0 < self.config.loops.piece_after <= self._looked_for
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
@@ -287,7 +312,8 @@ class Slam:
 
     def _map(self, keyframe: Keyframe) -> dict[str, float]:
         """The pose against the map, then the map by the new keyframe and the replayed (Sec. IV)."""
-        first, last = not self.graph.keyframes, self.graph.reference
+        last = self.graph.reference
+        first = last is None
         hurried = last is not None and keyframe.index - last.index <= _HURRIED * self.config.mapper.every
         losses: dict[str, float] = {}
         if self.config.mapper.pose_optimisation and not first:
@@ -301,11 +327,22 @@ class Slam:
         if self.graph.verify:
             with self._timed("loops"):
                 self.loop_closer.close(keyframe)
+                joined = self.piece_joiner.join(keyframe)
+            if joined:
+                self._learn_joined(keyframe)
         self.graph.cover(keyframe)
         if first:
             with self._timed("map"), threads(1.0):
-                return self.mapper.initialise(keyframe)
+                replayed = self.graph.replay(keyframe) if keyframe.anchor else []  # another piece begins: the map is to keep the others
+                return self.mapper.initialise([keyframe, *replayed])
         return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known, grow=stored)
+
+    def _learn_joined(self, keyframe: Keyframe) -> None:
+        """After pieces were joined at a keyframe: the map around it, so that the next frames are found there, and the frames between."""
+        with self._timed("map"), threads(1.0):
+            for _ in range(_AT_ONCE):
+                self.mapper.optimise_map([keyframe, *self.graph.replay(keyframe)], self.config.mapper.iterations)
+        log.info("%d frames between the pieces are interpolated", self.graph.bridge())
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""

@@ -50,6 +50,7 @@ class Keyframe:
         self.unlearnt = 0  # updates of the map that have yet to learn it where a loop has moved it
         self.place: Tensor | None = None  # what the place looks like (tracking/place.py)
         self.anchor = 0  # the stored keyframe that it is, or that it hangs on
+        self.piece = 0  # the first stored keyframe of its part of the graph (graph/pieces.py)
         self.neighbours: set[int] = set()  # stored keyframes it is connected with, by its pose
         self.linked: set[int] = set()  # of these, those whose pose relative to it was measured, not merely carried on
         self.unlinked: list[int] = []  # the others, most covisible first
@@ -126,12 +127,13 @@ class Keyframe:
             self._checksum = self.frame.checksum()
         links = {"neighbours": sorted(self.neighbours), "linked": sorted(self.linked), "unlinked": self.unlinked, "alike": self.alike}
         own = {"T_wk": self.T_wk, "cell_losses": self.cell_losses, "place": self.place, "anchor": self.anchor, "unlearnt": self.unlearnt}
+        own["piece"] = self.piece
         return {"index": self.index, "images": self._checksum, **own, **links}
 
     def restore(self, state: State) -> None:
         """What `state` told, for a keyframe of the same frame."""
         self.T_wk, self.anchor, self._checksum = state["T_wk"], state["anchor"], state["images"]
-        self.unlearnt = state["unlearnt"]
+        self.unlearnt, self.piece = state["unlearnt"], state["piece"]
         self.neighbours, self.linked = set(state["neighbours"]), set(state["linked"])
         self.unlinked, self.alike = state["unlinked"], state["alike"]
         for name in ("cell_losses", "place"):

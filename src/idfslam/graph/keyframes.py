@@ -1,6 +1,7 @@
 """Keyframes and what connects them (Sec. IV-C): covisibility, culling, replay; every frame hangs on a keyframe."""
 
 import bisect
+import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.pieces import brought_together, far_from
 from idfslam.graph.ways import ways_from
 from idfslam.mapping.meshing import View, reduced_view
 from idfslam.state import State
@@ -133,6 +135,7 @@ class KeyframeGraph:
         cover = self._cover(keyframe, scores)
         stored = cover is None
         keyframe.anchor = len(self.keyframes) if cover is None else cover
+        keyframe.piece = min((self.keyframes[i].piece for i in keyframe.linked), default=keyframe.anchor)
         if stored:
             self._store(keyframe)
         last = self._links[-1]
@@ -204,14 +207,42 @@ class KeyframeGraph:
         self.reference = keyframe
         view.anchor = keyframe.anchor
 
+    def begin_piece(self) -> Tensor:
+        """What comes next is not connected with what is stored: the next frame chosen begins a piece. A pose T_wc (4, 4) for it."""
+        self.reference = None
+        return far_from(self.keyframes)
+
+    @property
+    def begins_piece(self) -> bool:
+        """Whether the next frame chosen belongs to no piece that is stored."""
+        return self.reference is None
+
+    def join(self, a: int, b: int, T_ab: Tensor) -> list[float]:
+        """Two pieces become one by a measured relation (4, 4) of two keyframes: how far [m] each keyframe moved."""
+        pieces = self.keyframes[a].piece, self.keyframes[b].piece
+        moved = self.move(brought_together(self.keyframes, a, b, T_ab))
+        for keyframe in self.keyframes if self.reference is None else [*self.keyframes, self.reference]:
+            if keyframe.piece == max(pieces):
+                keyframe.piece = min(pieces)
+        self.link(self.keyframes[b], a)
+        return moved
+
+    @property
+    def placed(self) -> list[Keyframe]:
+        """The stored keyframes of the first piece."""
+        return [keyframe for keyframe in self.keyframes if keyframe.piece == 0]
+
+    def piece(self, i: int) -> int:
+        """The piece that the i-th frame processed belongs to."""
+        return self.keyframes[self._links[i].keyframe].piece if self.keyframes else 0
+
     def bridge(self) -> int:
-        """The frame appended last was found after lost ones: these get poses between it and the last one known. How many they are."""
-        end = len(self) - 1
-        start = end - 1
-        while start >= 0 and self._links[start].status is Status.LOST:
-            start -= 1
-        if start < 0:
-            return 0
+        """Lost frames between two of one piece whose poses were found get poses between these. How many they are."""
+        known = [i for i, link in enumerate(self._links) if link.status is not Status.LOST]
+        return sum(self._bridge(i, j) for i, j in itertools.pairwise(known) if j > i + 1 and self.piece(i) == self.piece(j))
+
+    def _bridge(self, start: int, end: int) -> int:
+        """The frames between these two."""
         T_before, T_after = self.T_wc(start), self.T_wc(end)
         t_before, span = self._links[start].timestamp, self._links[end].timestamp - self._links[start].timestamp
         step = se3.log(se3.inverse(T_before) @ T_after)
@@ -258,8 +289,9 @@ class KeyframeGraph:
             self._coverage.append((k, View(T_kc, view.depth, view.camera)))
 
     def views(self) -> list[View]:
-        """All that was seen, at the poses that the keyframes have now."""
-        return [View(self.keyframes[k].T_wk.numpy() @ view.T_wc, view.depth, view.camera) for k, view in self._coverage]
+        """All that was seen in the first piece, at the poses that its keyframes have now."""
+        placed = [(self.keyframes[k], view) for k, view in self._coverage if self.keyframes[k].piece == 0]
+        return [View(keyframe.T_wk.numpy() @ view.T_wc, view.depth, view.camera) for keyframe, view in placed]
 
     def sample(self, count: int) -> list[Keyframe]:
         """`count` stored keyframes at random, or all if they are fewer."""
@@ -323,9 +355,12 @@ class KeyframeGraph:
         return self.keyframes[link.keyframe].T_wk @ link.T_kc if self.keyframes else link.T_kc
 
     def trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) poses of all frames processed."""
-        return np.stack([self.T_wc(i).numpy() for i in range(len(self))]) if len(self) else np.zeros((0, 4, 4))
+        """(N, 4, 4) poses of all frames processed; a frame of another piece than the first has that of the last one before it."""
+        poses: list[NDArray[np.float64]] = []
+        for i in range(len(self)):
+            poses.append(self.T_wc(i).numpy() if self.piece(i) == 0 else poses[-1])
+        return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
     def statuses(self) -> list[Status]:
-        """How each frame's pose was found."""
-        return [link.status for link in self._links]
+        """How each frame's pose was found; those of other pieces than the first count as lost."""
+        return [link.status if self.piece(i) == 0 else Status.LOST for i, link in enumerate(self._links)]

@@ -44,8 +44,25 @@ class Loop:
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
 
 
-def _plain(loop: Loop) -> State:
+def plain_loop(loop: Loop) -> State:
+    """A loop for a state."""
     return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab, "view": loop.view}
+
+
+def loop_from(state: State) -> Loop:
+    """The loop that `plain_loop` told."""
+    return Loop(**state)
+
+
+def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float) -> bool:
+    """Whether two loops of different views, no farther than `within` [m] from each other, ask for the same correction."""
+    if loop.view == other.view:
+        return False
+    T_between = se3.inverse(graph.keyframes[loop.b].T_wk) @ graph.keyframes[other.b].T_wk
+    difference = se3.inverse(loop.disagreement(graph)) @ T_between @ other.disagreement(graph) @ se3.inverse(T_between)
+    apart = float(T_between[:3, 3].norm())
+    near = float(difference[:3, 3].norm()) < 0.02 + 0.05 * apart and float(se3.angle(difference)) < math.radians(1.0)
+    return near and apart < within
 
 
 class Loops:
@@ -59,18 +76,18 @@ class Loops:
 
     def state(self) -> State:
         """Loops by their keyframes' numbers."""
-        closed, waiting = [_plain(loop) for loop in self.closed], None if self.waiting is None else _plain(self.waiting)
+        closed, waiting = [plain_loop(loop) for loop in self.closed], None if self.waiting is None else plain_loop(self.waiting)
         return {"closed": closed, "waiting": waiting, "refused": self.refused}
 
     def restore(self, state: State) -> None:
         """What `state` told."""
-        self.closed, self.refused = [Loop(**loop) for loop in state["closed"]], state["refused"]
-        self.waiting = None if state["waiting"] is None else Loop(**state["waiting"])
+        self.closed, self.refused = [loop_from(loop) for loop in state["closed"]], state["refused"]
+        self.waiting = None if state["waiting"] is None else loop_from(state["waiting"])
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes not linked with a chosen one that may yet see the same, whatever drift there may be between the two."""
+        """Stored keyframes of its piece, not linked with a chosen one, that may yet see the same, whatever drift there may be between."""
         ways = ways_from(graph.keyframes, keyframe.anchor)
-        apart = graph.apart(keyframe, ways)
+        apart = [i for i in graph.apart(keyframe, ways) if graph.keyframes[i].piece == keyframe.piece]
         if not apart:
             return []
         T = torch.stack([graph.keyframes[i].T_wk for i in apart])
@@ -100,22 +117,10 @@ class Loops:
         if shift > allowed or turn > turn_allowed:
             self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
             return []
-        if not self._confirmed(graph, loop):
+        if self.waiting is None or not same_correction(graph, self.waiting, loop, self.config.confirmed_within):
             self.waiting = loop
             return []
-        assert self.waiting is not None
         return self._close(graph, [self.waiting, loop])
-
-    def _confirmed(self, graph: KeyframeGraph, loop: Loop) -> bool:
-        """Whether the loop that waits, of another frame, asks for the same correction."""
-        if self.waiting is None or self.waiting.view == loop.view:
-            return False
-        other = se3.inverse(self.waiting.disagreement(graph))
-        T_between = se3.inverse(graph.keyframes[self.waiting.b].T_wk) @ graph.keyframes[loop.b].T_wk
-        difference = other @ T_between @ loop.disagreement(graph) @ se3.inverse(T_between)
-        apart = float(T_between[:3, 3].norm())
-        near = float(difference[:3, 3].norm()) < 0.02 + 0.05 * apart and float(se3.angle(difference)) < math.radians(1.0)
-        return near and apart < self.config.confirmed_within
 
     def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
         """The pose graph with all loops, old and new; those that it cannot be reconciled with are dropped."""

@@ -71,9 +71,9 @@ class Mapper:
         self.optimiser.count_as_used()
         self.publish()
 
-    def initialise(self, keyframe: Keyframe) -> dict[str, float]:
-        """Teach the map its first frame."""
-        return self.optimise_map([keyframe], self.config.first_iterations)
+    def initialise(self, keyframes: Sequence[Keyframe]) -> dict[str, float]:
+        """Teach the map the first keyframe of a piece, beside others."""
+        return self.optimise_map(keyframes, self.config.first_iterations)
 
     def optimise_map(self, keyframes: Sequence[Keyframe], iterations: int, *, grow: bool = False) -> dict[str, float]:
         """Eq. 3: steps on the rays of all given keyframes, poses fixed; the last step's losses.

@@ -173,8 +173,12 @@ class Aligner:
         return (
             alignment.status is Status.LOST
             or alignment.overlap < self.config.doubtful_overlap
-            or alignment.brightness > self.doubtful_brightness
+            or not self.fits(alignment, self.config.doubtful_brightness)
         )
+
+    def fits(self, alignment: Alignment, times: float) -> bool:
+        """Whether colours differ by at most so many times what they lately did."""
+        return alignment.brightness <= times * max(self._usual_brightness, self.config.colour_noise)
 
     @property
     def doubtful_brightness(self) -> float:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.state import State
 from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.description import Described
@@ -22,6 +23,7 @@ from idfslam.tracking.tracker import Tracker
 
 _MIN_IN_VIEW = 0.3  # smaller share of a keyframe's landmarks in view: it cannot vouch for a place
 _FAR_OFF = 0.5  # [m] beyond which two answers are two places
+_AS_WELL = 1.3  # times the usual difference of brightness that a view found anywhere may have: places that look alike come to 1.5
 _RIVAL = 0.8  # of the best answer's score, from which on another place makes it ambiguous
 
 
@@ -83,7 +85,17 @@ class Localiser:
         if T_guess is None:
             return None
         aligned = self.aligner.align(view, T_guess, references)
-        return aligned if self.convincing(aligned) else None
+        return aligned if self.convincing(aligned) and self.aligner.fits(aligned, _AS_WELL) else None
+
+    def locate_among(
+        self, view: Keyframe, keyframes: Sequence[Keyframe], tries: int, graph: KeyframeGraph
+    ) -> tuple[Keyframe, Alignment] | None:
+        """The keyframe of a graph beside which a view is, of the `tries` that look most like it, and its pose; None if in doubt."""
+        answers = []
+        for i in self.most_alike(view, keyframes, tries):
+            if found := self.locate(view, keyframes[i], graph.beside(keyframes[i], self.references)):
+                answers.append((keyframes[i], found))
+        return unambiguous(answers)
 
     def seen_again(self, view: Keyframe, keyframe: Keyframe, references: Sequence[Keyframe]) -> Tensor | None:
         """The view's pose T_wc (4, 4) beside a keyframe from which it may have drifted away; None if in doubt.
@@ -106,7 +118,7 @@ class Localiser:
         return seen > _MIN_IN_VIEW and 0 < noise <= self.aligner.doubtful_brightness
 
 
-def unambiguous(answers: Sequence[tuple[int, Alignment]]) -> tuple[int, Alignment] | None:
+def unambiguous(answers: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
     """The best of several answers (keyframe, alignment) to where a view is; None if there is none, or if two places serve alike."""
     if not answers:
         return None

@@ -1,0 +1,142 @@
+"""A camera that is lost in a place it does not know maps that on its own, and the pieces become one where they meet."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from idfslam.config import FAST
+from idfslam.datasets import Selection
+from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.frame import Frame, FrameResult, Status
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.pieces import brought_together, far_from
+from idfslam.slam import Slam
+
+CONFIG = replace(FAST, loops=replace(FAST.loops, piece_after=2))
+FIRST, BACK = range(8), range(75, 1, -1)  # of the room's frames: a corner of it, and from the other side back to that corner
+DARK = range(8, 11)
+BEGUN = 12  # the second frame with depth for which it was looked for in vain
+ORDER = [*FIRST, *(-1 for _ in DARK), *BACK]
+
+
+@pytest.fixture(scope="module")
+def room() -> Selection:
+    return Selection(SyntheticRoom(seed=0, frames=240, width=320, height=240), frames=80, stride=3)
+
+
+def shown(room: Selection, slam: Slam, order: Sequence[int], first: int = 0) -> list[FrameResult]:
+    blank = Frame.blank(0, 0.0, room.camera)
+    return [slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30)) for i, j in enumerate(order, start=first)]
+
+
+def truth(room: Selection, order: Sequence[int]) -> np.ndarray:
+    """(N, 4, 4) in the camera of the first frame."""
+    assert room.ground_truth is not None
+    return (np.linalg.inv(room.ground_truth[0]) @ room.ground_truth)[order]
+
+
+@pytest.fixture(scope="module")
+def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
+    slam = Slam(CONFIG)
+    return slam, shown(room, slam, ORDER)
+
+
+def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+    slam, results = walked
+    assert slam.figures()["pieces_joined"] == 1
+    assert slam.figures()["pieces"] == 1
+    joined = max(r.index for r in results if r.status is Status.LOST)
+    lost = [r.index for r in results if r.status is Status.LOST]
+    assert lost == list(range(DARK[0], joined + 1))  # from the dark to the meeting, no longer
+    assert joined < len(ORDER) - 5
+    known = [i for i in range(len(ORDER)) if i < DARK[0] or i >= BEGUN]
+    np.testing.assert_allclose(slam.trajectory()[known, :3, 3], truth(room, [ORDER[i] for i in known])[:, :3, 3], atol=0.02)
+    statuses = slam.statuses()
+    assert all(statuses[i] in (Status.OK, Status.DEGENERATE) for i in known)
+    assert [i for i, status in enumerate(statuses) if status is Status.INTERPOLATED] == list(range(DARK[0], BEGUN))
+
+
+def test_the_map_follows(walked: tuple[Slam, list[FrameResult]]) -> None:
+    """Surfaces of the second piece lie on the room's walls, in the first one's world."""
+    slam, _ = walked
+    views = slam.graph.views()
+    assert len(views) > 10
+    assert max(np.abs(view.T_wc[:3, 3]).max() for view in views) < 10
+    keyframe = max(slam.graph.keyframes, key=lambda k: float(k.T_wk[:3, 3].norm()))  # of the second piece
+    slam.finish()
+    rows, columns = torch.meshgrid(torch.arange(20, 220, 20), torch.arange(20, 300, 20), indexing="ij")
+    depth = keyframe.depth[rows, columns].flatten()
+    points = keyframe.camera.backproject(keyframe.depth)[rows, columns].flatten(0, 1)[depth > 0]
+    distance, _ = slam.aligner.query(se3.transform(keyframe.T_wk.float(), points))
+    assert float(distance.abs().median()) < 0.01
+
+
+def test_what_is_told_meanwhile_is_where_it_was_last(walked: tuple[Slam, list[FrameResult]]) -> None:
+    _, results = walked
+    last, *apart = (r.T_wc for r in results if r.status is Status.LOST)
+    assert np.linalg.norm((last - results[DARK[0] - 1].T_wc)[:3, 3]) < 0.05  # one step of the last motion
+    for T_wc in apart:
+        np.testing.assert_allclose(T_wc, last, atol=1e-9)
+
+
+def test_a_piece_that_meets_no_other_is_left_out(room: Selection) -> None:
+    slam = Slam(CONFIG)
+    shown(room, slam, [*FIRST, -1, *range(75, 60, -1)])
+    assert slam.figures()["pieces"] == 2
+    assert max(float(k.T_wk[:3, 3].norm()) for k in slam.graph.keyframes) > 90
+    slam.finish()
+    assert slam.statuses()[len(FIRST) :] == [Status.LOST] * 16
+    assert all(k.index < len(FIRST) for k in slam.graph.placed)
+    assert np.abs(slam.trajectory()[:, :3, 3]).max() < 1
+    assert np.abs(slam.mesh(0.05).vertices).max() < 10
+
+
+def test_without_pieces_it_stays_lost(room: Selection) -> None:
+    slam = Slam(replace(CONFIG, loops=replace(CONFIG.loops, piece_after=0)))
+    results = shown(room, slam, [*FIRST, -1, *range(75, 65, -1)])
+    assert [r.status for r in results[len(FIRST) :]] == [Status.LOST] * 11
+    assert all(k.index < len(FIRST) for k in slam.graph.keyframes)
+
+
+def test_a_run_that_goes_on_from_a_state_joins_alike(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+    half = 30  # within the second piece
+    before, again = Slam(CONFIG), Slam(CONFIG)
+    shown(room, before, ORDER[:half])
+    again.restore(copy.deepcopy(before.state()), lambda index: replace(room[ORDER[index]], index=index, timestamp=index / 30))
+    shown(room, again, ORDER[half:60], half)
+    shown(room, before, ORDER[half:60], half)
+    np.testing.assert_array_equal(again.trajectory(), before.trajectory())
+    assert again.figures() == before.figures()
+
+
+def keyframe(x: float, piece: int, anchor: int) -> Keyframe:
+    camera = Camera(4, 4, 4.0, 4.0, 1.5, 1.5)
+    frame = Frame.blank(anchor, 0.0, camera)
+    T_wk = se3.exp(torch.tensor([0, 0, 0, 0.1 * anchor, 0.2, 0], dtype=torch.float64))
+    T_wk[0, 3] = x
+    made = Keyframe(frame, T_wk, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
+    made.piece, made.anchor = piece, anchor
+    return made
+
+
+def test_a_piece_begins_far_from_all_others() -> None:
+    T = far_from([keyframe(0.0, 0, 0), keyframe(130.0, 1, 1), keyframe(30.0, 0, 2)])
+    assert T[:3, 3].tolist() == [230.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 2), (2, 0), (1, 3), (3, 1)])
+def test_the_younger_piece_is_brought_to_the_older(a: int, b: int) -> None:
+    keyframes = [keyframe(0.0, 0, 0), keyframe(1.0, 0, 1), keyframe(100.0, 2, 2), keyframe(101.0, 2, 3)]
+    T_ab = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.2, 0.4, -0.1], dtype=torch.float64))
+    poses = brought_together(keyframes, a, b, T_ab)
+    torch.testing.assert_close(se3.inverse(poses[a]) @ poses[b], T_ab)
+    for i in (0, 1):
+        assert torch.equal(poses[i], keyframes[i].T_wk)
+    inside = se3.inverse(keyframes[2].T_wk) @ keyframes[3].T_wk
+    torch.testing.assert_close(se3.inverse(poses[2]) @ poses[3], inside)
