@@ -106,6 +106,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     for name in (results.TRAJECTORY, results.KEYFRAMES):
         shutil.copy(known_run / name, folder)
     results.write_config(folder, FAST, results.Source(str(tmp_path / "gone")))
+    results.write_json(folder / results.METRICS, {"pieces": 3})
     (folder / results.PICTURES).mkdir()
     (folder / results.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
     (folder / results.PICTURES / "mine.png").write_bytes(b"mine")
@@ -115,6 +116,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     assert page.counts["svg"] == 3
     assert "no such file or folder" in text
     assert "has no mesh.ply" in text
+    assert re.search(r"pieces apart\W.*?\b2\b", text, re.DOTALL)
     assert {path.stem for path in (folder / results.PICTURES).iterdir()} == {
         "trajectory_top",
         "trajectory_side",
