@@ -357,7 +357,7 @@ class LoopConfig:
     """Frames with depth for which a lost camera is looked for, before mapping goes on in a piece of its own; 0: it never does."""
     agreeing: int = 3
     """Keyframes in a row that must say the same of where two pieces lie before they become one ..."""
-    agreeing_span: float = 1.0
+    agreeing_span: float = 0.3
     """... the last so far [m] from the first, or turned as much 2 m ahead: places that look alike do so for a while."""
     slack: float = 0.15
     """A loop may correct this [m] ..."""
