@@ -15,6 +15,7 @@ from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframes import KeyframeGraph
 from idfslam.graph.pieces import brought_together, far_from
 from idfslam.slam import Slam
 
@@ -140,3 +141,23 @@ def test_the_younger_piece_is_brought_to_the_older(a: int, b: int) -> None:
         assert torch.equal(poses[i], keyframes[i].T_wk)
     inside = se3.inverse(keyframes[2].T_wk) @ keyframes[3].T_wk
     torch.testing.assert_close(se3.inverse(poses[2]) @ poses[3], inside)
+
+
+def test_a_recording_that_begins_outside_the_map_it_starts_in() -> None:
+    graph = KeyframeGraph(FAST.keyframes, torch.Generator(), verify=True)
+    graph.adopt(keyframe(0.0, 0, 0))
+    T_wc = graph.begin_piece()
+    new = keyframe(float(T_wc[0, 3]), 0, 0)
+    graph.append(0.0, new.T_wk, Status.OK)
+    assert graph.promote(new)
+    assert [k.piece for k in graph.keyframes] == [0, 1]
+    assert graph.placed == graph.keyframes[:1]
+    np.testing.assert_array_equal(graph.trajectory(), np.eye(4)[None])
+    assert graph.statuses() == [Status.LOST]
+    T_01 = se3.exp(torch.tensor([1.0, 0, 0, 0, 0, 0], dtype=torch.float64))
+    moved = graph.join(0, 1, T_01)
+    assert moved[0] == 0
+    assert moved[1] > 90
+    assert graph.statuses() == [Status.OK]
+    torch.testing.assert_close(torch.from_numpy(graph.trajectory()[0]), graph.keyframes[0].T_wk @ T_01)
+    assert graph.keyframes[1].linked == {0}

@@ -358,7 +358,7 @@ class KeyframeGraph:
         """(N, 4, 4) poses of all frames processed; a frame of another piece than the first has that of the last one before it."""
         poses: list[NDArray[np.float64]] = []
         for i in range(len(self)):
-            poses.append(self.T_wc(i).numpy() if self.piece(i) == 0 else poses[-1])
+            poses.append(self.T_wc(i).numpy() if self.piece(i) == 0 else poses[-1] if poses else np.eye(4))
         return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
     def statuses(self) -> list[Status]:
