@@ -31,6 +31,7 @@ from idfslam.tracking.alignment import Aligner, Alignment
 from idfslam.tracking.localisation import Descriptions, Localiser
 from idfslam.tracking.motion import Information, MotionModel
 from idfslam.tracking.tracker import Described, Tracker
+from idfslam.trial import Trial
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +59,7 @@ class Slam:
         self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
         self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph)
         self.piece_joiner = PieceJoiner(config.loops, self.localiser, self.graph)
+        self.trial = Trial(self.aligner, self.graph)
         self.adjustment = BundleAdjustment(config, self.graph, self.mapper, self.aligner, self.localiser)
         self.relocalisations = 0
         self._looked_for = 0  # frames with depth since the camera was lost
@@ -152,7 +154,11 @@ class Slam:
 
     def figures(self) -> dict[str, Any]:
         """What metrics.json tells: links and loops (pairs of frames) of the keyframes, lost cameras found again, finetuning undone."""
-        pieces = {"pieces": len({k.piece for k in self.graph.keyframes}), "pieces_joined": self.piece_joiner.joined}
+        pieces = {
+            "pieces": len({k.piece for k in self.graph.keyframes}),
+            "pieces_joined": self.piece_joiner.joined,
+            "places_refuted": self.trial.refuted,
+        }
         found = {"relocalisations": self.relocalisations, **pieces, "finetuning_undone": self.tracker.guard.undone}
         return self.loop_closer.loops.summary(self.graph) | found
 
@@ -206,6 +212,7 @@ class Slam:
             "localiser": self.localiser,
             "loop_closer": self.loop_closer,
             "piece_joiner": self.piece_joiner,
+            "trial": self.trial,
         }
         return {"tracker": self.tracker, "mapper": self.mapper, "aligner": self.aligner, "motion": self.motion, **localisation}
 
@@ -293,6 +300,7 @@ class Slam:
         if answer is None:
             return None
         self.graph.settle(current, answer[0])
+        self.trial.begin()
         self.relocalisations += 1
         return answer[1]
 
@@ -324,12 +332,15 @@ class Slam:
                 self.adjustment.register(keyframe, self._least_information)
         stored = self.graph.promote(keyframe)
         self._described(keyframe)
-        if self.graph.verify:
+        if self.trial.refutes(keyframe):
+            self._cut(keyframe)
+        elif self.graph.verify:
             with self._timed("loops"):
                 self.loop_closer.close(keyframe)
                 joined = self.piece_joiner.join(keyframe)
             if joined:
-                self._learn_joined(keyframe)
+                self._learn_moved(keyframe)
+                log.info("%d frames between the pieces are interpolated", self.graph.bridge())
         self.graph.cover(keyframe)
         if first:
             with self._timed("map"), threads(1.0):
@@ -337,12 +348,22 @@ class Slam:
                 return self.mapper.initialise([keyframe, *replayed])
         return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known, grow=stored)
 
-    def _learn_joined(self, keyframe: Keyframe) -> None:
-        """After pieces were joined at a keyframe: the map around it, so that the next frames are found there, and the frames between."""
+    def _cut(self, keyframe: Keyframe) -> None:
+        """Where the camera was found, it was not: what was mapped since goes on as a piece of its own, and the map forgets it there."""
+        log.info("frame %d contradicts where the camera was found: mapping goes on in a piece of its own", keyframe.index)
+        for other in self.graph.cut():
+            other.unlearnt = self.config.loops.relearnt
+        for other in self.graph.keyframes:
+            if other.piece == keyframe.piece:
+                other.unlearnt = self.config.loops.relearnt
+        self.loop_closer.loops.forget_between(self.graph)
+        self._learn_moved(keyframe)
+
+    def _learn_moved(self, keyframe: Keyframe) -> None:
+        """After a piece has moved: the map around a keyframe of it, so that the next frames are found there; the rest follows later."""
         with self._timed("map"), threads(1.0):
             for _ in range(_AT_ONCE):
                 self.mapper.optimise_map([keyframe, *self.graph.replay(keyframe)], self.config.mapper.iterations)
-        log.info("%d frames between the pieces are interpolated", self.graph.bridge())
 
     def _refresh(self, current: Keyframe) -> dict[str, float]:
         """A map update on a frame that is not kept."""

@@ -4,7 +4,7 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -66,6 +66,7 @@ class KeyframeGraph:
         self.keyframes: list[Keyframe] = []
         self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
         self._chosen_at = 0  # frames processed when that was
+        self.trial: int | None = None  # the first keyframe stored at a place found by its looks, while that may yet prove wrong (trial.py)
         self._links: list[_Link] = []
         self._coverage: list[tuple[int, View]] = []  # keyframe, and a view at its pose T_kc
 
@@ -80,6 +81,7 @@ class KeyframeGraph:
             "keyframes": [keyframe.state() for keyframe in self.keyframes],
             "reference": self.keyframes.index(self.reference) if self.reference is not None and stored else culled,
             "chosen_at": self._chosen_at,
+            "trial": -1 if self.trial is None else self.trial,
             "links": _columns(self._links),
             "coverage": [
                 {"keyframe": k, "T_kc": torch.from_numpy(view.T_wc), "depth": torch.from_numpy(view.depth), "camera": asdict(view.camera)}
@@ -96,6 +98,7 @@ class KeyframeGraph:
         reference = state["reference"]
         self.reference = self.keyframes[reference] if isinstance(reference, int) else reference and revive(reference)
         self._chosen_at = state["chosen_at"]
+        self.trial = None if state["trial"] < 0 else state["trial"]
         self._links = _rows(state["links"])
         self._coverage = [
             (kept["keyframe"], View(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"]))) for kept in state["coverage"]
@@ -110,7 +113,7 @@ class KeyframeGraph:
 
     def asks_for_keyframe(self, T_wc: Tensor, status: Status, in_view: float = 1.0) -> bool:
         """Enough motion since the last keyframe, or lost (Sec. III); or too little is left `in_view` of what frames are held against."""
-        if self.reference is None or status is Status.LOST:
+        if self.reference is None or status is Status.LOST or self.trial == len(self.keyframes):
             return True
         if in_view < self.config.in_view and len(self) - self._chosen_at > self.config.in_view_every:
             return True
@@ -147,7 +150,7 @@ class KeyframeGraph:
         if not self.config.culling:
             return None
         near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
-        covers = [i for i in keyframe.linked if float(scores[i]) > self.config.cull]
+        covers = [i for i in keyframe.linked if float(scores[i]) > self.config.cull and i >= (self.trial or 0)]
         if self.config.cull_reach:
             covers = [i for i in covers if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
         return max(covers, key=lambda i: float(scores[i]), default=None)
@@ -203,9 +206,10 @@ class KeyframeGraph:
         return se3.inverse(self.keyframes[self.reference.anchor].T_wk) @ view.T_wk
 
     def settle(self, view: Keyframe, keyframe: Keyframe) -> None:
-        """A lost view was found again beside a stored keyframe: frames to come are held against that one."""
+        """A lost view was found again beside a stored keyframe: frames to come are held against that one, and the place is on trial."""
         self.reference = keyframe
         view.anchor = keyframe.anchor
+        self.trial = len(self.keyframes)
 
     def begin_piece(self) -> Tensor:
         """What comes next is not connected with what is stored: the next frame chosen begins a piece. A pose T_wc (4, 4) for it."""
@@ -226,6 +230,26 @@ class KeyframeGraph:
                 keyframe.piece = min(pieces)
         self.link(self.keyframes[b], a)
         return moved
+
+    def cut(self) -> list[Keyframe]:
+        """What was stored at the place on trial becomes a piece of its own; the old keyframes that it was taken to lie beside."""
+        first, self.trial = self.trial, None
+        assert first is not None
+        old, new = self.keyframes[:first], self.keyframes[first:]
+        beside = sorted({i for keyframe in new for i in keyframe.neighbours if i < first})
+        for keyframe in old:
+            keyframe.neighbours, keyframe.linked = ({i for i in known if i < first} for known in (keyframe.neighbours, keyframe.linked))
+        for keyframe in new if self.reference is None else [*new, self.reference]:
+            keyframe.neighbours, keyframe.linked = ({i for i in known if i >= first} for known in (keyframe.neighbours, keyframe.linked))
+            keyframe.unlinked, keyframe.alike = ([i for i in known if i >= first] for known in (keyframe.unlinked, keyframe.alike))
+            keyframe.piece = first
+        change = far_from(self.keyframes) @ se3.inverse(new[0].T_wk)
+        self.move([*(k.T_wk for k in old), *(se3.orthonormal(change @ k.T_wk) for k in new)])
+        gap = next(i for i, link in enumerate(self._links) if link.keyframe >= first) - 1
+        while gap >= 0 and self._links[gap].status is Status.INTERPOLATED:
+            self._links[gap] = replace(self._links[gap], status=Status.LOST)
+            gap -= 1
+        return [self.keyframes[i] for i in beside]
 
     @property
     def placed(self) -> list[Keyframe]:

@@ -122,6 +122,11 @@ class Loops:
             return []
         return self._close(graph, [self.waiting, loop])
 
+    def forget_between(self, graph: KeyframeGraph) -> None:
+        """After the graph was cut: loops between pieces were none."""
+        self.closed = [loop for loop in self.closed if graph.keyframes[loop.a].piece == graph.keyframes[loop.b].piece]
+        self.waiting = None
+
     def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
         """The pose graph with all loops, old and new; those that it cannot be reconciled with are dropped."""
         self.waiting = None
