@@ -357,6 +357,7 @@ class Slam:
             if other.piece == keyframe.piece:
                 other.unlearnt = self.config.loops.relearnt
         self.loop_closer.loops.forget_between(self.graph)
+        self.piece_joiner.agreeing = []  # found where the camera was thought to be
         self._learn_moved(keyframe)
 
     def _learn_moved(self, keyframe: Keyframe) -> None:
