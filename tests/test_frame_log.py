@@ -26,6 +26,16 @@ def test_it_comes_back(tmp_path: Path) -> None:
     assert total[0] == 0.5
 
 
+def test_statuses_of_the_end_take_the_place_of_those_told() -> None:
+    """The frame that a diverging map broke off has a pose, and no line."""
+    log = known_log()
+    statuses = [Status.INTERPOLATED if line.status is Status.LOST else line.status for line in log.lines]
+    log.settle([*statuses, Status.OK])
+    assert [line.status for line in log.lines] == statuses
+    assert log.lines[4].status is Status.INTERPOLATED
+    assert log.lines[4].ms == 104
+
+
 def test_no_frames(tmp_path: Path) -> None:
     FrameLog().save(tmp_path / "frames.csv")
     assert FrameLog.load(tmp_path / "frames.csv").lines == []

@@ -76,6 +76,19 @@ def test_a_place_given_up_becomes_a_piece() -> None:
     assert [graph.piece(i) for i in range(len(graph))] == [0] * 5 + [3] * 2
 
 
+def test_another_piece_or_a_meeting_ends_the_trial() -> None:
+    graph = found_again()
+    T_wc = graph.begin_piece()
+    assert graph.trial is None
+    graph.append(7 / 30, T_wc, Status.OK)
+    new = keyframe(7, float(T_wc[0, 3]))
+    assert graph.promote(new)
+    graph.trial = 5
+    graph.join(0, 5, at(0.5))
+    assert graph.trial is None
+    assert {k.piece for k in graph.keyframes} == {0}
+
+
 def test_loops_across_the_cut_are_forgotten() -> None:
     graph, loops = found_again(), Loops(FAST.loops)
     loops.closed = [Loop(0, 2, at(1.6), 2), Loop(0, 4, at(0.8), 6)]

@@ -43,8 +43,8 @@ class FrameLog:
         self.lines.append(FrameLine(result.index, result.timestamp, result.status, result.keyframe, ms, dict(result.losses)))
 
     def settle(self, statuses: Sequence[Status]) -> None:
-        """What is known of the frames now: some that were lost may have been found since."""
-        self.lines[:] = [replace(line, status=status) for line, status in zip(self.lines, statuses, strict=True)]
+        """What is known of the frames now: some that were lost may have been found since. A frame that broke the run off has no line."""
+        self.lines[:] = [replace(line, status=status) for line, status in zip(self.lines, statuses)]
 
     def state(self) -> State:
         """The lines."""

@@ -36,7 +36,7 @@ from idfslam.trial import Trial
 log = logging.getLogger(__name__)
 
 _HURRIED = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of the map
-_AT_ONCE = 10  # map updates on what a join has moved before the next frame; the rest follows as after a loop
+_AT_ONCE = 10  # map updates around a piece that has moved, before the next frame; the rest follows as after a loop
 _EXAMPLES = 16  # keyframes of a saved map that tell how well its images fit each other
 _BETTER = 1.05  # another guess's score must be so many times the first one's: where all fit alike, the predicted motion stands
 

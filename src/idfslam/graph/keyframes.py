@@ -213,7 +213,7 @@ class KeyframeGraph:
 
     def begin_piece(self) -> Tensor:
         """What comes next is not connected with what is stored: the next frame chosen begins a piece. A pose T_wc (4, 4) for it."""
-        self.reference = None
+        self.reference = self.trial = None
         return far_from(self.keyframes)
 
     @property
@@ -229,6 +229,7 @@ class KeyframeGraph:
             if keyframe.piece == max(pieces):
                 keyframe.piece = min(pieces)
         self.link(self.keyframes[b], a)
+        self.trial = None  # what was found before says nothing of where the pieces meet
         return moved
 
     def cut(self) -> list[Keyframe]:

@@ -178,12 +178,16 @@ class Aligner:
 
     def fits(self, alignment: Alignment, times: float) -> bool:
         """Whether colours differ by at most so many times what they lately did."""
-        return alignment.brightness <= times * max(self._usual_brightness, self.config.colour_noise)
+        return alignment.brightness <= times * self._expected_brightness
 
     @property
     def doubtful_brightness(self) -> float:
         """Colours that differ more than this are not noise: the images do not lie on each other."""
-        return self.config.doubtful_brightness * max(self._usual_brightness, self.config.colour_noise)
+        return self.config.doubtful_brightness * self._expected_brightness
+
+    @property
+    def _expected_brightness(self) -> float:
+        return max(self._usual_brightness, self.config.colour_noise)
 
     def expect(self, differences: Sequence[float]) -> None:
         """How well colours usually fit, before anything was aligned: the median of differences of brightness; 0: nothing was in view."""
