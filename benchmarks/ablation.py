@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from idfslam.cli import prepare_process
+from idfslam.cli.command_line import prepare_process
 
 prepare_process()
 
@@ -29,7 +29,8 @@ from idfslam.errors import DivergedError  # noqa: E402
 from idfslam.evaluation.mesh_error import mesh_error  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.frame import Frame, Status  # noqa: E402
-from idfslam.mapping.meshing import View, extract_mesh  # noqa: E402
+from idfslam.geometry.depth_view import DepthView  # noqa: E402
+from idfslam.mapping.meshing import extract_mesh  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
 REDUCED: dict[str, Any] = {
@@ -69,7 +70,7 @@ def completion_ratio(slam: Slam, recording: Dataset, truth: np.ndarray, T_gt_est
     surface = recording.surface()
     if surface is None:
         return None
-    views = [View(k.T_wk.numpy(), k.frame.depth, k.frame.camera) for k in slam.graph.keyframes]
+    views = [DepthView(k.T_wk.numpy(), k.frame.depth, k.frame.camera) for k in slam.graph.keyframes]
     config = slam.config
     mesh = extract_mesh(slam.mapper.field.sdf, None, views, resolution=0.03, truncation=config.field.truncation, device=slam.device)
     if len(mesh.faces) == 0:

@@ -9,8 +9,8 @@ from collections import Counter
 import numpy as np
 import torch
 
+from idfslam.datasets.generated.room import BARE_PASSAGE, SyntheticRoom
 from idfslam.datasets.prefetch import Prefetch
-from idfslam.datasets.synthetic import BARE_PASSAGE, SyntheticRoom
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.frame import Frame
 from idfslam.slam import Slam

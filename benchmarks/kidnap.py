@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from idfslam.cli import prepare_process
+from idfslam.cli.command_line import prepare_process
 
 prepare_process()
 
@@ -21,7 +21,7 @@ from idfslam.config import FAST  # noqa: E402
 from idfslam.datasets import Kidnapped, open_recording  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.frame import Status  # noqa: E402
-from idfslam.run import frames  # noqa: E402
+from idfslam.runs.runner import frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
 

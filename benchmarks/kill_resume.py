@@ -8,9 +8,9 @@ spent. Processes are forked from one that has imported everything, so that death
 """
 
 # ruff: noqa: E402
-from idfslam import cli
+from idfslam.cli import command_line
 
-cli.prepare_process()  # before torch or numba is imported
+command_line.prepare_process()  # before torch or numba is imported
 
 import argparse
 import json
@@ -27,12 +27,16 @@ import cv2
 import numpy as np
 from safetensors.numpy import load_file
 
-import idfslam.run  # noqa: F401 (imported here for all processes)
-from idfslam import results
-from idfslam.datasets.synthetic import SyntheticRoom
+import idfslam.runs.runner  # noqa: F401 (imported here for all processes)
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
+from idfslam.runs import result_folder
 
-COMPARED = (results.TRAJECTORY, results.KEYFRAMES, results.MESH)  # byte by byte; the map by its tensors: metadata has no order
+COMPARED = (
+    result_folder.TRAJECTORY,
+    result_folder.KEYFRAMES,
+    result_folder.MESH,
+)  # byte by byte; the map by its tensors: metadata has no order
 
 
 def write_room(folder: Path, frames: int) -> Path:
@@ -65,24 +69,24 @@ def in_process(task: Callable[..., object], *arguments: object, wait: float | No
 def idf_slam(*arguments: object) -> None:
     """`idf-slam run`, silently."""
     with Path("/dev/null").open("w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
-        cli.main(["run", *map(str, arguments)])
+        command_line.main(["run", *map(str, arguments)])
 
 
 def stage(folder: Path) -> str:
     """What the last checkpoint, or its absence, says of a run that was just killed."""
-    if (folder / results.METRICS).exists():
+    if (folder / result_folder.METRICS).exists():
         return "results written"
-    if not (folder / results.CHECKPOINT).exists():
-        return "no checkpoint yet" if (folder / results.CONFIG).exists() else "not begun"
-    half = (folder / f".part-{results.CHECKPOINT}").exists()
+    if not (folder / result_folder.CHECKPOINT).exists():
+        return "no checkpoint yet" if (folder / result_folder.CONFIG).exists() else "not begun"
+    half = (folder / f".part-{result_folder.CHECKPOINT}").exists()
     return "while one was written" if half else "after a checkpoint"
 
 
 def differing(folder: Path, whole: Path) -> list[str]:
     """The results of a run that are not those of the unbroken one; by numpy: torch's threads would be missed in processes forked later."""
     names = [name for name in COMPARED if (folder / name).read_bytes() != (whole / name).read_bytes()]
-    ours, theirs = (load_file(place / results.MAP) for place in (folder, whole))
-    return names if all(np.array_equal(ours[name], theirs[name]) for name in theirs) else [*names, results.MAP]
+    ours, theirs = (load_file(place / result_folder.MAP) for place in (folder, whole))
+    return names if all(np.array_equal(ours[name], theirs[name]) for name in theirs) else [*names, result_folder.MAP]
 
 
 def main() -> None:
@@ -107,14 +111,14 @@ def main() -> None:
         while kills < arguments.kills:
             folder, runs = place / f"run{runs}", runs + 1
             while True:
-                flags = ("--resume", folder) if (folder / results.CONFIG).exists() else (recording, *mesh, "--out", folder)
+                flags = ("--resume", folder) if (folder / result_folder.CONFIG).exists() else (recording, *mesh, "--out", folder)
                 wait = chance.uniform(0, seconds / 3) if kills < arguments.kills else None
                 if in_process(idf_slam, *flags, *every, wait=wait):
                     break
                 kills += 1
                 print(f"kill {kills}, of run {runs}, after {wait:.1f} s: {stage(folder)}", flush=True)
             other = differing(folder, place / "whole")
-            resumed = json.loads((folder / results.METRICS).read_text())["resumed_at"]
+            resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]
             print(f"run {runs}: went on after frames {resumed}, {f'OTHER {other}' if other else 'the same to the last bit'}", flush=True)
             equal += not other
         print(f"{kills} kills in {runs} runs: {equal} of {runs} ended as the unbroken run")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.cli import prepare_process
+from idfslam.cli.command_line import prepare_process
 
 prepare_process()
 

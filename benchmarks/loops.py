@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from idfslam.cli import prepare_process
+from idfslam.cli.command_line import prepare_process
 
 prepare_process()
 
@@ -22,8 +22,8 @@ from idfslam.config import FAST, Config, update  # noqa: E402
 from idfslam.datasets import open_recording  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.geometry import se3  # noqa: E402
-from idfslam.graph.loops import Loop  # noqa: E402
-from idfslam.run import frames  # noqa: E402
+from idfslam.graph.loop_consistency import Loop  # noqa: E402
+from idfslam.runs.runner import frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
 

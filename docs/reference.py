@@ -13,7 +13,8 @@ from unittest.mock import patch
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from idfslam import cli, config
+from idfslam import config
+from idfslam.cli import command_line
 from idfslam.config import FAST, PAPER, PRETRAIN
 
 _WIDTH = 96  # columns of the help texts
@@ -88,7 +89,7 @@ def _help(*arguments: str) -> str:
     said = _Terminal()
     with redirect_stdout(said), patch.dict(os.environ, {"COLUMNS": str(_WIDTH), "NO_COLOR": "1"}):
         try:
-            cli.main([*arguments, "--help"])
+            command_line.main([*arguments, "--help"])
         except SystemExit as end:
             assert not end.code
     return said.getvalue()

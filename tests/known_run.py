@@ -6,17 +6,18 @@ import numpy as np
 import torch
 from box_room import BOX_FRAMES, box_poses
 
-from idfslam import results
 from idfslam.config import FAST, FieldConfig, MapperConfig
 from idfslam.datasets import open_recording
-from idfslam.evaluation.report import plot_trajectory
+from idfslam.evaluation.summary import plot_trajectory
 from idfslam.frame import FrameResult, Status
-from idfslam.frame_log import FrameLog
+from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
-from idfslam.mapping.meshing import View
 from idfslam.mapping.saved_map import load_map, save_map
+from idfslam.runs import result_folder
+from idfslam.runs.frame_log import FrameLog
+from idfslam.storage import atomic_files
 
 KNOWN_KEYFRAMES = (0, 6, 13)
 KNOWN_LOST = 4  # the frame whose status is lost
@@ -34,17 +35,19 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
         frame = recording[i]
         keyframes.append(Keyframe(frame, torch.from_numpy(poses[i]), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour)))
     learner.optimise_map(keyframes, 200)
-    save_map(folder / results.MAP, learner.field, [View(poses[k.frame.index], k.frame.depth, k.frame.camera) for k in keyframes])
-    load_map(folder / results.MAP).mesh(0.04).export(folder / results.MESH)
-    save_tum(folder / results.TRAJECTORY, Trajectory(recording.timestamps, poses))
+    save_map(folder / result_folder.MAP, learner.field, [DepthView(poses[k.frame.index], k.frame.depth, k.frame.camera) for k in keyframes])
+    load_map(folder / result_folder.MAP).mesh(0.04).export(folder / result_folder.MESH)
+    save_tum(folder / result_folder.TRAJECTORY, Trajectory(recording.timestamps, poses))
     indices = np.array(KNOWN_KEYFRAMES)
-    results.write_keyframes(folder, results.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices]))
-    results.write_config(folder, FAST, results.Source(str(box_recording)))
-    known_log().save(folder / results.FRAMES)
-    plot_trajectory(folder / results.PICTURE, poses)
+    result_folder.write_keyframes(
+        folder, result_folder.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices])
+    )
+    result_folder.write_config(folder, FAST, result_folder.Source(str(box_recording)))
+    known_log().save(folder / result_folder.FRAMES)
+    plot_trajectory(folder / result_folder.PICTURE, poses)
     stages = {"align": 40.0, "map": 25.0, "finetune": 1.5}
     figures = {"frames": BOX_FRAMES, "seconds": 1.4, "frames_per_second": 10.0, "ms_per_frame": stages, "peak_memory_mb": 512.0}
-    results.write_json(folder / results.METRICS, {**figures, "keyframes": 3, "lost_frames": 1, "degenerate_frames": 0})
+    atomic_files.write_json(folder / result_folder.METRICS, {**figures, "keyframes": 3, "lost_frames": 1, "degenerate_frames": 0})
     return folder
 
 

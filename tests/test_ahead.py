@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import pytest
 
-from idfslam.datasets.ahead import Ahead
+from idfslam.datasets.generated.prerendered import Ahead
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.datasets.recording import readers
-from idfslam.datasets.synthetic import SyntheticRoom
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 

@@ -7,13 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
-from idfslam.frame import Frame, Status
-from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Keyframe
-from idfslam.mapping.mapper import Mapper
-from idfslam.tracking.alignment import (
+from idfslam.alignment.aligner import (
     Aligner,
     Alignment,
     compiled_surface,
@@ -23,7 +17,14 @@ from idfslam.tracking.alignment import (
     plain_depth_system,
     plain_surface,
 )
-from idfslam.tracking.normals import plain_smoothed, smoothed_normals
+from idfslam.alignment.normals import plain_smoothed, smoothed_normals
+from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
+from idfslam.frame import Frame, Status
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.keyframe import Keyframe
+from idfslam.mapping.fused import distance_query
+from idfslam.mapping.mapper import Mapper
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]
@@ -71,7 +72,7 @@ def wall() -> Mapper:
 
 
 def aligner(learner: Mapper, config: AlignmentConfig = CONFIG) -> Aligner:
-    return Aligner(config, learner.field, torch.Generator().manual_seed(0))
+    return Aligner(config, distance_query(learner.field), learner.field.config.truncation, torch.Generator().manual_seed(0))
 
 
 def error(T: Tensor, truth: Tensor) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
-from idfslam.tracking.description import Described
+from idfslam.tracking.frame_features import Described
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 

@@ -11,13 +11,15 @@ from pathlib import Path
 import psutil
 import pytest
 
-from idfslam import cli
-from idfslam.batch import DONE, FAILED, Row, batch, check_done, told
-from idfslam.batch_list import Item, read_batch
+from idfslam.batch.batch import DONE, FAILED, Row, batch, check_done, told
+from idfslam.batch.batch_file import Item, read_batch
+from idfslam.batch.executor import Crash, Executor, JobOutcome, thread_share
+from idfslam.batch.local_executor import LocalExecutor
+from idfslam.batch.open_executor import open_executor
+from idfslam.cli import command_line
+from idfslam.compute.host import cores, default_threads
 from idfslam.config import FAST
-from idfslam.engine import Crash, Engine, Execution, LocalEngine, open_engine, thread_share
 from idfslam.errors import ConfigError, RecordingError, ResultError
-from idfslam.machine import cores, default_threads
 
 QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--mapper.final-updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
 
@@ -26,7 +28,7 @@ def items(recording: Path, count: int = 3) -> list[Item]:
     return [Item(f"box-{i}", str(recording), (*QUICK, "--seed", str(i))) for i in range(count)]
 
 
-class ToldEngine(Engine):
+class ToldEngine(Executor):
     """Answers for each recording what is written for it: an error, or how often it is killed before it ends well."""
 
     def __init__(self, *, crashes: int = 0, error: str | None = None, retries: int = 2) -> None:
@@ -49,8 +51,8 @@ def test_text_list(box_recording: Path, tmp_path: Path) -> None:
     assert second == Item("noisy", "synthetic:3:kinect", ("--seed", "1", "--mapper.no-active-sampling"))
     assert third == Item("box-2", str(box_recording))
     assert fourth == Item("box-3", str(box_recording), ("--frames", "7"))
-    run = cli.parse(["run", second.path, *second.flags])
-    assert isinstance(run, cli.Run)
+    run = command_line.parse(["run", second.path, *second.flags])
+    assert isinstance(run, command_line.Run)
     assert (run.values.seed, run.values.mapper.active_sampling) == (1, False)
 
 
@@ -101,15 +103,15 @@ def test_a_killed_process_is_started_again_and_one_with_an_error_is_not() -> Non
 
 
 def test_after_a_stop_nothing_begins() -> None:
-    engine = ToldEngine()
-    engine.stop()
-    assert engine.execute("m", "run", "x") == Execution("interrupted", 0.0, engine.execute("m").where, 0)
+    executor = ToldEngine()
+    executor.stop()
+    assert executor.execute("m", "run", "x") == JobOutcome("interrupted", 0.0, executor.execute("m").where, 0)
 
 
 def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         monkeypatch.setenv(name, str(default_threads()))
-    monkeypatch.setattr("idfslam.machine.cores", lambda: 12)
+    monkeypatch.setattr("idfslam.compute.host.cores", lambda: 12)
     assert [default_threads(n) for n in (1, 2, 3, 12, 40)] == [8, 6, 4, 1, 1]
     monkeypatch.setenv("OMP_NUM_THREADS", "5")  # the user's own choice; of the other the usual 8 are divided
     monkeypatch.setenv("NUMBA_NUM_THREADS", "8")
@@ -121,7 +123,7 @@ def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} frames=99 out=too-many\n")
     flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--mapper.final-updates", "1", "--mesh.resolution", "0.1"]
     with pytest.raises(SystemExit) as caught:
-        cli.main(["batch", str(tmp_path / "list.txt"), *flags])
+        command_line.main(["batch", str(tmp_path / "list.txt"), *flags])
     assert caught.value.code == 1
     said = capsys.readouterr()
     assert "too-many: frames 99 from start 0" in said.out
@@ -168,8 +170,8 @@ def children_with(word: str) -> list[psutil.Process]:
 
 def test_a_process_killed_in_the_middle_is_run_again(box_recording: Path, tmp_path: Path) -> None:
     killer = kill_once(lambda: children_with("idfslam.cli run"))
-    with LocalEngine(2, retries=1) as engine:
-        rows = batch(items(box_recording, 2), FAST, tmp_path, engine)
+    with LocalExecutor(2, retries=1) as executor:
+        rows = batch(items(box_recording, 2), FAST, tmp_path, executor)
     killer.join(10)
     assert not killer.is_alive()
     assert [row.status for row in rows] == [DONE, DONE]
@@ -179,13 +181,13 @@ def test_a_process_killed_in_the_middle_is_run_again(box_recording: Path, tmp_pa
 def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[cluster\]'"):
-        open_engine("auto", None, jobs=1)
+        open_executor("auto", None, jobs=1)
 
 
 SLOW = """
 import time
 from pathlib import Path
-from idfslam.run import stop_on_interrupt
+from idfslam.runs.runner import stop_on_interrupt
 
 def main(arguments):
     with stop_on_interrupt() as stop:
@@ -201,13 +203,13 @@ def test_a_stop_on_ray_lets_runs_write_their_results(tmp_path: Path, monkeypatch
     (tmp_path / "slow_run.py").write_text(SLOW)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     monkeypatch.setenv("RAY_worker_niceness", "0")
-    ended: list[Execution] = []
-    with open_engine("auto", 1, jobs=1) as engine:
-        run = threading.Thread(target=lambda: ended.append(engine.execute("slow_run", str(tmp_path))))
+    ended: list[JobOutcome] = []
+    with open_executor("auto", 1, jobs=1) as executor:
+        run = threading.Thread(target=lambda: ended.append(executor.execute("slow_run", str(tmp_path))))
         run.start()
         while not (tmp_path / "begun").exists():
             time.sleep(0.1)
-        engine.stop()
+        executor.stop()
         run.join(60)
         assert [execution.error for execution in ended] == [None]
     assert (tmp_path / "results").exists()
@@ -221,9 +223,9 @@ def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_
     monkeypatch.setenv("RAY_worker_niceness", "0")  # 15 otherwise: beside another program hardly anything would be left for the workers
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
     too_many = Item("too-many", str(box_recording), ("--frames", "99"))
-    with open_engine("auto", 2, jobs=4, retries=2) as engine:
+    with open_executor("auto", 2, jobs=4, retries=2) as executor:
         killer = kill_once(lambda: children_with("ray::run_here"))
-        rows = batch([*items(box_recording, 3), too_many], FAST, tmp_path, engine)
+        rows = batch([*items(box_recording, 3), too_many], FAST, tmp_path, executor)
     killer.join(10)
     assert not killer.is_alive()
     assert [(row.name, row.status) for row in rows] == [("box-0", DONE), ("box-1", DONE), ("box-2", DONE), ("too-many", FAILED)]
@@ -232,4 +234,4 @@ def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_
     assert not ray.is_initialized()
     for address in ("127.0.0.1:1", "somewhere"):
         with pytest.raises(ConfigError, match=f"--cluster {address}: .*; expected 'auto' or the address"):
-            open_engine(address, None, jobs=1)
+            open_executor(address, None, jobs=1)

@@ -10,17 +10,18 @@ import pytest
 import trimesh
 from box_room import BOX, write_box_recording
 
-from idfslam import bench, cli
-from idfslam.against_open3d import measure, require_open3d
-from idfslam.bench import Spread, figures, markdown, speed_kept, summary
+from idfslam.batch.recordings import Entry, listed
+from idfslam.benchmark import runs
+from idfslam.benchmark.open3d_baseline import measure, require_open3d
+from idfslam.benchmark.runs import Spread, figures, markdown, speed_kept, summary
+from idfslam.cli import command_line
 from idfslam.config import FAST, PRETRAIN
-from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.errors import ConfigError, RecordingError
-from idfslam.listing import Entry, listed
 
 
 def run_of(seed: int, **changes: Any) -> dict[str, Any]:
-    """A finished run as bench.json holds it."""
+    """A finished run as runs.json holds it."""
     run = {"seed": seed, "frames": 300, "frames_per_second": 10.0, "ate_m": 0.01, "lost_frames": 0.0, "ms_per_frame": {"map": 40.0}}
     return run | changes
 
@@ -101,27 +102,29 @@ def test_lists_that_cannot_be_run(recordings: list[str], error: str) -> None:
 
 def test_missing_recording_ends_before_the_first_run(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="nowhere"):
-        bench.bench(["synthetic", "nowhere"], FAST, tmp_path / "out")
+        runs.bench(["synthetic", "nowhere"], FAST, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_flags() -> None:
     flags = "--seeds 2 --frames 9 --preset paper --against open3d --out there --no-mesh --mapper.pixels 64"
-    command = cli.parse(["bench", "a", "b@5", *flags.split()])
-    assert isinstance(command, cli.Bench)
+    command = command_line.parse(["bench", "a", "b@5", *flags.split()])
+    assert isinstance(command, command_line.Bench)
     assert (command.recordings, command.seeds, command.frames, command.against) == (("a", "b@5"), 2, 9, "open3d")
     assert (command.out, command.mesh, command.values.preset, command.values.mapper.pixels) == (Path("there"), False, "paper", 64)
     flags = "--out w --steps 5 --validate c --resume"
-    expected = cli.Pretrain((Path("a"), Path("b")), replace(PRETRAIN, steps=5), Path("w"), validate=(Path("c"),), resume=True)
-    assert cli.parse(["pretrain", "a", "b", *flags.split()]) == expected
-    assert cli.parse(["bench-pairs", "a", "--gap", "5", "20", "--json"]) == cli.BenchPairs(("a",), FAST, (5, 20), json=True)
+    expected = command_line.Pretrain((Path("a"), Path("b")), replace(PRETRAIN, steps=5), Path("w"), validate=(Path("c"),), resume=True)
+    assert command_line.parse(["pretrain", "a", "b", *flags.split()]) == expected
+    assert command_line.parse(["bench-pairs", "a", "--gap", "5", "20", "--json"]) == command_line.BenchPairs(
+        ("a",), FAST, (5, 20), json=True
+    )
 
 
 def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording, out = write_box_recording(tmp_path / "box"), tmp_path / "out"
     trimesh.creation.box(2 * BOX).export(recording / "gt_mesh.ply")
     flags = ["--seeds", "1", "--seed", "4", "--device", "cpu", "--mesh.resolution", "0.05", "--out", str(out)]
-    cli.main(["bench", f"{recording}@8", *flags])
+    command_line.main(["bench", f"{recording}@8", *flags])
     report = json.loads((out / "bench.json").read_text())
     (found,) = report["recordings"]
     assert [(run["seed"], run["frames"]) for run in found["runs"]] == [(4, 8)]
@@ -137,14 +140,14 @@ def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_a_run_that_fails_ends_with_1_and_the_report(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["bench", f"{box_recording}@99", "--seeds", "1", "--out", str(tmp_path)])
+        command_line.main(["bench", f"{box_recording}@99", "--seeds", "1", "--out", str(tmp_path)])
     assert caught.value.code == 1
     assert "box, seed 0: frames 99" in capsys.readouterr().err
     assert "Failed: box, seed 0: frames 99" in (tmp_path / "bench.md").read_text()
 
 
 def test_without_open3d_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idfslam.against_open3d.find_spec", lambda name: None)
+    monkeypatch.setattr("idfslam.benchmark.open3d_baseline.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[bench\]'"):
         require_open3d()
 

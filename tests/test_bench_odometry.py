@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idfslam import bench_odometry as module
-from idfslam.bench_odometry import bench_odometry, markdown, odometry
-from idfslam.cli import main
+from idfslam.benchmark import odometry as module
+from idfslam.benchmark.odometry import bench_odometry, markdown, odometry
+from idfslam.cli.command_line import main
 from idfslam.config import FAST
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, DivergedError, RecordingError

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import torch
 
-from idfslam import bench_pairs as module
-from idfslam.bench_pairs import Tally, baselines, bench_pairs, learned, sample
-from idfslam.cli import main
+from idfslam.benchmark import pairs as module
+from idfslam.benchmark.icp import icp_installed
+from idfslam.benchmark.keypoints import KeypointDetector
+from idfslam.benchmark.pairs import Tally, baselines, bench_pairs, learned, sample
+from idfslam.cli.command_line import main
 from idfslam.config import FAST, TrackerConfig
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.tracking.icp import icp_installed
-from idfslam.tracking.keypoints import KeypointDetector
-from idfslam.tracking.validation import pose_error
+from idfslam.pretraining.validation import pose_error
 
 
 def test_errors_by_hand() -> None:

@@ -1,6 +1,6 @@
 """A share of the time, with a clock that tests turn."""
 
-from idfslam.budget import Budget
+from idfslam.viewer.time_budget import Budget
 
 
 class Clock:

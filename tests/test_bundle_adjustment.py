@@ -8,12 +8,12 @@ import torch
 from test_alignment import CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view
 from torch import Tensor
 
-from idfslam.bundle_adjustment import BundleAdjustment
 from idfslam.config import FAST
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.keyframes import KeyframeGraph
+from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
+from idfslam.slam.refinement import BundleAdjustment
 
 UNCULLED = replace(FAST.keyframes, culling=False)
 SLID = pose(0.03, -0.02, 0, 0, 0, 0)

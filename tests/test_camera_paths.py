@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from box_room import box_poses
 
-from idfslam import cli
-from idfslam.camera_paths import fly_through, load_poses, orbit
+from idfslam.cli import command_line
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import Trajectory, save_tum
-from idfslam.video import write_video
+from idfslam.pictures.camera_paths import fly_through, load_poses, orbit
+from idfslam.pictures.video import write_video
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -111,7 +111,7 @@ def test_videos_are_mp4(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["along", "orbit"])
 def test_videos_of_a_map(known_run: Path, tmp_path: Path, kind: str) -> None:
     path = tmp_path / "v.mp4"
-    cli.main(["render", str(known_run), "--video", kind, "--seconds", "0.5", "--fps", "10", "--width", "64", "--out", str(path)])
+    command_line.main(["render", str(known_run), "--video", kind, "--seconds", "0.5", "--fps", "10", "--width", "64", "--out", str(path)])
     frames = played(path)
     assert [frame.shape for frame in frames] == [(48, 64, 3)] * 5
     assert frames[0].mean() > 60  # the room, not black
@@ -123,7 +123,7 @@ def test_views_from_a_file(known_run: Path, tmp_path: Path) -> None:
     T = np.eye(4)
     T[:3, 3] = [0.6, 0, 0.8]
     save_kitti(tmp_path / "poses.txt", T[None])
-    cli.main(["render", str(known_run), "--poses", str(tmp_path / "poses.txt"), "--width", "32", "--out", str(tmp_path / "out")])
+    command_line.main(["render", str(known_run), "--poses", str(tmp_path / "poses.txt"), "--width", "32", "--out", str(tmp_path / "out")])
     depth = cv2.imread(str(tmp_path / "out" / "000000-depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (24, 32)
     assert int(depth[12, 16]) == pytest.approx(1000, abs=25)
@@ -140,6 +140,6 @@ def test_views_from_a_file(known_run: Path, tmp_path: Path) -> None:
 )
 def test_wrong_input(known_run: Path, capsys: pytest.CaptureFixture[str], flags: list[str], message: str) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["render", str(known_run), *flags])
+        command_line.main(["render", str(known_run), *flags])
     assert caught.value.code == 1
     assert message in capsys.readouterr().err

@@ -23,17 +23,18 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 from test_slam import small
 
-from idfslam import cli, results
-from idfslam.checkpoint import FORMAT, Checkpoints, made_of
+from idfslam.cli import command_line
 from idfslam.config import Config, dump
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
-from idfslam.frame_log import FrameLog
-from idfslam.graph.loops import Loop
-from idfslam.run import resume, run
+from idfslam.graph.loop_consistency import Loop
+from idfslam.runs import result_folder
+from idfslam.runs.checkpoint import FORMAT, Checkpoints, made_of
+from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.runner import resume, run
 from idfslam.slam import Slam
-from idfslam.state import State
+from idfslam.storage.state import State
 
 BLANK = (5, 6)  # frames that could not be read
 GONE_ON = (0, 4, 5, 9, 12)  # frames after which a run is gone on with: a keyframe, before, in and after the lost ones, near the end
@@ -242,7 +243,7 @@ def test_a_full_disk_leaves_the_checkpoint_before(kept: Checkpoints, caplog: pyt
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert kept.path.read_bytes() == before
-    assert [path.name for path in kept.path.parent.iterdir()] == [results.CHECKPOINT]
+    assert [path.name for path in kept.path.parent.iterdir()] == [result_folder.CHECKPOINT]
     assert "the checkpoint after frame 6 could not be written" in caplog.text
     assert "the one before stays, and the run goes on" in caplog.text
     kept.keep(7, {"n": 7})
@@ -273,7 +274,7 @@ def whole(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def broken(recording: Path, folder: Path, slam: Any = Mortal, every: int = 4) -> Path:
-    source = results.Source(str(recording))
+    source = result_folder.Source(str(recording))
     config = replace(busy(), mesh=replace(busy().mesh, resolution=0.1))
     run(open_recording(recording), config, folder, source=source, make_slam=slam, checkpoint_every=every)
     return folder
@@ -286,26 +287,26 @@ def died(recording: Path, folder: Path, every: int = 4) -> Path:
 
 
 def same(folder: Path, other: Path) -> bool:
-    names = (results.TRAJECTORY, results.KEYFRAMES, results.MESH, results.CONFIG)
+    names = (result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.MESH, result_folder.CONFIG)
     return all((folder / name).read_bytes() == (other / name).read_bytes() for name in names)
 
 
 @pytest.mark.parametrize(("every", "resumed_at"), [(4, [8]), (0, [])])
 def test_resume(box_recording: Path, whole: Path, tmp_path: Path, every: int, resumed_at: list[int]) -> None:
     died(box_recording, tmp_path, every)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([results.CONFIG, *([results.CHECKPOINT] if resumed_at else [])])
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([result_folder.CONFIG, *([result_folder.CHECKPOINT] if resumed_at else [])])
     assert resume(tmp_path, checkpoint_every=every) is not None
     assert same(tmp_path, whole)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(results.FILES)
-    metrics = json.loads((tmp_path / results.METRICS).read_text())
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(result_folder.FILES)
+    metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
     assert (metrics["frames"], metrics["resumed_at"]) == (BOX_FRAMES, resumed_at)
-    lines, others = (FrameLog.load(place / results.FRAMES).lines for place in (tmp_path, whole))
+    lines, others = (FrameLog.load(place / result_folder.FRAMES).lines for place in (tmp_path, whole))
     assert [replace(line, ms=0.0) for line in lines] == [replace(line, ms=0.0) for line in others]
 
 
 def test_a_run_that_is_over_says_so(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert resume(whole) is None
-    cli.main(["run", "--resume", str(whole)])
+    command_line.main(["run", "--resume", str(whole)])
     assert "the run is over, nothing to resume" in " ".join(capsys.readouterr().out.split())
 
 
@@ -317,29 +318,29 @@ def test_ctrl_c_can_be_gone_on_from(box_recording: Path, whole: Path, tmp_path: 
             return super().process(frame)
 
     broken(box_recording, tmp_path, Interrupted, every=100)
-    assert json.loads((tmp_path / results.METRICS).read_text())["interrupted"] is True
+    assert json.loads((tmp_path / result_folder.METRICS).read_text())["interrupted"] is True
     assert resume(tmp_path) is not None
     assert same(tmp_path, whole)
-    metrics = json.loads((tmp_path / results.METRICS).read_text())
+    metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
     assert (metrics["interrupted"], metrics["resumed_at"]) == (False, [7])
 
 
 def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
     died(box_recording, tmp_path)
-    values = yaml.safe_load((tmp_path / results.CONFIG).read_text())
+    values = yaml.safe_load((tmp_path / result_folder.CONFIG).read_text())
     values["mapper"]["pixels"] = 64
-    (tmp_path / results.CONFIG).write_text(yaml.safe_dump(values))
-    before = (tmp_path / results.CHECKPOINT).read_bytes()
+    (tmp_path / result_folder.CONFIG).write_text(yaml.safe_dump(values))
+    before = (tmp_path / result_folder.CHECKPOINT).read_bytes()
     with pytest.raises(ResultError, match=r"another mapper\.pixels: found 128, expected 64"):
         resume(tmp_path)
-    assert (tmp_path / results.CHECKPOINT).read_bytes() == before
+    assert (tmp_path / result_folder.CHECKPOINT).read_bytes() == before
 
 
 def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     died(box_recording, tmp_path)
     died(box_recording, tmp_path, every=0)
     assert "held a run that was not over" in caplog.text
-    assert [p.name for p in tmp_path.iterdir()] == [results.CONFIG]
+    assert [p.name for p in tmp_path.iterdir()] == [result_folder.CONFIG]
 
 
 def test_a_recording_that_goes_away(box_recording: Path, whole: Path, tmp_path: Path) -> None:
@@ -358,7 +359,7 @@ def test_a_recording_that_goes_away(box_recording: Path, whole: Path, tmp_path: 
         resume(folder)
     (tmp_path / "away").rename(recording)
     assert resume(folder) is not None
-    assert (folder / results.TRAJECTORY).read_bytes() == (whole / results.TRAJECTORY).read_bytes()
+    assert (folder / result_folder.TRAJECTORY).read_bytes() == (whole / result_folder.TRAJECTORY).read_bytes()
 
 
 def test_a_full_disk_at_the_end(box_recording: Path, whole: Path, tmp_path: Path) -> None:
@@ -390,7 +391,7 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
     arguments = [*given, str(folder)]
     for _ in range(2):
         process = subprocess.Popen([*begin, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        path = folder / results.CHECKPOINT
+        path = folder / result_folder.CHECKPOINT
         while not path.exists() or path.stat().st_mtime_ns == stamp:
             time.sleep(0.01)
             assert process.poll() is None
@@ -400,6 +401,6 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
         arguments = ["--resume", str(folder), "--checkpoint-every", "3"]
     subprocess.run([*begin, *arguments], check=True, capture_output=True)
     assert same(folder, tmp_path / "whole")
-    resumed = json.loads((folder / results.METRICS).read_text())["resumed_at"]
+    resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]
     assert len(resumed) == 2
     assert 3 <= resumed[0] < resumed[1]

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from idfslam import cli
-from idfslam.commands.run import CameraFlags, TopicFlags
+from idfslam.cli import command_line
+from idfslam.cli.commands.run import CameraFlags, TopicFlags
 from idfslam.config import FAST, PAPER
 
 
-def run_values(*arguments: str) -> cli.Run:
-    command = cli.parse(["run", "recording", *arguments])
-    assert isinstance(command, cli.Run)
+def run_values(*arguments: str) -> command_line.Run:
+    command = command_line.parse(["run", "recording", *arguments])
+    assert isinstance(command, command_line.Run)
     return command
 
 
 def error_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 1) -> str:
     with pytest.raises(SystemExit) as caught:
-        cli.main(list(arguments))
+        command_line.main(list(arguments))
     assert caught.value.code == code
     return capsys.readouterr().err
 
@@ -28,7 +28,7 @@ def error_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 1)
 def test_help_is_quick_and_imports_nothing_heavy() -> None:
     script = (
         "import sys; from idfslam import cli\n"
-        "try: cli.main(['run', '--help'])\n"
+        "try: command_line.main(['run', '--help'])\n"
         "except SystemExit: pass\n"
         "sys.exit(bool({'torch', 'numba', 'cv2', 'matplotlib', 'scipy'} & set(sys.modules)))"
     )
@@ -72,14 +72,14 @@ def test_flags_of_run() -> None:
 
 
 def test_flags_of_the_other_commands() -> None:
-    demo = cli.parse(["demo", "--frames", "20", "--room", "3", "--seed", "1", "--out", "there"])
-    assert isinstance(demo, cli.Demo)
+    demo = command_line.parse(["demo", "--frames", "20", "--room", "3", "--seed", "1", "--out", "there"])
+    assert isinstance(demo, command_line.Demo)
     assert (demo.frames, demo.room, demo.values.seed, demo.out) == (20, 3, 1, Path("there"))
-    assert cli.parse(["eval", "dir", "--gt", "a.txt", "--gt-mesh", "b.ply", "--protocol", "nice"]) == cli.Eval(
+    assert command_line.parse(["eval", "dir", "--gt", "a.txt", "--gt-mesh", "b.ply", "--protocol", "nice"]) == command_line.Eval(
         Path("dir"), Path("a.txt"), Path("b.ply"), "nice"
     )
-    assert cli.parse(["mesh", "dir", "--resolution", "0.01"]) == cli.Mesh(Path("dir"), 0.01)
-    assert cli.parse(["render", "dir", "--frames", "1", "5"]) == cli.Render(Path("dir"), (1, 5))
+    assert command_line.parse(["mesh", "dir", "--resolution", "0.01"]) == command_line.Mesh(Path("dir"), 0.01)
+    assert command_line.parse(["render", "dir", "--frames", "1", "5"]) == command_line.Render(Path("dir"), (1, 5))
 
 
 @pytest.mark.parametrize(
@@ -124,5 +124,5 @@ def test_output_that_nobody_reads_on_is_no_crash() -> None:
 
 def test_threads_that_the_user_chose_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
-    cli.prepare_process()
-    assert cli.os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+    command_line.prepare_process()
+    assert command_line.os.environ["OMP_WAIT_POLICY"] == "ACTIVE"

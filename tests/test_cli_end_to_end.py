@@ -9,12 +9,13 @@ import pytest
 import trimesh
 from box_room import BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH
 
-from idfslam import cli, results
+from idfslam.cli import command_line
 from idfslam.geometry.trajectory import load_tum
+from idfslam.runs import result_folder
 
 
 def command(*arguments: str | Path) -> None:
-    cli.main([str(argument) for argument in arguments])
+    command_line.main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -26,18 +27,18 @@ def finished(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 def test_run(finished: Path) -> None:
-    assert sorted(path.name for path in finished.iterdir() if path.name in results.FILES) == sorted(results.FILES)
-    assert len(load_tum(finished / results.TRAJECTORY)) == BOX_FRAMES
-    metrics = json.loads((finished / results.METRICS).read_text())
+    assert sorted(path.name for path in finished.iterdir() if path.name in result_folder.FILES) == sorted(result_folder.FILES)
+    assert len(load_tum(finished / result_folder.TRAJECTORY)) == BOX_FRAMES
+    metrics = json.loads((finished / result_folder.METRICS).read_text())
     assert metrics["lost_frames"] == 0
     assert metrics["ate_m"]["rmse"] < 0.05
-    mesh = trimesh.load_mesh(finished / results.MESH)
+    mesh = trimesh.load_mesh(finished / result_folder.MESH)
     assert np.ptp(mesh.vertices, axis=0).max() < 5  # the box room is 3.6 m long
 
 
 def test_two_runs_with_one_seed_are_identical(finished: Path, box_recording: Path, tmp_path: Path) -> None:
-    command("run", box_recording, "--out", tmp_path, "--config", finished / results.CONFIG)
-    for name in (results.TRAJECTORY, results.KEYFRAMES):
+    command("run", box_recording, "--out", tmp_path, "--config", finished / result_folder.CONFIG)
+    for name in (result_folder.TRAJECTORY, result_folder.KEYFRAMES):
         assert (tmp_path / name).read_bytes() == (finished / name).read_bytes()
 
 
@@ -45,7 +46,7 @@ def test_selection_and_default_folder(box_recording: Path, tmp_path: Path, monke
     monkeypatch.chdir(tmp_path)
     command("run", box_recording, "--start", "2", "--stride", "3", "--frames", "3", "--device", "cpu", "--mesh.resolution", "0.1")
     folder = tmp_path / "results" / "box"
-    assert np.allclose(load_tum(folder / results.TRAJECTORY).timestamps, np.array([2, 5, 8]) / 30, atol=1e-6)
+    assert np.allclose(load_tum(folder / result_folder.TRAJECTORY).timestamps, np.array([2, 5, 8]) / 30, atol=1e-6)
     command("eval", folder)
     assert json.loads((folder / "evaluation.json").read_text())["frames"] == 3
 
@@ -59,7 +60,7 @@ def test_eval_prints_a_table(finished: Path, capsys: pytest.CaptureFixture[str])
 
 def test_mesh_at_another_resolution(finished: Path, tmp_path: Path) -> None:
     command("mesh", finished, "--resolution", "0.1", "--out", tmp_path / "coarse.ply")
-    coarse, fine = trimesh.load_mesh(tmp_path / "coarse.ply"), trimesh.load_mesh(finished / results.MESH)
+    coarse, fine = trimesh.load_mesh(tmp_path / "coarse.ply"), trimesh.load_mesh(finished / result_folder.MESH)
     assert 0 < len(coarse.faces) < len(fine.faces)
 
 
@@ -92,7 +93,7 @@ def test_render_of_a_frame_that_is_not_there(finished: Path, capsys: pytest.Capt
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str, pictures: list[str]) -> None:
     command("demo", "--frames", "5", "--out", tmp_path, "--device", "cpu", "--mesh.resolution", "0.05", flag)
     printed = capsys.readouterr().out
-    for name in (*results.FILES, *results.EVALUATION_FILES, *pictures):
+    for name in (*result_folder.FILES, *result_folder.EVALUATION_FILES, *pictures):
         assert (tmp_path / name).exists()
         assert str(tmp_path / name) in printed
     assert (tmp_path / "pictures" / "mesh_1.png").is_file() == (flag == "--report")

@@ -17,17 +17,18 @@ from box_room import BOX_FRAMES, box_poses
 from numpy.typing import NDArray
 from rich.console import Console
 
-from idfslam import results
+from idfslam.cli.tables import print_evaluation
 from idfslam.config import FAST, Config, load
 from idfslam.datasets import open_recording
 from idfslam.errors import DivergedError, RecordingError, ResultError
-from idfslam.evaluate import evaluate_folder
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
-from idfslam.metrics import speed_by_block
-from idfslam.run import Run, run
-from idfslam.source import open_source
-from idfslam.tables import print_evaluation
+from idfslam.runs import result_folder
+from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.metrics import speed_by_block
+from idfslam.runs.runner import Run, run
+from idfslam.runs.source import open_source
+from idfslam.storage import atomic_files
 
 
 class KnownSlam:
@@ -92,23 +93,23 @@ class InterruptedSlam(KnownSlam):
 
 
 def run_known(recording: Path, folder: Path, slam: Any = KnownSlam) -> Run:
-    source = results.Source(str(recording))
+    source = result_folder.Source(str(recording))
     return run(open_source(source), FAST, folder, source=source, make_slam=slam)
 
 
 def test_a_run_writes_every_file(box_recording: Path, tmp_path: Path) -> None:
     done = run_known(box_recording, tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(results.FILES)
-    trajectory = load_tum(tmp_path / "out" / results.TRAJECTORY)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(result_folder.FILES)
+    trajectory = load_tum(tmp_path / "out" / result_folder.TRAJECTORY)
     assert len(trajectory) == BOX_FRAMES
     assert np.allclose(trajectory.timestamps, np.arange(BOX_FRAMES) / 30, atol=1e-6)
     assert np.allclose(trajectory.poses, done.trajectory.poses, atol=1e-8)
-    assert len(trimesh.load_mesh(tmp_path / "out" / results.MESH).faces) == 12
+    assert len(trimesh.load_mesh(tmp_path / "out" / result_folder.MESH).faces) == 12
 
 
 def test_metrics(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
-    metrics = json.loads((tmp_path / results.METRICS).read_text())
+    metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
     assert metrics["frames"] == BOX_FRAMES
     assert (metrics["keyframes"], metrics["lost_frames"], metrics["unreadable_frames"]) == (3, 0, 0)  # keyframes 0, 5, 10
     assert metrics["ms_per_frame"] == {"track": pytest.approx(2.0), "map": pytest.approx(5.0)}  # 70 ms on 14 frames
@@ -122,15 +123,15 @@ def test_metrics(box_recording: Path, tmp_path: Path) -> None:
 
 def test_config_tells_values_recording_and_versions(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
-    config, source = results.read_config(tmp_path)
-    assert config == load(tmp_path / results.CONFIG) == FAST
-    assert source == results.Source(str(box_recording))
-    assert {"idf-slam", "python", "torch"} <= yaml.safe_load((tmp_path / results.CONFIG).read_text())["versions"].keys()
+    config, source = result_folder.read_config(tmp_path)
+    assert config == load(tmp_path / result_folder.CONFIG) == FAST
+    assert source == result_folder.Source(str(box_recording))
+    assert {"idf-slam", "python", "torch"} <= yaml.safe_load((tmp_path / result_folder.CONFIG).read_text())["versions"].keys()
 
 
 def test_keyframes_come_back_as_written(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
-    record = results.read_keyframes(tmp_path)
+    record = result_folder.read_keyframes(tmp_path)
     assert record.indices.tolist() == [0, 5, 10]
     assert np.allclose(record.timestamps, np.array([0, 5, 10]) / 30)
     assert np.allclose(record.poses[1], box_poses()[5])
@@ -143,7 +144,7 @@ def test_the_evaluation_finds_the_recordings_own_truth(box_recording: Path, tmp_
     assert evaluation.ate is not None
     assert 0 < evaluation.ate.translation.rmse <= 0.005
     assert evaluation.mesh is None
-    assert all((tmp_path / name).is_file() for name in results.EVALUATION_FILES)
+    assert all((tmp_path / name).is_file() for name in result_folder.EVALUATION_FILES)
 
 
 def test_the_table_names_its_units(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,7 +157,7 @@ def test_the_evaluation_takes_truth_from_files(box_recording: Path, tmp_path: Pa
     run_known(box_recording, tmp_path)
     truth = tmp_path / "truth.ply"
     trimesh.creation.box((3.0, 2.2, 3.6)).export(truth)
-    evaluation = evaluate_folder(tmp_path, gt=tmp_path / results.TRAJECTORY, gt_mesh=truth, protocol="nice")
+    evaluation = evaluate_folder(tmp_path, gt=tmp_path / result_folder.TRAJECTORY, gt_mesh=truth, protocol="nice")
     assert evaluation.ate is not None
     assert evaluation.mesh is not None
     assert evaluation.ate.translation.rmse < 1e-7
@@ -167,8 +168,8 @@ def test_an_unreadable_frame_is_reported_and_lost(box_recording: Path, tmp_path:
     recording = shutil.copytree(box_recording, tmp_path / "bad")
     (recording / "depth" / "0004.png").write_bytes(b"no image")
     run_known(recording, tmp_path / "out")
-    assert len(load_tum(tmp_path / "out" / results.TRAJECTORY)) == BOX_FRAMES
-    metrics = json.loads((tmp_path / "out" / results.METRICS).read_text())
+    assert len(load_tum(tmp_path / "out" / result_folder.TRAJECTORY)) == BOX_FRAMES
+    metrics = json.loads((tmp_path / "out" / result_folder.METRICS).read_text())
     assert (metrics["lost_frames"], metrics["unreadable_frames"]) == (1, 1)
     assert len(caplog.records) == 1
     assert "the frame is treated as lost" in caplog.text
@@ -179,7 +180,7 @@ def test_ctrl_c_writes_the_results_so_far(box_recording: Path, tmp_path: Path) -
     done = run_known(box_recording, tmp_path, InterruptedSlam)
     assert len(done.trajectory) == 4  # frames 0 to 3: the one in hand is finished
     assert done.metrics["interrupted"] is True
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(results.FILES)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
     assert signal.getsignal(signal.SIGINT) is usual
     assert evaluate_folder(tmp_path).frames == 4
 
@@ -189,9 +190,9 @@ def test_divergence_keeps_the_poses_and_no_map_of_an_earlier_run(box_recording: 
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(DivergedError, match="keyframe 6"):
         run_known(box_recording, tmp_path, DivergingSlam)
-    assert len(load_tum(tmp_path / results.TRAJECTORY)) == 6
-    assert not (tmp_path / results.MAP).exists()
-    assert not (tmp_path / results.MESH).exists()
+    assert len(load_tum(tmp_path / result_folder.TRAJECTORY)) == 6
+    assert not (tmp_path / result_folder.MAP).exists()
+    assert not (tmp_path / result_folder.MESH).exists()
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
@@ -217,7 +218,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_the_run(box_record
 def test_replacing_keeps_the_old_file_when_writing_fails(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")
-    with pytest.raises(OSError, match="disk full"), results.replacing(path) as part:
+    with pytest.raises(OSError, match="disk full"), atomic_files.replacing(path) as part:
         part.write_text("ne")
         raise OSError("disk full")
     assert path.read_text() == "old"
@@ -225,19 +226,19 @@ def test_replacing_keeps_the_old_file_when_writing_fails(tmp_path: Path) -> None
 
 
 def test_json_of_what_is_no_number(tmp_path: Path) -> None:
-    results.write_json(tmp_path / "a.json", {"a": float("nan"), "b": np.float64(2.5), "c": np.arange(2), "d": [np.inf]})
+    atomic_files.write_json(tmp_path / "a.json", {"a": float("nan"), "b": np.float64(2.5), "c": np.arange(2), "d": [np.inf]})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": 2.5, "c": [0, 1], "d": [None]}
 
 
 def test_damaged_result_files_are_named(tmp_path: Path) -> None:
-    (tmp_path / results.KEYFRAMES).write_text('{"keyframes": [{"index": 1}]}')
-    (tmp_path / results.CONFIG).write_text("recording: {place: here}")
+    (tmp_path / result_folder.KEYFRAMES).write_text('{"keyframes": [{"index": 1}]}')
+    (tmp_path / result_folder.CONFIG).write_text("recording: {place: here}")
     with pytest.raises(ResultError, match=r"keyframes\.json"):
-        results.read_keyframes(tmp_path)
+        result_folder.read_keyframes(tmp_path)
     with pytest.raises(ResultError, match="'recording' is"):
-        results.read_config(tmp_path)
+        result_folder.read_config(tmp_path)
     with pytest.raises(ResultError, match=r"has no mesh\.ply \(found keyframes\.json, config\.yaml\)"):
-        results.existing(tmp_path, results.MESH)
+        result_folder.existing(tmp_path, result_folder.MESH)
 
 
 def test_speed_by_block() -> None:

@@ -3,8 +3,8 @@
 import torch
 
 from idfslam.geometry import se3
-from idfslam.tracking.compatibility import compatible_subsets
-from idfslam.tracking.registration import random_subsets, register
+from idfslam.tracking.procrustes import random_subsets, register
+from idfslam.tracking.spatial_consistency import compatible_subsets
 
 
 def test_by_hand() -> None:

@@ -8,14 +8,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from idfslam.datasets.corridor import DOOR_SPACING, HEIGHT, Building, draw_corridor
-from idfslam.datasets.corridor_recording import SyntheticCorridor
-from idfslam.datasets.corridor_walk import closed_path, lap_frames, walk
-from idfslam.datasets.furniture import place, tilt
-from idfslam.datasets.ray_casting import build_hierarchy, cast
-from idfslam.datasets.rendered import RenderedRecording
+from idfslam.datasets.generated.corridor import SyntheticCorridor
+from idfslam.datasets.generated.corridor_walk import closed_path, lap_frames, walk
+from idfslam.datasets.generated.rendered import RenderedRecording
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.camera import Camera
+from idfslam.scenes.corridor import DOOR_SPACING, HEIGHT, Building, draw_corridor
+from idfslam.scenes.furniture import place, tilt
+from idfslam.scenes.ray_casting import build_hierarchy, cast
 
 SEEDS = range(6)
 

@@ -471,7 +471,7 @@ def test_synthetic_rooms_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
         def surface(self) -> str:
             return "the surface"
 
-    monkeypatch.setattr("idfslam.datasets.synthetic.SyntheticRoom", Room)
+    monkeypatch.setattr("idfslam.datasets.generated.room.SyntheticRoom", Room)
     chosen = open_recording("synthetic:3:kinect", start=10, frames=2, stride=5)
     np.testing.assert_allclose(chosen.timestamps, [10 / 30, 15 / 30])
     assert chosen.surface() == "the surface"

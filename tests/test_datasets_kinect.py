@@ -9,7 +9,7 @@ import pytest
 from videos import kinect_calibration, shade, write_kinect, write_video
 
 from idfslam.datasets import open_recording
-from idfslam.datasets.azure_kinect import read_calibration
+from idfslam.datasets.readers.azure_kinect import read_calibration
 from idfslam.errors import RecordingError
 from idfslam.geometry.camera import Camera
 

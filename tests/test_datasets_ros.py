@@ -31,12 +31,12 @@ from ros_bags import (
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
-from idfslam import results
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera
-from idfslam.source import open_source
+from idfslam.runs import result_folder
+from idfslam.runs.source import open_source
 
 STORAGES = ("ros1", "sqlite3", "mcap")
 CAMERA = Camera(WIDTH, HEIGHT, 15.0, 15.0, 7.5, 5.5)
@@ -294,8 +294,8 @@ def test_a_runs_topics_are_found_again(tmp_path: Path) -> None:
     """In config.yaml, for eval."""
     messages = [*recorded(), *(("/pose", 100 + i / 30, pose_message(100 + i / 30, pose(i))) for i in range(3))]
     path, topics = bag(tmp_path, messages), {"colour": COLOUR, "poses": "/pose"}
-    results.write_config(tmp_path, FAST, results.Source(str(path), topics=topics))
-    _, source = results.read_config(tmp_path)
+    result_folder.write_config(tmp_path, FAST, result_folder.Source(str(path), topics=topics))
+    _, source = result_folder.read_config(tmp_path)
     assert source is not None and source.topics == topics
     np.testing.assert_allclose(open_source(source).ground_truth, [pose(i) for i in range(3)], atol=1e-9)
 

@@ -7,18 +7,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from idfslam import cli, doctor, machine
+from idfslam.cli import command_line, doctor
+from idfslam.cli.doctor import examine, extras
+from idfslam.compute import host
 from idfslam.config import FAST, PAPER
-from idfslam.doctor import examine, extras
 
 
 def test_this_machine_is_told_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["doctor", "--json", "--device", "cpu"])
+    command_line.main(["doctor", "--json", "--device", "cpu"])
     told = json.loads(capsys.readouterr().out)
     assert told["ready"] is True
     found = told["found"]
     assert found["torch"]["version"] == torch.__version__
-    assert found["processor"]["cores"] == machine.cores() >= 1
+    assert found["processor"]["cores"] == host.cores() >= 1
     assert found["weights"] == {"path": "shipped", "loaded": True}
     assert found["used"]["device"] == "cpu"
     assert found["used"]["kernels"] == "numba, fused"
@@ -26,7 +27,7 @@ def test_this_machine_is_told_as_json(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_table_ends_with_ready(capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["doctor", "--device", "cpu"])
+    command_line.main(["doctor", "--device", "cpu"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("idf-slam")
     assert lines[-1] == "ready"
@@ -39,7 +40,7 @@ def test_kernels_of_the_paper_preset_are_torch() -> None:
 @pytest.mark.skipif(torch.cuda.is_available(), reason="tells of a GPU that is not there")
 def test_a_missing_gpu_is_told_and_ends_with_1(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["doctor", "--device", "cuda"])
+        command_line.main(["doctor", "--device", "cuda"])
     assert caught.value.code == 1
     said = capsys.readouterr().out
     assert "to do: --device cuda: this torch finds no CUDA device" in said
@@ -47,8 +48,8 @@ def test_a_missing_gpu_is_told_and_ends_with_1(capsys: pytest.CaptureFixture[str
 
 
 def test_what_is_scarce_or_missing_is_advised(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(machine, "memory", lambda: (8 * 2**30, 2**30))
-    monkeypatch.setattr(machine, "free_disk", lambda folder: 2**28)
+    monkeypatch.setattr(host, "memory", lambda: (8 * 2**30, 2**30))
+    monkeypatch.setattr(host, "free_disk", lambda folder: 2**28)
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
     weights = replace(FAST.tracker, weights=tmp_path / "none.safetensors")
     advice = examine(replace(FAST, device="cpu", tracker=weights), tmp_path).advice
@@ -77,11 +78,11 @@ def test_extras_are_those_that_the_package_declares(monkeypatch: pytest.MonkeyPa
 def test_machine_of_a_linux_system(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "cpu").write_text("model name\t: Some CPU @ 3 GHz\nflags\t\t: fpu avx2 avx512f amx_bf16\n")
     (tmp_path / "memory").write_text("MemTotal:       2000 kB\nMemFree:  1 kB\nMemAvailable:    1000 kB\n")
-    monkeypatch.setattr(machine, "_CPUINFO", tmp_path / "cpu")
-    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "memory")
-    assert machine.processor() == "Some CPU @ 3 GHz"
-    assert machine.instruction_sets() == ["AVX2", "AVX512", "AMX-BF16"]
-    assert machine.memory() == (2_048_000, 1_024_000)
-    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "none")
-    assert machine.memory() is None
-    assert machine.free_disk(tmp_path / "not" / "there") > 0
+    monkeypatch.setattr(host, "_CPUINFO", tmp_path / "cpu")
+    monkeypatch.setattr(host, "_MEMINFO", tmp_path / "memory")
+    assert host.processor() == "Some CPU @ 3 GHz"
+    assert host.instruction_sets() == ["AVX2", "AVX512", "AMX-BF16"]
+    assert host.memory() == (2_048_000, 1_024_000)
+    monkeypatch.setattr(host, "_MEMINFO", tmp_path / "none")
+    assert host.memory() is None
+    assert host.free_disk(tmp_path / "not" / "there") > 0

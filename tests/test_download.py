@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from recordings import write_folder, write_seven_scenes
 
-from idfslam import cli
+from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.downloads import catalogue as module
 from idfslam.downloads.catalogue import Sequence, catalogue, named
@@ -306,15 +306,15 @@ def test_the_catalogue() -> None:
 
 def test_the_command(sequence: Sequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(module, "catalogue", lambda: {"a-room": sequence})
-    cli.main(["download", "a-room", "--out", str(tmp_path / "data")])
+    command_line.main(["download", "a-room", "--out", str(tmp_path / "data")])
     printed = capsys.readouterr()
     assert printed.out == f"idf-slam run {tmp_path / 'data' / 'room'}\n"
     assert "free" in printed.err
     monkeypatch.undo()
-    cli.main(["download", "--list"])
+    command_line.main(["download", "--list"])
     assert "tum-fr1-desk" in capsys.readouterr().out
     for arguments, message in ((["download"], "expected the name of a sequence"), (["download", "nothing"], "not a known sequence")):
         with pytest.raises(SystemExit) as caught:
-            cli.main(arguments)
+            command_line.main(arguments)
         assert caught.value.code == 1
         assert message in capsys.readouterr().err

@@ -10,21 +10,21 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam import results
 from idfslam.config import FAST
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, ResultError
-from idfslam.evaluate import evaluate_folder
 from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
 from idfslam.evaluation.depth_range import DepthRange, depth_range
+from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
-from idfslam.evaluation.pictures import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
 from idfslam.evaluation.point_triangle import nearest_distance
-from idfslam.evaluation.raycasting import RayCaster, render_depth
-from idfslam.evaluation.report import table
-from idfslam.evaluation.result import evaluate, load_mesh
+from idfslam.evaluation.summary import table
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.ray_casting import RayCaster, render_depth
 from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.pictures.mesh_renderer import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
+from idfslam.runs import result_folder
+from idfslam.runs.evaluate_run import evaluate_folder
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 FEW = {"samples": 20_000, "views": 20}
@@ -266,7 +266,7 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     assert [p.name.split("_")[1] for p in paths] == ["overview.png", "view", "view"] and all(p.stat().st_size > 300 for p in paths)
 
 
-def result_folder(folder: Path, T: NDArray[np.float64]) -> Path:
+def perfect_result(folder: Path, T: NDArray[np.float64]) -> Path:
     """A perfect result in a frame of its own: T maps the truth into it."""
     save_tum(folder / "trajectory.txt", Trajectory(np.arange(50) / 10, T @ turning()))
     room().apply_transform(T).export(folder / "mesh.ply")
@@ -276,7 +276,7 @@ def result_folder(folder: Path, T: NDArray[np.float64]) -> Path:
 def test_a_whole_result_folder(tmp_path: Path) -> None:
     T = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [1.0, 2.0, 0.5])
     truth = Trajectory(np.arange(50) / 10 + 0.001, turning())
-    evaluation = evaluate(result_folder(tmp_path, T), gt_trajectory=truth, gt_mesh=room(), camera=CAMERA, keyframes=np.array([0, 5]))
+    evaluation = evaluate(perfect_result(tmp_path, T), gt_trajectory=truth, gt_mesh=room(), camera=CAMERA, keyframes=np.array([0, 5]))
     assert evaluation.ate.translation.max < 1e-6 and evaluation.mesh is not None and evaluation.mesh.accuracy < 1e-4
     written = json.loads((tmp_path / "evaluation.json").read_text())
     assert written["frames"] == written["frames_with_truth"] == 50 and written["mesh"]["protocol"] == "seen"
@@ -287,8 +287,8 @@ def test_a_whole_result_folder(tmp_path: Path) -> None:
 
 
 def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    result_folder(tmp_path, np.eye(4))
-    results.write_keyframes(tmp_path, results.KeyframeRecord(CAMERA, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 4, 4))))
+    perfect_result(tmp_path, np.eye(4))
+    result_folder.write_keyframes(tmp_path, result_folder.KeyframeRecord(CAMERA, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 4, 4))))
     image = np.linspace(0.8, 2.2, 64 * 48, dtype=np.float32).reshape(48, 64)
     found = evaluate_folder(tmp_path, recording=DepthImages([image] * 50), **FEW).mesh
     assert found is not None and found.range_from == "recording" and found.samples == 20_000 and found.views <= 20
@@ -297,7 +297,7 @@ def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.
     # Truth in files and a recording that is gone
     save_tum(tmp_path / "truth.txt", Trajectory(np.arange(50) / 10, turning()))
     room().export(tmp_path / "truth.ply")
-    results.write_config(tmp_path, FAST, results.Source(str(tmp_path / "gone")))
+    result_folder.write_config(tmp_path, FAST, result_folder.Source(str(tmp_path / "gone")))
     alone = evaluate_folder(tmp_path, gt=tmp_path / "truth.txt", gt_mesh=tmp_path / "truth.ply", **FEW).mesh
     assert alone is not None and (alone.near, alone.far, alone.range_from) == (0.1, 10, "protocol")
     assert "no depth image of its recording is at hand" in caplog.text and "gone: no such file" in caplog.text
@@ -309,7 +309,7 @@ def test_incomplete_result_folders(tmp_path: Path) -> None:
     for folder, message in expected:
         with pytest.raises(ResultError, match=message):
             evaluate(folder, gt_trajectory=truth)
-    result_folder(tmp_path, np.eye(4))
+    perfect_result(tmp_path, np.eye(4))
     with pytest.raises(ResultError, match="no camera"):
         evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room())
     (tmp_path / "mesh.ply").unlink()
@@ -318,7 +318,7 @@ def test_incomplete_result_folders(tmp_path: Path) -> None:
 
 
 def test_a_mesh_of_which_nothing_is_seen_leaves_the_trajectory_s_error(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    result_folder(tmp_path, np.eye(4))
+    perfect_result(tmp_path, np.eye(4))
     room().apply_translation([100.0, 0.0, 0.0]).export(tmp_path / "mesh.ply")
     truth = Trajectory(np.arange(50) / 10, turning())
     evaluation = evaluate(tmp_path, gt_trajectory=truth, gt_mesh=room(), camera=CAMERA)

@@ -5,12 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam.evaluation.trajectory_error import (
-    Statistics,
-    absolute_trajectory_error,
-    matched_ground_truth,
-    relative_pose_error,
-)
+from idfslam.evaluation.trajectory_error import Statistics, absolute_trajectory_error, matched_ground_truth, relative_pose_error
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
 
 

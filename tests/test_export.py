@@ -12,19 +12,20 @@ from known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam import cli, results
-from idfslam.evaluation.raycasting import RayCaster, pixel_rays
-from idfslam.export.nerfstudio import read_transforms
+from idfslam.cli import command_line
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.kitti import load_kitti, save_kitti
+from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import TrajectoryError, load_tum
-from idfslam.results import read_keyframes
+from idfslam.geometry.transforms_json import read_transforms
+from idfslam.runs import result_folder
+from idfslam.runs.result_folder import read_keyframes
 
 UP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def export(run: Path, *arguments: str | Path) -> None:
-    cli.main(["export", str(run), *map(str, arguments)])
+    command_line.main(["export", str(run), *map(str, arguments)])
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +235,7 @@ def test_a_run_without_a_recording_still_gives_mesh_and_poses(known_run: Path, t
     from idfslam.config import FAST
 
     alone = shutil.copytree(known_run, tmp_path / "alone")
-    results.write_config(alone, FAST, None)
+    result_folder.write_config(alone, FAST, None)
     export(alone, "--to", "tum", "ply", "--resolution", "0.1")
     assert (alone / "export" / "mesh.ply").is_file()
     assert "names no recording" in refused(capsys, alone, "--to", "colmap")

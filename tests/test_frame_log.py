@@ -8,7 +8,7 @@ from known_run import known_log
 
 from idfslam.errors import ResultError
 from idfslam.frame import Status
-from idfslam.frame_log import FrameLog
+from idfslam.runs.frame_log import FrameLog
 
 
 def test_it_comes_back(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from threading import Event, Thread
 import numba
 import torch
 
-from idfslam.hardware import repeatable, threads
+from idfslam.compute.devices import repeatable, threads
 
 CPU = torch.device("cpu")
 

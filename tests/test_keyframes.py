@@ -13,7 +13,7 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.keyframes import KeyframeGraph
+from idfslam.graph.keyframe_graph import KeyframeGraph
 
 # A wall at 2 m with f = 40 px: x metres sideways move its pixels by 20 x of 64 columns, so that 1 - 20 x / 64 of them stay in view.
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)

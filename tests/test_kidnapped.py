@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idfslam import cli
+from idfslam.batch.recordings import Entry, listed
+from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.datasets.generated import kind_of, located
-from idfslam.datasets.kidnapped import BLACK, Kidnapped, kidnapped_order
+from idfslam.datasets.generated.kidnapped import BLACK, Kidnapped, kidnapped_order
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.listing import Entry, listed
-from idfslam.results import read_config
+from idfslam.runs.result_folder import read_config
 
 
 class Round:
@@ -125,13 +125,13 @@ def test_run_and_evaluation_by_name(box_recording: Path, tmp_path: Path, monkeyp
     monkeypatch.chdir(box_recording.parent)
     out, name = tmp_path / "out", f"kidnap:{box_recording.name}"
     flags = ["--frames", "34", "--device", "cpu", "--mesh.resolution", "0.05", "--out", str(out)]
-    cli.main(["run", name, *flags])
+    command_line.main(["run", name, *flags])
     assert len((out / "trajectory.txt").read_text().splitlines()) == 35
     _, source = read_config(out)
     assert source is not None
     assert source.path == f"kidnap:{box_recording.absolute()}"
     monkeypatch.chdir(tmp_path)
-    cli.main(["eval", str(out)])
+    command_line.main(["eval", str(out)])
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["lost_frames"] >= 30
     assert metrics["frames"] == 34
@@ -165,7 +165,7 @@ def test_corridors_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
             built.append(arguments)
             super().__init__()
 
-    monkeypatch.setattr("idfslam.datasets.corridor_recording.SyntheticCorridor", Stand)
+    monkeypatch.setattr("idfslam.datasets.generated.corridor.SyntheticCorridor", Stand)
     assert open_recording("corridor:3:kinect:5laps").name == "round"
     assert len(open_recording("corridor", start=10, frames=20, stride=2)) == 20
     assert open_recording("kidnap:corridor:2laps").name == "kidnap-round"

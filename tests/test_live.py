@@ -16,27 +16,28 @@ from box_room import BOX_FRAMES, box_poses
 from live_cameras import HandFed, PulledOut, SeeingSlam, SlowSlam, capture
 from rich.console import Console
 
-from idfslam import cli, results
+from idfslam.cli import command_line
 from idfslam.config import FAST, Config
 from idfslam.datasets import open_recording
 from idfslam.errors import CameraError, ConfigError, FrameError
-from idfslam.evaluate import evaluate_folder
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
 from idfslam.live import Capture, LiveStream, is_live, located, open_live
-from idfslam.run import Run, run
+from idfslam.runs import result_folder
+from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.runner import Run, run
+from idfslam.runs.source import open_feed
 from idfslam.slam import Slam
-from idfslam.source import open_feed
-from idfslam.warm_up import made_up
+from idfslam.slam.warm_up import made_up
 
 
 def run_live(name: str, folder: Path, slam: Any = SeeingSlam) -> Run:
-    source = results.Source(name)
+    source = result_folder.Source(name)
     return run(open_feed(source), FAST, folder, source=source, make_slam=slam)
 
 
 def metrics_of(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / results.METRICS).read_text())
+    found: dict[str, Any] = json.loads((folder / result_folder.METRICS).read_text())
     return found
 
 
@@ -137,7 +138,7 @@ def test_a_replay_keeps_pace_stamps_and_truth(box_recording: Path) -> None:
 
 def test_a_run_that_keeps_up(box_recording: Path, tmp_path: Path) -> None:
     done = run_live(f"replay@0.5:{box_recording}", tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(results.FILES)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
     assert len(done.trajectory) == BOX_FRAMES
     assert metrics_of(tmp_path)["dropped_frames"] == 0
     assert metrics_of(tmp_path)["ate_m"]["rmse"] < 1e-6
@@ -150,7 +151,7 @@ def test_a_run_that_does_not_keep_up_drops_and_counts(box_recording: Path, tmp_p
     assert metrics["frames"] + metrics["dropped_frames"] == BOX_FRAMES
     assert (metrics["camera_lost"], metrics["interrupted"]) == (False, False)
     assert metrics["ate_m"]["rmse"] < 1e-6  # each pose against the truth of its own moment
-    stamps = load_tum(tmp_path / results.TRAJECTORY).timestamps
+    stamps = load_tum(tmp_path / result_folder.TRAJECTORY).timestamps
     assert np.allclose(stamps, done.trajectory.timestamps, atol=1e-6)
     assert stamps[-1] == pytest.approx((BOX_FRAMES - 1) / 30, abs=1e-6)  # the last frame is not lost
     assert np.diff(stamps).max() < 0.2  # never far behind
@@ -185,7 +186,7 @@ def test_ctrl_c_writes_the_results_so_far(box_recording: Path, tmp_path: Path, c
     assert len(done.trajectory) == 3
     assert metrics_of(tmp_path)["interrupted"] is True
     assert "interrupted after frame 2: writing" in caplog.text
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(results.FILES)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
 
 
 def test_a_camera_that_is_pulled_out_leaves_results(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -194,14 +195,14 @@ def test_a_camera_that_is_pulled_out_leaves_results(box_recording: Path, tmp_pat
     assert 4 <= len(done.trajectory) <= 5  # one may have been overtaken
     assert metrics_of(tmp_path)["camera_lost"] is True
     assert "the cable is out; the camera is taken as gone after" in caplog.text
-    assert (tmp_path / results.MESH).is_file()
+    assert (tmp_path / result_folder.MESH).is_file()
 
 
 def test_a_camera_that_never_gave_a_frame_leaves_the_folder_alone(box_recording: Path, tmp_path: Path) -> None:
-    (tmp_path / results.MESH).write_text("of an earlier run")
+    (tmp_path / result_folder.MESH).write_text("of an earlier run")
     with pytest.raises(CameraError, match="the cable is out"):
         run(LiveStream(PulledOut(open_recording(box_recording), after=0)), FAST, tmp_path, make_slam=SeeingSlam)
-    assert (tmp_path / results.MESH).read_text() == "of an earlier run"
+    assert (tmp_path / result_folder.MESH).read_text() == "of an earlier run"
 
 
 def test_progress_without_a_total(box_recording: Path, tmp_path: Path) -> None:
@@ -216,7 +217,7 @@ def test_a_replay_through_the_command_line(
     box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(box_recording.parent)
-    cli.main(
+    command_line.main(
         [
             "run",
             "replay:box",
@@ -233,9 +234,9 @@ def test_a_replay_through_the_command_line(
         ]
     )
     assert metrics_of(tmp_path)["ate_m"]["rmse"] < 0.05
-    assert results.read_config(tmp_path)[1] == results.Source(f"replay:{box_recording}", frames=3)
+    assert result_folder.read_config(tmp_path)[1] == result_folder.Source(f"replay:{box_recording}", frames=3)
     monkeypatch.chdir(tmp_path)
-    cli.main(["eval", str(tmp_path)])
+    command_line.main(["eval", str(tmp_path)])
     assert "ATE" in capsys.readouterr().out
 
 
@@ -280,6 +281,6 @@ def test_wrong_names(name: str, options: dict[str, Any], message: str) -> None:
 
 def test_a_camera_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["run", "opencv:97:98"])
+        command_line.main(["run", "opencv:97:98"])
     assert caught.value.code == 1
     assert capsys.readouterr().err == "error: video device 97: not there or in use, expected a camera (Linux: ls /dev/video*)\n"

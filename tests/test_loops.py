@@ -10,9 +10,9 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.graph.loops import Loop, Loops
-from idfslam.graph.ways import distances, ways_from
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.loop_consistency import Loop, Loops
+from idfslam.graph.path_length import distances, ways_from
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 CONFIG = LoopConfig(slack=0.1, drift=0.03, confirmed_within=1.0)

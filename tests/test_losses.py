@@ -6,13 +6,12 @@ import torch
 from idfslam.geometry import se3
 from idfslam.mapping.losses import (
     LossWeights,
-    correspondence_loss,
-    depth_loss,
     geometric_residuals,
     photometric_residuals,
     rendering_losses,
 )
 from idfslam.mapping.rendering import Rendered
+from idfslam.tracking.finetuning import correspondence_loss, depth_loss
 
 TR = 0.1
 # Two rays. The first measures 1.0 m: its samples at 0.5 and 0.8 are free space, 0.95 and 1.05 lie in the truncation region (targets

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView
 from idfslam.mapping import meshing
-from idfslam.mapping.meshing import View, extract_mesh, observed, touched_blocks
+from idfslam.mapping.meshing import extract_mesh, observed, touched_blocks
 
 TR = 0.1
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
@@ -37,7 +38,7 @@ def looking_at_origin(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return T_wc
 
 
-def look(sdf: Callable[[Tensor], Tensor], position: tuple[float, float, float]) -> View:
+def look(sdf: Callable[[Tensor], Tensor], position: tuple[float, float, float]) -> DepthView:
     """A depth image by sphere tracing."""
     T_wc = looking_at_origin(np.array(position, float))
     rays = CAMERA.rays(CAMERA.pixels()).view(-1, 3) @ torch.tensor(T_wc[:3, :3], dtype=torch.float32).T
@@ -46,7 +47,7 @@ def look(sdf: Callable[[Tensor], Tensor], position: tuple[float, float, float]) 
     for _ in range(100):
         depth += sdf(origin + rays * depth[:, None]) * TR / rays.norm(dim=-1)
     hit = sdf(origin + rays * depth[:, None]).abs() * TR < 1e-3
-    return View(T_wc, torch.where(hit & (depth < 5), depth, 0).view(CAMERA.height, CAMERA.width).numpy(), CAMERA)
+    return DepthView(T_wc, torch.where(hit & (depth < 5), depth, 0).view(CAMERA.height, CAMERA.width).numpy(), CAMERA)
 
 
 AROUND = [(1.5, 0, 0), (-1.5, 0, 0), (0, 1.5, 0), (0, -1.5, 0), (0, 0, 1.5), (0, 0, -1.5)] + [
@@ -86,8 +87,8 @@ def test_what_nobody_observed_is_removed() -> None:
 
 def test_votes() -> None:
     # A point at the origin, 1.5 m before the camera. Views measure a wall at 1.5 (near), 3 (seen through), 1 (hidden), or nothing.
-    def wall(depth: float) -> View:
-        return View(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), depth, np.float32), CAMERA)
+    def wall(depth: float) -> DepthView:
+        return DepthView(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), depth, np.float32), CAMERA)
 
     def kept(*depths: float) -> bool:
         return bool(observed(np.zeros((1, 3)), [wall(d) for d in depths], 0.05)[0])
@@ -98,7 +99,7 @@ def test_votes() -> None:
     assert not kept(1.5, 3, 3, 3)
     assert kept(1.5, 1.5, 1.5, 3, 3, 3)  # no majority
     assert kept(1.5, 1, 1, 1, 0, 0)
-    behind = View(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), 1.5, np.float32), CAMERA)
+    behind = DepthView(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), 1.5, np.float32), CAMERA)
     assert not observed(np.array([[3.0, 0, 0]]), [behind], 0.05)[0]
 
 
@@ -106,7 +107,7 @@ def test_touched_blocks_by_hand() -> None:
     # One reading at (0, 0, 1.1) with blocks of 1 m and margin 0.2: x and y lie in the small cell [0, 0.25], dilated [-0.2, 0.45] -> blocks
     # -1, 0; z in [1, 1.25], dilated [0.8, 1.45] -> blocks 0, 1.
     camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
-    blocks = touched_blocks([View(np.eye(4), np.full((1, 1), 1.1, np.float32), camera)], 1.0, 0.2)
+    blocks = touched_blocks([DepthView(np.eye(4), np.full((1, 1), 1.1, np.float32), camera)], 1.0, 0.2)
     assert blocks.tolist() == [[x, y, z] for x in (-1, 0) for y in (-1, 0) for z in (0, 1)]
 
 
@@ -118,7 +119,7 @@ def test_no_views_or_no_surface_give_an_empty_mesh() -> None:
 
 def test_memory_is_bounded_by_blocks_near_readings() -> None:
     # A wall of 9.85 x 7.38 m, 8 m away, at 1 cm: its blocks, not the 10 m cube, are evaluated, and never more than a batch of them at once.
-    view = View(np.eye(4), np.full((120, 160), 8.0, np.float32), CAMERA)
+    view = DepthView(np.eye(4), np.full((120, 160), 8.0, np.float32), CAMERA)
     blocks = touched_blocks([view], meshing.CELLS * 0.01, TR, stride=1)
     assert len(blocks) < 65 * 50 * 4  # of 62^3 = 238 000
     largest = 0

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from idfslam.alignment.motion import Information, MotionModel, change_between, moved
 from idfslam.geometry import se3
-from idfslam.tracking.motion import Information, MotionModel, change_between, moved
 
 EYE = torch.eye(4, dtype=torch.float64)
 WALK = se3.exp(torch.tensor([0.01, 0.0, 0.02, 0.0, 0.01, 0.0], dtype=torch.float64))

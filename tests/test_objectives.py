@@ -5,8 +5,9 @@ import torch
 
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.mapping.field import Field
-from idfslam.mapping.objectives import RenderingObjective, SampleObjective, far_depth, noise_ratio
+from idfslam.mapping.objectives import RenderingObjective, SampleObjective, far_depth
 from idfslam.mapping.rays import Rays
+from idfslam.sensing.depth_noise import noise_ratio
 
 CONFIG = MapperConfig(
     samples=4, importance_samples=2, photometric_weight=2.0, free_space_weight=0.2, truncation_weight=10.0, free_margin=0.6

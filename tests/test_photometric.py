@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
-from idfslam.tracking.photometric import (
+from idfslam.alignment.photometric import (
     Appearance,
     Landmarks,
     compiled_steepest,
@@ -19,6 +17,8 @@ from idfslam.tracking.photometric import (
     plain_steepest,
     pyramid,
 )
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 EYE = torch.eye(4, dtype=torch.float64)

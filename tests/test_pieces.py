@@ -10,13 +10,13 @@ import torch
 
 from idfslam.config import FAST
 from idfslam.datasets import Selection
-from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.graph.pieces import brought_together, far_from
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.submaps import brought_together, far_from
 from idfslam.slam import Slam
 
 CONFIG = replace(FAST, loops=replace(FAST.loops, piece_after=2))

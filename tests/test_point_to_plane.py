@@ -12,9 +12,10 @@ from torch import Tensor
 from idfslam.datasets import open_recording
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.depth_noise import difference_noise
 from idfslam.tracking.correspondences import Correspondences
-from idfslam.tracking.description import Described, averaged_depth, surface_normals
-from idfslam.tracking.point_to_plane import plain_plane_system, plane_system, point_to_plane, sensor_noise
+from idfslam.tracking.frame_features import Described, averaged_depth, surface_normals
+from idfslam.tracking.point_to_plane import plain_plane_system, plane_system, point_to_plane
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 T_KC = se3.exp(torch.tensor([0.03, -0.02, 0.04, 0.01, 0.02, -0.02], dtype=torch.float64))
@@ -97,7 +98,7 @@ def test_nothing_to_hold_on_to_leaves_the_pose() -> None:
 
 def test_noise_of_a_reading() -> None:
     # sigma(2 m) = 1.2 mm (1 + 1.5 * 1.6^2) = 5.81 mm, of a difference sqrt(2) times that: 8.21 mm.
-    assert float(sensor_noise(torch.tensor(2.0))) == pytest.approx(0.00821, abs=1e-5)
+    assert float(difference_noise(torch.tensor(2.0))) == pytest.approx(0.00821, abs=1e-5)
 
 
 def test_it_makes_the_tracker_more_exact(box_recording: Path) -> None:

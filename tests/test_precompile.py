@@ -7,7 +7,7 @@ from pathlib import Path
 
 BESIDE = """
 from idfslam.config import FAST
-from idfslam.precompile import compiled, compiling_beside
+from idfslam.demo.compile_ahead import compiled, compiling_beside
 print(compiled())
 with compiling_beside(FAST) as until_compiled:
     print(until_compiled())

@@ -17,10 +17,10 @@ from idfslam.config import PretrainConfig, check
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.frame import Frame
+from idfslam.pretraining.pretraining import Outputs, pretrain
+from idfslam.pretraining.training_log import TrainingLog
+from idfslam.pretraining.validation import held_out, validate
 from idfslam.tracking.features import load_extractor
-from idfslam.tracking.pretraining import Outputs, pretrain
-from idfslam.tracking.training_log import TrainingLog
-from idfslam.tracking.validation import held_out, validate
 
 SMALL = PretrainConfig(steps=4, height=24, crop=(24, 32), gap=3, queries=16, matches=100, seed=4, inliers=0.02, agreement=0.3)
 
@@ -147,7 +147,7 @@ def test_curves_for_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     events = EventAccumulator(str(tmp_path / "log"))
     events.Reload()
     assert [(event.step, event.value) for event in events.Scalars("contrastive")] == [(1, 2.5)]
-    monkeypatch.setattr("idfslam.tracking.training_log.find_spec", lambda name: None)
+    monkeypatch.setattr("idfslam.pretraining.training_log.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[train\]'"):
         TrainingLog(tmp_path / "log")
 

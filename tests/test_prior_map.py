@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from idfslam.cli import main
+from idfslam.cli.command_line import main
 from idfslam.datasets import open_recording
 from idfslam.geometry.trajectory import load_tum
 from idfslam.mapping.saved_map import load_map
-from idfslam.prior_map import load_prior
+from idfslam.runs.prior_map import load_prior
 
 FAST_RUN = ["--mapper.first-iterations", "60", "--mapper.final-updates", "4"]
 

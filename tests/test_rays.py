@@ -7,7 +7,7 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.objectives import compiled_placed, placed
+from idfslam.mapping.ray_samples import compiled_placed, placed
 from idfslam.mapping.rays import Rays, compiled_cast, plain_cast
 from idfslam.mapping.sampling import compiled_group_pixels, plain_group_pixels
 

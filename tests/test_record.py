@@ -12,12 +12,12 @@ from box_room import BOX_FRAMES
 from live_cameras import HandFed, capture
 from recordings import write_folder
 
-from idfslam import cli
+from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError
 from idfslam.frame import Frame
 from idfslam.live import LiveStream, open_live
-from idfslam.record import bgr, millimetres, record
+from idfslam.live.recorder import bgr, millimetres, record
 
 
 def names(folder: Path) -> list[str]:
@@ -135,11 +135,11 @@ def test_a_folder_with_a_recording_is_refused(box_recording: Path, tmp_path: Pat
 
 
 def test_the_command(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["record", f"replay@0.5:{box_recording}", "--out", str(tmp_path / "a"), "--frames", "3"])
+    command_line.main(["record", f"replay@0.5:{box_recording}", "--out", str(tmp_path / "a"), "--frames", "3"])
     assert "3 frames in " in capsys.readouterr().out
     assert len(open_recording(tmp_path / "a")) == 3
     with pytest.raises(SystemExit) as caught:
-        cli.main(["record", "replay:nowhere", "--out", str(tmp_path / "b")])
+        command_line.main(["record", "replay:nowhere", "--out", str(tmp_path / "b")])
     assert caught.value.code == 1
     assert "nowhere: no such file or folder" in capsys.readouterr().err
     assert not (tmp_path / "b").exists()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from idfslam.geometry import se3
-from idfslam.tracking.registration import best_subset, procrustes, random_subsets, register, residuals
+from idfslam.tracking.procrustes import best_subset, procrustes, random_subsets, register, residuals
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -13,7 +13,7 @@ from recordings import write_folder
 
 from idfslam.datasets import open_recording
 from idfslam.datasets.calibration import Calibration, DepthCamera
-from idfslam.datasets.registration import Registration
+from idfslam.datasets.depth_registration import Registration
 from idfslam.errors import RecordingError
 from idfslam.geometry.camera import Camera
 

@@ -9,7 +9,7 @@ import torch
 
 from idfslam.config import FAST
 from idfslam.datasets import Selection
-from idfslam.datasets.synthetic import SyntheticRoom
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.slam import Slam
 

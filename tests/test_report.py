@@ -12,10 +12,12 @@ import pytest
 import trimesh
 from box_room import BOX, box_poses
 
-from idfslam import cli, results
+from idfslam.cli import command_line
 from idfslam.config import FAST
 from idfslam.report.level import from_above, level
 from idfslam.report.writing import write_report
+from idfslam.runs import result_folder
+from idfslam.storage import atomic_files
 
 VOID = {"meta", "img", "br", "link", "hr"}
 PICTURES = {
@@ -56,15 +58,15 @@ class Page(html.parser.HTMLParser):
 @pytest.fixture(scope="module")
 def reported(known_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = shutil.copytree(known_run, tmp_path_factory.mktemp("report") / "known")
-    cli.main(["report", str(folder)])
+    command_line.main(["report", str(folder)])
     return folder
 
 
 def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
-    text = (reported / results.REPORT).read_text()
+    text = (reported / result_folder.REPORT).read_text()
     page = Page(text)
     assert page.counts["svg"] == 10  # three of the trajectory, error, frames, stages, losses, three slices
-    outside = len(list((reported / results.PICTURES).glob("mesh_*.png")))
+    outside = len(list((reported / result_folder.PICTURES).glob("mesh_*.png")))
     assert 1 <= outside <= 4  # sides that show the backs of the walls are left out
     assert page.counts["img"] == outside + 4 + 4 * 5  # and inside, frames
     assert all(source.startswith(("data:image/", "#")) for source in page.sources)
@@ -77,7 +79,7 @@ def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
 
 
 def test_the_page_tells_the_figures(reported: Path) -> None:
-    text = re.sub(r"<[^>]+>", " ", (reported / results.REPORT).read_text())
+    text = re.sub(r"<[^>]+>", " ", (reported / result_folder.REPORT).read_text())
     text = re.sub(r"\s+", " ", text)
     for figure in ("frames 14 ", "speed 10.0 frames/s", "ATE RMSE 0.00 cm", "lost frames 1 ", "keyframes 3 ", "memory 512 MiB"):
         assert figure in text
@@ -87,15 +89,15 @@ def test_the_page_tells_the_figures(reported: Path) -> None:
 
 
 def test_pictures_are_files_too(reported: Path) -> None:
-    found = {path.stem for path in (reported / results.PICTURES).glob("*.png")}
+    found = {path.stem for path in (reported / result_folder.PICTURES).glob("*.png")}
     assert found >= PICTURES
     assert 10 + 25 <= len(found) <= 10 + 28
     for name in found:
-        assert cv2.imread(str(reported / results.PICTURES / f"{name}.png")).std() > 3  # none is blank
+        assert cv2.imread(str(reported / result_folder.PICTURES / f"{name}.png")).std() > 3  # none is blank
 
 
 def test_depth_of_the_map_is_the_recorded_one(reported: Path) -> None:
-    errors = re.findall(r"median depth error ([\d.]+) cm", (reported / results.REPORT).read_text())
+    errors = re.findall(r"median depth error ([\d.]+) cm", (reported / result_folder.REPORT).read_text())
     assert len(errors) == 4
     assert max(map(float, errors)) < 2
 
@@ -103,21 +105,21 @@ def test_depth_of_the_map_is_the_recorded_one(reported: Path) -> None:
 def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     folder = tmp_path / "poor"
     folder.mkdir()
-    for name in (results.TRAJECTORY, results.KEYFRAMES):
+    for name in (result_folder.TRAJECTORY, result_folder.KEYFRAMES):
         shutil.copy(known_run / name, folder)
-    results.write_config(folder, FAST, results.Source(str(tmp_path / "gone")))
-    results.write_json(folder / results.METRICS, {"pieces": 3})
-    (folder / results.PICTURES).mkdir()
-    (folder / results.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
-    (folder / results.PICTURES / "mine.png").write_bytes(b"mine")
+    result_folder.write_config(folder, FAST, result_folder.Source(str(tmp_path / "gone")))
+    atomic_files.write_json(folder / result_folder.METRICS, {"pieces": 3})
+    (folder / result_folder.PICTURES).mkdir()
+    (folder / result_folder.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
+    (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")
     write_report(folder)
-    text = (folder / results.REPORT).read_text()
+    text = (folder / result_folder.REPORT).read_text()
     page = Page(text)
     assert page.counts["svg"] == 3
     assert "no such file or folder" in text
     assert "has no mesh.ply" in text
     assert re.search(r"pieces apart\W.*?\b2\b", text, re.DOTALL)
-    assert {path.stem for path in (folder / results.PICTURES).iterdir()} == {
+    assert {path.stem for path in (folder / result_folder.PICTURES).iterdir()} == {
         "trajectory_top",
         "trajectory_side",
         "trajectory_front",
@@ -127,24 +129,24 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
 
 def test_a_run_without_report_takes_an_earlier_one_away(reported: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(reported, tmp_path / "again")
-    (folder / results.PICTURES / "mine.png").write_bytes(b"mine")
-    results.remove_stale(folder, written=set(results.FILES))
-    assert not (folder / results.REPORT).exists()
-    assert [path.name for path in (folder / results.PICTURES).iterdir()] == ["mine.png"]
+    (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")
+    result_folder.remove_stale(folder, written=set(result_folder.FILES))
+    assert not (folder / result_folder.REPORT).exists()
+    assert [path.name for path in (folder / result_folder.PICTURES).iterdir()] == ["mine.png"]
 
 
 def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["report", str(tmp_path / "none")])
+        command_line.main(["report", str(tmp_path / "none")])
     assert caught.value.code == 1
     assert "no such folder" in capsys.readouterr().err
 
 
 def test_names_cannot_become_markup(known_run: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(known_run, tmp_path / "<b>bold")
-    results.write_config(folder, FAST, results.Source("<i>gone"))
+    result_folder.write_config(folder, FAST, result_folder.Source("<i>gone"))
     write_report(folder)
-    text = (folder / results.REPORT).read_text()
+    text = (folder / result_folder.REPORT).read_text()
     assert "&lt;b&gt;bold" in text
     assert "<i>gone" not in text
 
@@ -167,7 +169,7 @@ def test_the_room_is_set_upright() -> None:
 def test_a_browser_shows_it(reported: Path, tmp_path: Path, width: int) -> None:
     """What it draws fills the window, has the room's colours, and nothing is wider than a phone."""
     assert BROWSER is not None
-    picture, address = tmp_path / "page.png", (reported / results.REPORT).absolute().as_uri()
+    picture, address = tmp_path / "page.png", (reported / result_folder.REPORT).absolute().as_uri()
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'profile'}")
     run = [BROWSER, *flags, f"--window-size={width},3000", f"--screenshot={picture}", address]
     subprocess.run(run, check=True, capture_output=True, timeout=300)

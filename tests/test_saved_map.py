@@ -13,10 +13,10 @@ from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import ResultError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.mapper import Mapper
-from idfslam.mapping.meshing import View
 from idfslam.mapping.saved_map import load_map, save_map
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
@@ -30,7 +30,7 @@ def poses() -> list[NDArray[np.float64]]:
 
 
 @pytest.fixture(scope="module")
-def taught() -> tuple[Field, list[View]]:
+def taught() -> tuple[Field, list[DepthView]]:
     """A wall 1.2 m ahead, its left half red, its right half blue, learnt from two views."""
     torch.manual_seed(0)
     learner = Mapper(MapperConfig(), FieldConfig(table_log2=12), torch.device("cpu"), torch.Generator().manual_seed(0))
@@ -42,17 +42,17 @@ def taught() -> tuple[Field, list[View]]:
         frame = Frame(0, 0.0, np.repeat(colour, 60, 0), depth, CAMERA)
         keyframes.append(Keyframe(frame, torch.from_numpy(T), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour)))
     learner.optimise_map(keyframes, 250)
-    return learner.field, [View(T, depth, CAMERA) for T in poses()]
+    return learner.field, [DepthView(T, depth, CAMERA) for T in poses()]
 
 
 @pytest.fixture(scope="module")
-def saved(taught: tuple[Field, list[View]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(taught: tuple[Field, list[DepthView]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("map") / "map.safetensors"
     save_map(path, *taught)
     return path
 
 
-def test_the_field_comes_back(taught: tuple[Field, list[View]], saved: Path) -> None:
+def test_the_field_comes_back(taught: tuple[Field, list[DepthView]], saved: Path) -> None:
     field, loaded = taught[0], load_map(saved)
     points = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 0.8, 1.2]) - torch.tensor([0.5, 0.4, 0.0])
     with torch.no_grad():
@@ -63,7 +63,7 @@ def test_the_field_comes_back(taught: tuple[Field, list[View]], saved: Path) -> 
     assert not any(p.requires_grad for p in loaded.field.parameters())
 
 
-def test_the_views_come_back(taught: tuple[Field, list[View]], saved: Path) -> None:
+def test_the_views_come_back(taught: tuple[Field, list[DepthView]], saved: Path) -> None:
     views = load_map(saved).views
     assert len(views) == 2
     for view, T in zip(views, poses()):
@@ -91,7 +91,7 @@ def test_render_shows_the_wall(saved: Path) -> None:
     assert colour[8, 20, 2] > 0.6 > 0.4 > colour[8, 20, 0]
 
 
-def test_tables_that_grew_come_back(taught: tuple[Field, list[View]], tmp_path: Path) -> None:
+def test_tables_that_grew_come_back(taught: tuple[Field, list[DepthView]], tmp_path: Path) -> None:
     torch.manual_seed(0)
     field = Field(FieldConfig(table_log2=8))
     field.encoding.grow()
@@ -99,7 +99,7 @@ def test_tables_that_grew_come_back(taught: tuple[Field, list[View]], tmp_path: 
     assert load_map(tmp_path / "map.safetensors").field.encoding.tables.shape[1] == 512
 
 
-def test_a_field_without_a_grid_comes_back_exactly(taught: tuple[Field, list[View]], tmp_path: Path) -> None:
+def test_a_field_without_a_grid_comes_back_exactly(taught: tuple[Field, list[DepthView]], tmp_path: Path) -> None:
     torch.manual_seed(0)
     field = Field(FieldConfig(encoding="positional", layers=3, width=32, direction_frequencies=2))
     save_map(tmp_path / "map.safetensors", field, taught[1])

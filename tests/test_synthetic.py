@@ -7,14 +7,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from idfslam.datasets import ray_casting
-from idfslam.datasets.furniture import Scene, place, tilt
-from idfslam.datasets.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, prune, surface_at
-from idfslam.datasets.room import BARE_WALL, wall_frame
-from idfslam.datasets.sensor_noise import axial_sigma, noisy_colour, noisy_depth, quantise
-from idfslam.datasets.synthetic import BARE_PASSAGE, TOUR, SyntheticRoom, tour
+from idfslam.datasets.generated.room import BARE_PASSAGE, TOUR, SyntheticRoom, tour
+from idfslam.datasets.generated.sensor_noise import axial_sigma, noisy_colour, noisy_depth, quantise
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.camera import Camera
+from idfslam.scenes import ray_casting
+from idfslam.scenes.furniture import Scene, place, tilt
+from idfslam.scenes.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, prune, surface_at
+from idfslam.scenes.room import BARE_WALL, wall_frame
 
 
 @cache

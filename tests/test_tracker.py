@@ -19,9 +19,9 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.correspondences import spans_plane
-from idfslam.tracking.description import Described, subsampled_depth
+from idfslam.tracking.finetune_validator import Guard, held_out
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
-from idfslam.tracking.guard import Guard, held_out
+from idfslam.tracking.frame_features import Described, subsampled_depth
 from idfslam.tracking.matching import Matches
 from idfslam.tracking.tracker import Tracker
 

@@ -14,13 +14,13 @@ from idfslam.errors import FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.tracking.augmentation import augmented
-from idfslam.tracking.contrastive import contrastive_loss
+from idfslam.pretraining.augmentation import augmented
+from idfslam.pretraining.contrastive import contrastive_loss
+from idfslam.pretraining.footage import Footage, Pair, Recording, View, load_footage, sample_pair
+from idfslam.pretraining.point_rendering import splat
+from idfslam.pretraining.training import explained, registration_losses, rendering_losses, train_step
 from idfslam.tracking.features import FeatureExtractor
-from idfslam.tracking.footage import Footage, Pair, Recording, View, load_footage, sample_pair
-from idfslam.tracking.partners import partners
-from idfslam.tracking.point_rendering import splat
-from idfslam.tracking.training import explained, registration_losses, rendering_losses, train_step
+from idfslam.tracking.overlap import partners
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.5, 11.5)
 SMALL = PretrainConfig(height=24, crop=(24, 32), gap=2, queries=32, matches=100)  # the contrastive loss alone

@@ -12,10 +12,10 @@ from idfslam.config import FAST
 from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.keyframes import KeyframeGraph
-from idfslam.graph.loops import Loop, Loops
-from idfslam.state import State
-from idfslam.trial import Trial
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.loop_consistency import Loop, Loops
+from idfslam.slam.relocalisation_check import Trial
+from idfslam.storage.state import State
 
 USUAL = 0.03  # doubtful difference of brightness
 

@@ -15,14 +15,15 @@ import pytest
 from box_room import BOX_FRAMES, box_poses
 from known_slam import DEGENERATE, LOST, KnownSlam
 
-from idfslam import cli, results
+from idfslam.cli import command_line
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, DivergedError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.camera import Camera
-from idfslam.run import run
-from idfslam.viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
+from idfslam.runs import result_folder
+from idfslam.runs.runner import run
+from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
 
 NO_RERUN = "rerun is not installed: pip install 'idf-slam[viewer]'"
 
@@ -34,7 +35,7 @@ def viewer() -> RerunViewer:
 
 def read(folder: Path) -> tuple[Counter[str], list[Any]]:
     """Rows of each entity, and the chunks."""
-    chunks = list(pytest.importorskip("rerun.chunk", reason=NO_RERUN).RrdReader(folder / results.RECORDING).stream())
+    chunks = list(pytest.importorskip("rerun.chunk", reason=NO_RERUN).RrdReader(folder / result_folder.RECORDING).stream())
     rows: Counter[str] = Counter()
     for chunk in chunks:
         rows[chunk.entity_path] += chunk.num_rows
@@ -91,7 +92,7 @@ def test_the_status_is_told_where_it_changes(recorded: Path) -> None:
 
 
 def test_the_layout_lies_in_the_file(recorded: Path) -> None:
-    reader = pytest.importorskip("rerun.chunk", reason=NO_RERUN).RrdReader(recorded / results.RECORDING)
+    reader = pytest.importorskip("rerun.chunk", reason=NO_RERUN).RrdReader(recorded / result_folder.RECORDING)
     assert len(reader.recordings()) == len(reader.blueprints()) == 1
     assert not [path for path in recorded.iterdir() if path.name.startswith(".part")]
 
@@ -122,9 +123,9 @@ def test_a_run_that_fails_keeps_what_was_shown(box_recording: Path, tmp_path: Pa
 
 
 def test_a_run_without_a_viewer_leaves_no_recording_of_an_earlier_one(box_recording: Path, tmp_path: Path) -> None:
-    (tmp_path / results.RECORDING).write_bytes(b"earlier")
+    (tmp_path / result_folder.RECORDING).write_bytes(b"earlier")
     run(open_recording(box_recording), FAST, tmp_path, make_slam=KnownSlam, viewer=NullViewer())  # type: ignore[arg-type]
-    assert not (tmp_path / results.RECORDING).exists()
+    assert not (tmp_path / result_folder.RECORDING).exists()
 
 
 def test_a_viewer_changes_nothing(box_recording: Path, tmp_path: Path) -> None:
@@ -168,7 +169,7 @@ def listening() -> Iterator[int]:
 def test_a_port_in_use(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rerun", reason=NO_RERUN)
     with listening() as port, pytest.raises(SystemExit) as caught:
-        cli.main(["run", str(box_recording), "--out", str(tmp_path / "out"), "--viewer", "web", "--port", str(port)])
+        command_line.main(["run", str(box_recording), "--out", str(tmp_path / "out"), "--viewer", "web", "--port", str(port)])
     assert caught.value.code == 1
     message = capsys.readouterr().err
     assert message.count("\n") == 1
@@ -188,13 +189,13 @@ def test_without_rerun(monkeypatch: pytest.MonkeyPatch, recorded_folder: Path) -
 
 @pytest.fixture
 def recorded_folder(tmp_path: Path) -> Path:
-    (tmp_path / results.RECORDING).write_bytes(b"")
+    (tmp_path / result_folder.RECORDING).write_bytes(b"")
     return tmp_path
 
 
 def test_without_a_display_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason=NO_RERUN)
-    monkeypatch.setattr("idfslam.rerun_program.has_display", lambda: False)
+    monkeypatch.setattr("idfslam.viewer.rerun_program.has_display", lambda: False)
     with pytest.raises(ConfigError, match="--viewer web"):
         RerunViewer("window")
 
@@ -208,8 +209,8 @@ def test_a_folder_without_a_recording(tmp_path: Path) -> None:
 
 def test_viewer_with_and_without_a_place() -> None:
     def place(*arguments: str) -> str:
-        command = cli.parse(["run", *arguments])
-        assert isinstance(command, cli.Run)
+        command = command_line.parse(["run", *arguments])
+        assert isinstance(command, command_line.Run)
         assert command.path == Path("recording")
         return command.viewer
 

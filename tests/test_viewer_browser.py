@@ -19,7 +19,7 @@ from test_viewer import NO_RERUN, viewer
 
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
-from idfslam.run import run
+from idfslam.runs.runner import run
 
 _SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a GPU
 _PATIENCE = 180  # [s] until all is drawn: without a GPU a picture takes a second or more

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration, DepthCamera
+from idfslam.datasets.depth_registration import Registration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
-from idfslam.datasets.registration import Registration
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame

@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from idfslam import results
 from idfslam.downloads.catalogue import Sequence
 from idfslam.downloads.fetch import Report, fetch, forget
 from idfslam.downloads.unpack import unpack
 from idfslam.errors import DownloadError
+from idfslam.storage import atomic_files
 
 LEDGER = "downloads.json"  # in the folder of downloads: what was fetched when, and the hash of its archive
 
@@ -28,7 +28,7 @@ def download(sequence: Sequence, out: Path, *, report: Report = lambda done, tot
         if sequence.name in ledger:
             return folder
         raise DownloadError(f"{folder}: is there already, and not from this command: move it away, or choose another folder with --out")
-    results.prepare(out)
+    atomic_files.prepare(out)
     archive = out / f".part-{sequence.name}"
     fetch(sequence.url, archive, report=report)
     digest = _sha256(archive)
@@ -44,7 +44,7 @@ def download(sequence: Sequence, out: Path, *, report: Report = lambda done, tot
             "date": time.strftime("%Y-%m-%d"),
             "licence": sequence.licence,
         }
-        results.write_json(out / LEDGER, ledger)
+        atomic_files.write_json(out / LEDGER, ledger)
         folder.parent.mkdir(parents=True, exist_ok=True)
         os.replace(_root(staging), folder)
     except DownloadError as error:

@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from idfslam.evaluation.depth_range import DepthRange
-from idfslam.evaluation.raycasting import RayCaster, pixel_rays
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
 Mask = NDArray[np.bool_]
 

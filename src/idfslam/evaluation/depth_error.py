@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idfslam.evaluation.culling import free_positions
-from idfslam.evaluation.raycasting import RayCaster, pixel_rays
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
 _CAMERA = Camera(50, 50, 30.0, 30.0, 24.5, 24.5)  # 500 x 500, f = 300 at a tenth of the resolution
 _FAR = 20.0  # [m]

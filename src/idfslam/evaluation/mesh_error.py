@@ -32,8 +32,8 @@ from idfslam.evaluation.culling import Visibility, faces_kept, in_any_view, subd
 from idfslam.evaluation.depth_error import depth_error
 from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.point_triangle import nearest_distance
-from idfslam.evaluation.raycasting import RayCaster
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.ray_casting import RayCaster
 from idfslam.geometry.trajectory import align
 
 Floats = NDArray[np.float64]

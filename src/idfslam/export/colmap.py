@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam import results
 from idfslam.export.images import PosedImage
 from idfslam.export.point_cloud import PointCloud
 from idfslam.geometry.camera import Camera
+from idfslam.storage import atomic_files
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 _NEAR = 0.03  # share of the depth by which a measured depth may differ from a point's own
@@ -56,9 +56,9 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, clo
     ]
     header = ("CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then POINTS2D[]")
     heads = (*header, "POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]")
-    results.prepare(folder)
+    atomic_files.prepare(folder)
     for name, head, text in zip(FILES, heads, (cameras, "".join(lines), "".join(points))):
-        with results.replacing(folder / name) as part:
+        with atomic_files.replacing(folder / name) as part:
             part.write_text(f"# {head}\n{text}", encoding="utf-8")
 
 

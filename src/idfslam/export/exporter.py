@@ -11,17 +11,17 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam import results
 from idfslam.errors import ConfigError
 from idfslam.export import colmap, nerfstudio, tsdf_grid
 from idfslam.export.images import PosedImage, write_images
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
 from idfslam.export.texture import Floats, from_images, textured
-from idfslam.finished_run import FinishedRun
 from idfslam.frame import Frame
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import save_tum
+from idfslam.runs.finished_run import FinishedRun
+from idfslam.storage import atomic_files
 
 Format = Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"]
 Texture = Literal["images", "map"]
@@ -46,7 +46,7 @@ class Exporter:
             raise ConfigError(f"--resolution {self.resolution}, expected metres above 0, such as 0.02")
         if self.texture and not set(formats) & set(_TEXTURED):
             raise ConfigError(f"--texture with --to {' '.join(formats)}: of these none has textures; choose {' or '.join(_TEXTURED)}")
-        results.prepare(self.out)
+        atomic_files.prepare(self.out)
         ways: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
             "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
@@ -54,22 +54,22 @@ class Exporter:
         return [path for name in dict.fromkeys(formats) for path in ways[name]()]
 
     def _tum(self) -> list[Path]:
-        with results.replacing(self.out / "tum.txt") as part:
+        with atomic_files.replacing(self.out / "tum.txt") as part:
             save_tum(part, self.run.trajectory)
         return [self.out / "tum.txt"]
 
     def _kitti(self) -> list[Path]:
         paths = [self.out / "kitti.txt", self.out / "kitti_times.txt"]
-        with results.replacing(paths[0]) as part:
+        with atomic_files.replacing(paths[0]) as part:
             save_kitti(part, self.run.trajectory.poses)
-        with results.replacing(paths[1]) as part:
+        with atomic_files.replacing(paths[1]) as part:
             np.savetxt(part, self.run.trajectory.timestamps, fmt="%.6f")
         return paths
 
     def _nerfstudio(self) -> list[Path]:
         folder = self.out / "nerfstudio"
         images = self._write_images(folder)
-        with results.replacing(folder / nerfstudio.POINTS) as part:
+        with atomic_files.replacing(folder / nerfstudio.POINTS) as part:
             _cloud(images, self.resolution).save(part)
         nerfstudio.write_transforms(folder / nerfstudio.TRANSFORMS, images, self.run.keyframes.camera)
         return [folder]
@@ -90,17 +90,17 @@ class Exporter:
         return write_glb(self.out / "mesh.glb", self._dressed)
 
     def _points(self) -> list[Path]:
-        with results.replacing(self.out / "points.ply") as part:
+        with atomic_files.replacing(self.out / "points.ply") as part:
             fuse(self._frames(), self.resolution).save(part)
         return [self.out / "points.ply"]
 
     def _grid(self) -> list[Path]:
-        with results.replacing(self.out / "grid.npz") as part:
+        with atomic_files.replacing(self.out / "grid.npz") as part:
             tsdf_grid.save_grid(part, self.run.map, self.resolution)
         return [self.out / "grid.npz"]
 
     def _blocks(self) -> list[Path]:
-        with results.replacing(self.out / "blocks.npz") as part:
+        with atomic_files.replacing(self.out / "blocks.npz") as part:
             tsdf_grid.save_blocks(part, self.run.map, self.resolution)
         return [self.out / "blocks.npz"]
 

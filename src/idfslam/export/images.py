@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam import results
 from idfslam.datasets import Dataset
 from idfslam.errors import FrameError, RecordingError
 from idfslam.frame import Frame
-from idfslam.pictures import write_colour, write_depth
+from idfslam.pictures.image_files import write_colour, write_depth
+from idfslam.storage import atomic_files
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def write_images(
     cannot be written to.
     """
     for name in (COLOUR, DEPTH):
-        results.prepare(folder / name)
+        atomic_files.prepare(folder / name)
     written = []
     for i in map(int, indices):
         try:

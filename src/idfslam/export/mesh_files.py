@@ -6,14 +6,14 @@ import numpy as np
 import trimesh
 from trimesh.exchange.obj import export_obj
 
-from idfslam import results
+from idfslam.storage import atomic_files
 
 _UPRIGHT = np.diag([1.0, -1.0, -1.0, 1.0])  # glTF's y points up, the first camera's down
 
 
 def write_ply(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
     """Vertex colours; PLY knows no textures that programs agree on."""
-    with results.replacing(path) as part:
+    with atomic_files.replacing(path) as part:
         mesh.export(part, file_type="ply")
     return [path]
 
@@ -29,7 +29,7 @@ def write_obj(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
     text, beside = export_obj(mesh, return_texture=True, mtl_name=material.name)
     written = {path: text.encode(), **{path.parent / name: data for name, data in beside.items()}}
     for place, data in written.items():
-        with results.replacing(place) as part:
+        with atomic_files.replacing(place) as part:
             part.write_bytes(data)
     return list(written)
 
@@ -38,6 +38,6 @@ def write_glb(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
     """One file, colours or texture in it. Its node turns the world by half a turn about x: up is +y, as glTF has it."""
     scene = trimesh.Scene()
     scene.add_geometry(mesh, transform=_UPRIGHT)
-    with results.replacing(path) as part:
+    with atomic_files.replacing(path) as part:
         scene.export(part, file_type="glb")
     return [path]

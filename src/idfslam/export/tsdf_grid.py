@@ -17,9 +17,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError
+from idfslam.geometry.depth_view import DepthView
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function
-from idfslam.mapping.meshing import CELLS, View, touched_blocks
+from idfslam.mapping.meshing import CELLS, touched_blocks
 from idfslam.mapping.saved_map import SavedMap
 
 _LARGEST = 1 << 28  # lattice points of a dense grid: about 2 GB
@@ -103,7 +104,7 @@ def _extent(coordinates: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
     return coordinates.min(0), coordinates.max(0) + 1
 
 
-def observed_space(points: NDArray[np.float32], views: Sequence[View], behind: float) -> NDArray[np.bool_]:
+def observed_space(points: NDArray[np.float32], views: Sequence[DepthView], behind: float) -> NDArray[np.bool_]:
     """Which points (N, 3) [m] a view looked at: its depth there is at most `behind` [m] in front of the point."""
     seen = np.zeros(len(points), np.bool_)
     for view in views:

@@ -12,7 +12,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive, Stored
 from idfslam.mapping.sampling import CellPixels
-from idfslam.state import State
+from idfslam.storage.state import State
 
 _EIGHT_BITS = np.float32(1 / 255)  # colour of most cameras comes in such steps
 

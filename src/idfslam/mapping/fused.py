@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -17,11 +16,9 @@ from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.kernels import grid_encode
 from idfslam.mapping.kernels.torch_grid import adam_rates
 from idfslam.mapping.optimiser import MOMENTS, MapOptimiser
+from idfslam.mapping.ray_samples import RaySamples
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.sphere_tracing import Trace
-
-if TYPE_CHECKING:
-    from idfslam.mapping.objectives import Samples
 
 _BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's own for Adam
 
@@ -102,7 +99,7 @@ def trace(field: Field, origins: Tensor, directions: Tensor, *, near: float | Te
     return depth
 
 
-def learn(field: Field, samples: "Samples", free_margin: float) -> tuple[Tensor, Tensor]:
+def learn(field: Field, samples: RaySamples, free_margin: float) -> tuple[Tensor, Tensor]:
     """Squared terms (N,) and colour terms (near,) of the samples; the gradients of their weighted sum are added to the field's."""
     from idfslam.mapping.kernels import numba_field
 

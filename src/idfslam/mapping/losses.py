@@ -1,4 +1,4 @@
-"""The losses of the paper: of the map and the keyframe poses (Eqs. 1-4), of the tracker's finetuning (Eqs. 7, 8).
+"""The losses of the map and of the keyframe poses (Eqs. 1-4).
 
 Units. The field's T-SDF is in units of the truncation distance tr. Free-space residuals T_s - tr stay in that unit (target 1); truncation
 residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the paper leaves unnamed and which are the defaults here.
@@ -86,15 +86,3 @@ def rendering_losses(
     photometric = photometric_residuals(rendered.colour, target_colour, squared=weights.squared)
     free_space, near, free_share = geometric_residuals(rendered.sdf, rendered.depths, target_depth, truncation, squared=weights.squared)
     return _weighted(photometric, free_space, near, free_share, weights)
-
-
-def depth_loss(depth: Tensor, target_depth: Tensor) -> Tensor:
-    """Eq. 7: mean |D - D^| [m] over the rays (B,) that have a reading (target > 0); 0 if none has."""
-    measured = target_depth > 0
-    return ((depth - target_depth).abs() * measured).sum() / measured.sum().clamp(min=1)
-
-
-def correspondence_loss(points_r: Tensor, points_c: Tensor, T_rc: Tensor, weights: Tensor) -> Tensor:
-    """Eq. 8: mean of w ||p_r - T_rc p_c|| [m] over correspondences: points (C, 3) [m] of the two frames, weights (C,)."""
-    aligned = points_c @ T_rc[:3, :3].mT + T_rc[:3, 3]
-    return (weights * torch.linalg.vector_norm(points_r - aligned, dim=-1)).mean()

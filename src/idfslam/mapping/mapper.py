@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from idfslam.compute.devices import repeatable, resolve_precision
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
-from idfslam.hardware import repeatable, resolve_precision
-from idfslam.mapping.beside import Beside
+from idfslam.mapping.background import Beside
 from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.losses import Losses
@@ -20,7 +20,7 @@ from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
 from idfslam.mapping.rendering import RayMarch, render, world_rays
 from idfslam.mapping.sampling import cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
-from idfslam.state import State
+from idfslam.storage.state import State
 
 _VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays there know nothing of the depth
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}

@@ -15,35 +15,17 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 from torch import Tensor
 
-from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView
 
 CELLS = 16  # cells along a block's edge: small, so that little is evaluated away from the surface
 _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points
 _OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at 1 cm
 
 
-@dataclass(frozen=True)
-class View:
-    """What one keyframe observed."""
-
-    T_wc: NDArray[np.float64]  # (4, 4)
-    depth: NDArray[np.float32]  # (H, W) [m], 0 = no reading
-    camera: Camera
-
-
-def reduced_view(T_wc: NDArray[np.float64], depth: NDArray[np.float32], camera: Camera, height: int) -> View:
-    """A view with every so many-th pixel of its depth, at least `height` rows of them."""
-    step = max(1, camera.height // height)
-    first = step // 2
-    small = np.ascontiguousarray(depth[first::step, first::step])
-    fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - first) / step, (camera.cy - first) / step
-    return View(T_wc, small, Camera(small.shape[1], small.shape[0], fx, fy, cx, cy))
-
-
 def extract_mesh(
     sdf: Callable[[Tensor], Tensor],
     colour: Callable[[Tensor], Tensor] | None,
-    views: Sequence[View],
+    views: Sequence[DepthView],
     *,
     resolution: float,
     truncation: float,
@@ -73,7 +55,7 @@ def extract_mesh(
     )
 
 
-def touched_blocks(views: Sequence[View], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
+def touched_blocks(views: Sequence[DepthView], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
     """Integer coordinates (M, 3), sorted, of the blocks of edge `edge` [m] that come within `margin` [m] (per axis) of a depth reading."""
     small = edge / 4  # readings are first gathered in small cells: few remain to be dilated
     cells = [np.unique(_pack(_world_points(view, stride) // small)) for view in views]
@@ -85,7 +67,7 @@ def touched_blocks(views: Sequence[View], edge: float, margin: float, *, stride:
     return _unpack(np.unique(np.concatenate(blocks)))
 
 
-def _world_points(view: View, stride: int) -> NDArray[np.float64]:
+def _world_points(view: DepthView, stride: int) -> NDArray[np.float64]:
     """The readings (N, 3) [m] of every `stride`-th row and column."""
     v, u = np.mgrid[0 : view.camera.height : stride, 0 : view.camera.width : stride]
     z = view.depth[v, u].astype(np.float64)
@@ -171,7 +153,7 @@ def _evaluate(function: Callable[[Tensor], Tensor], points: NDArray, device: tor
     return torch.cat([function(batch.to(device)).float().cpu() for batch in batches]).numpy()
 
 
-def observed(vertices: NDArray[np.float64], views: Sequence[View], tolerance: float) -> NDArray[np.bool_]:
+def observed(vertices: NDArray[np.float64], views: Sequence[DepthView], tolerance: float) -> NDArray[np.bool_]:
     """Which vertices (N, 3) [m] the views saw: at least one measured a depth within `tolerance` [m] of the vertex's own at its pixel.
 
     "At its pixel" is any of the four about its projection, so that surface seen at a grazing angle counts. Views that measured all four

@@ -1,22 +1,22 @@
 """What the map is taught from: volume rendering as in the paper, or the samples themselves."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.compute.devices import repeatable
 from idfslam.config import MapperConfig
-from idfslam.hardware import repeatable
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import fusable
 from idfslam.mapping.fused import learn as fused_learn
 from idfslam.mapping.fused import learn_steps as fused_steps
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.optimiser import MapOptimiser
+from idfslam.mapping.ray_samples import RaySamples, compiled_placed, placed, uniform
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render
+from idfslam.sensing.depth_noise import noise_ratio
 
 
 class Objective(Protocol):
@@ -62,18 +62,6 @@ def far_depth(rays: Rays, truncation: float) -> Tensor:
     return torch.where(rays.depth > 0, rays.depth, farthest) + 2 * truncation
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Points along B rays with what the field should say there; the first `near` are about the surface, the rest in free space."""
-
-    points: Tensor  # (N, 3) [m]
-    near: int  # B * S of the N points
-    target: Tensor  # (N,) T-SDF [tr]; in free space: unused
-    weight: Tensor  # (N,) of the T-SDF's residual; they sum to the share of their loss
-    colour: Tensor  # (near, 3)
-    colour_weight: Tensor  # (near,)
-
-
 class SampleObjective:
     """T-SDF and colour held against the measurement at the samples themselves: few of them, near the surface and in free space.
 
@@ -104,7 +92,7 @@ class SampleObjective:
             losses.total.backward()
         return losses
 
-    def samples(self, rays: Rays, generator: torch.Generator) -> Samples:
+    def samples(self, rays: Rays, generator: torch.Generator) -> RaySamples:
         """S near the surface and S' in free space, of each ray."""
         c = self.config
         like = rays.depth
@@ -118,7 +106,7 @@ class SampleObjective:
             certainty = noise_ratio(rays.depth) ** -c.certainty
             weight[:near] *= (certainty / certainty.mean().clamp(min=1e-6)).repeat_interleave(c.samples)
         colour = rays.colour[:, None].expand(-1, c.samples, 3).reshape(-1, 3)
-        return Samples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
+        return RaySamples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 
     def steps(self, field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, generator: torch.Generator) -> list[Losses]:
         """So many steps of the optimiser, each on the rays of its turn; for fields that `fused.learns_in_steps`."""
@@ -138,50 +126,3 @@ class SampleObjective:
             truncation=near_terms.sum() / c.truncation_weight,
             per_ray=per_ray.detach() * rays,
         )
-
-
-def uniform(like: Tensor, rays: int, samples: int, generator: torch.Generator) -> Tensor:
-    """(rays, samples) in [0, 1) of the generator's device and then of the tensor's."""
-    return torch.rand(rays, samples, generator=generator, device=generator.device).to(like)
-
-
-def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
-    """Points (B * (S + S'), 3) on B rays and their T-SDF [tr], as far as it is known: in free space 1.
-
-    S of each ray lie within `truncation` of the surface, as far before it as behind: one-sided they would move the surface as soon as
-    readings are noisy. S' lie before that. Each is in its own part of the way, where chance (B, S) and free_chance (B, S') say.
-    """
-    depth = rays.depth[:, None]
-    near = depth - truncation + 2 * truncation * parts(chance)
-    first, last = 0.05, (depth - truncation).clamp(min=0.1)
-    free = first + (last - first) * parts(free_chance)
-    target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()
-    return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])
-
-
-def parts(chance: Tensor) -> Tensor:
-    """Places in [0, 1) of S samples (B, S), one in each of S equal parts."""
-    samples = chance.shape[1]
-    return (torch.arange(samples, dtype=chance.dtype, device=chance.device) + chance) / samples
-
-
-def compiled_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
-    """`placed` by Numba, on the CPU, without gradients."""
-    from idfslam.mapping.kernels import numba_rays
-
-    points = torch.empty(chance.numel() + free_chance.numel(), 3)
-    target = torch.empty(len(points))
-    along = [t.contiguous().numpy() for t in (rays.origins, rays.directions, rays.depth, rays.facing)]
-    outputs = points.numpy(), target.numpy()
-    numba_rays.place(*along, chance.numpy(), free_chance.numpy(), np.float32(truncation), *outputs)  # type: ignore[call-arg]
-    return points, target
-
-
-def _points(rays: Rays, depths: Tensor) -> Tensor:
-    """(B, S) depths along the rays -> (B * S, 3)."""
-    return (rays.origins[:, None] + rays.directions[:, None] * depths[..., None]).reshape(-1, 3)
-
-
-def noise_ratio(depth: Tensor) -> Tensor:
-    """Noise of a depth reading [m] as a multiple of the sensor's best: structured light and stereo lose with the square of depth."""
-    return 1 + 1.5 * (depth - 0.4).clamp(min=0) ** 2

@@ -9,7 +9,7 @@ from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding, roomy_zeros
 from idfslam.mapping.kernels import load, sparse_adam
-from idfslam.state import State, adam_dict, plain_adam
+from idfslam.storage.state import State, adam_dict, plain_adam
 
 MOMENTS = ("exp_avg", "exp_avg_sq")  # as torch names Adam's
 _SAYS_SOMETHING = 1e-3  # an entry's value that is not what it was initialised with

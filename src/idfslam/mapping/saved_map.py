@@ -16,10 +16,11 @@ from torch import Tensor
 from idfslam.config import FieldConfig, update
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function, tracer
 from idfslam.mapping.grid import GridEncoding
-from idfslam.mapping.meshing import View, extract_mesh, observed, reduced_view
+from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
 
 FORMAT = 2
@@ -34,7 +35,7 @@ class SavedMap:
     """A field with the views that taught it."""
 
     field: Field
-    views: Sequence[View]
+    views: Sequence[DepthView]
 
     def mesh(self, resolution: float) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m], with vertex colours."""
@@ -61,12 +62,12 @@ class SavedMap:
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
 
 
-def _reach(views: Sequence[View], T_wc: NDArray[np.float64]) -> float:
+def _reach(views: Sequence[DepthView], T_wc: NDArray[np.float64]) -> float:
     """Farther [m] than any reading lies from a camera at `T_wc` (4, 4)."""
     return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
-def mesh_of(field: Field, views: Sequence[View], resolution: float) -> trimesh.Trimesh:
+def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
     """The zero level of a field where the views observed it; where colour depends on the view, as seen head-on."""
     device = next(field.parameters()).device
 
@@ -78,7 +79,7 @@ def mesh_of(field: Field, views: Sequence[View], resolution: float) -> trimesh.T
         return extract_mesh(sdf_function(field), colour, views, resolution=resolution, truncation=field.config.truncation, device=device)
 
 
-def save_map(path: Path, field: Field, views: Sequence[View]) -> None:
+def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
     """One safetensors file; the tables of a feature grid, and depths in millimetres, take 16 bits.
 
     Of the views as many as fit, evenly spread. Metadata: `format`, `field` and `camera` (JSON), `precision` (how numbers are rounded).
@@ -131,9 +132,9 @@ def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
     return field.requires_grad_(False)
 
 
-def _views(camera: Camera, tensors: dict[str, Tensor]) -> list[View]:
+def _views(camera: Camera, tensors: dict[str, Tensor]) -> list[DepthView]:
     """What was seen. Raises ValueError where poses, depths and camera do not fit together."""
     poses, depths = tensors["views.T_wc"].numpy(), tensors["views.depth"].numpy().astype(np.float32) / 1000
     if len(depths) == 0 or poses.shape != (len(depths), 4, 4) or depths.shape[1:] != (camera.height, camera.width):
         raise ValueError(f"views have poses {poses.shape} and depths {depths.shape} of a {camera.width} x {camera.height} camera")
-    return [View(pose, depth, camera) for pose, depth in zip(poses, depths)]
+    return [DepthView(pose, depth, camera) for pose, depth in zip(poses, depths)]

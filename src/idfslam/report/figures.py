@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from idfslam.frame import Status
-from idfslam.frame_log import FrameLog
 from idfslam.report.chart import DEGENERATE, ESTIMATE, INK, KEYFRAME, LOST, SERIES, WIDTH, Chart, chart, key
+from idfslam.runs.frame_log import FrameLog
 
 Floats = NDArray[np.float64]
 _MOST_SERIES = 6  # losses in one chart

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam.evaluation.pictures import up_direction
+from idfslam.pictures.mesh_renderer import up_direction
 
 Floats = NDArray[np.float64]
 

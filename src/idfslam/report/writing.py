@@ -17,18 +17,19 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
-from idfslam import results
 from idfslam.config import PRESETS, RUN_SECTIONS, dump, read_yaml
 from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
-from idfslam.evaluation.result import load_mesh
+from idfslam.evaluation.evaluate import load_mesh
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, absolute_trajectory_error, matched_ground_truth
-from idfslam.finished_run import FinishedRun
 from idfslam.geometry.trajectory import load_tum
 from idfslam.report import figures
 from idfslam.report.chart import Chart
 from idfslam.report.level import level
 from idfslam.report.views import Room, comparisons
+from idfslam.runs import result_folder
+from idfslam.runs.finished_run import FinishedRun
+from idfslam.storage import atomic_files
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +70,7 @@ class _Gallery:
 
     def _write(self, name: str, data: bytes) -> None:
         path = self.folder / f"{name}.png"
-        with results.replacing(path) as part:
+        with atomic_files.replacing(path) as part:
             part.write_bytes(data)
         self.written.append(path)
 
@@ -82,20 +83,20 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     left out. Raises ResultError where the folder holds no trajectory or cannot be written to.
     """
     run = FinishedRun(folder, moved=moved)
-    results.prepare(folder / results.PICTURES)
-    results.remove_pictures(folder)
-    results.prepare(folder / results.PICTURES)
+    atomic_files.prepare(folder / result_folder.PICTURES)
+    result_folder.remove_pictures(folder)
+    atomic_files.prepare(folder / result_folder.PICTURES)
     missing: list[str] = []
     if recording is None:
         recording = _recording(run, missing)
-    gallery = _Gallery(folder / results.PICTURES)
+    gallery = _Gallery(folder / result_folder.PICTURES)
     mesh = _mesh(folder, missing)
     ate = _ate(run, recording, gt)
-    metrics = json.loads((folder / results.METRICS).read_text(encoding="utf-8")) if (folder / results.METRICS).is_file() else {}
+    metrics = json.loads((folder / result_folder.METRICS).read_text(encoding="utf-8")) if (folder / result_folder.METRICS).is_file() else {}
     sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh) | _frames(gallery, run, recording)
     page = _template().render(
         name=recording.name if recording is not None else folder.resolve().name,
-        made=datetime.fromtimestamp((folder / results.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
+        made=datetime.fromtimestamp((folder / result_folder.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
         cards=_cards(run, ate, metrics, mesh),
         interrupted=bool(metrics.get("interrupted")),
         sections=sections,
@@ -104,9 +105,9 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
         config=_config(folder),
         extra=dict(zip(RUN_SECTIONS, _run_sections(folder))),
     )
-    with results.replacing(folder / results.REPORT) as part:
+    with atomic_files.replacing(folder / result_folder.REPORT) as part:
         part.write_text(page, encoding="utf-8")
-    return [folder / results.REPORT, *gallery.written]
+    return [folder / result_folder.REPORT, *gallery.written]
 
 
 def _template() -> jinja2.Template:
@@ -127,7 +128,7 @@ def _recording(run: FinishedRun, missing: list[str]) -> Dataset | None:
 def _mesh(folder: Path, missing: list[str]) -> trimesh.Trimesh | None:
     """The mesh, where there is one with triangles; what the page says of it, where there is not."""
     try:
-        return load_mesh(results.existing(folder, results.MESH))
+        return load_mesh(result_folder.existing(folder, result_folder.MESH))
     except ResultError as error:
         missing.append(f"Mesh and map: {error}.")
         return None
@@ -190,7 +191,7 @@ def _room(gallery: _Gallery, run: FinishedRun, known: Known, mesh: trimesh.Trime
     if room is not None:
         sections["mesh"] = [gallery.picture(f"mesh_{i}", f"From outside, side {i}", image) for i, image in enumerate(room.outside(), 1)]
         sections["inside"] = [gallery.picture(f"inside_{i}", f"From inside, place {i}", image) for i, image in enumerate(room.inside(), 1)]
-    if room is not None and (run.folder / results.MAP).is_file():
+    if room is not None and (run.folder / result_folder.MAP).is_file():
         for i, (height, plane) in enumerate(room.slices(run.map), 1):
             drawn = figures.slice_chart(f"slice{i}", plane, path, run.map.field.config.truncation)
             sections["slices"] += gallery.chart(f"slice_{i}", f"{height:.2f} m above the lowest surface", drawn)
@@ -199,7 +200,7 @@ def _room(gallery: _Gallery, run: FinishedRun, known: Known, mesh: trimesh.Trime
 
 def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> dict[str, Any]:
     """Frames beside what the map shows from their estimated poses."""
-    if recording is None or not (run.folder / results.MAP).is_file():
+    if recording is None or not (run.folder / result_folder.MAP).is_file():
         return {"views": []}
     rows = []
     for n, found in enumerate(comparisons(run.map, recording, run.trajectory.poses), 1):
@@ -228,8 +229,8 @@ def _cards(run: FinishedRun, known: Known, metrics: dict[str, Any], mesh: trimes
     cards.append(("keyframes", f"{len(run.keyframes.indices)}", f"{run.keyframes.camera.width} x {run.keyframes.camera.height} px"))
     if mesh is not None:
         cards.append(("mesh", f"{mesh.area:.0f}", f"m² in {len(mesh.faces) / 1000:.0f} k triangles"))
-    if (run.folder / results.MAP).is_file():
-        cards.append(("map", f"{(run.folder / results.MAP).stat().st_size / 1e6:.1f}", "MB on disk"))
+    if (run.folder / result_folder.MAP).is_file():
+        cards.append(("map", f"{(run.folder / result_folder.MAP).stat().st_size / 1e6:.1f}", "MB on disk"))
     if metrics.get("peak_memory_mb") is not None:
         cards.append(("memory", f"{metrics['peak_memory_mb']:.0f}", "MiB at most"))
     return cards + _evaluated(run.folder)
@@ -237,8 +238,12 @@ def _cards(run: FinishedRun, known: Known, metrics: dict[str, Any], mesh: trimes
 
 def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
     """What `idf-slam eval` said of the mesh, where it was asked and is no older than the mesh."""
-    path = folder / results.EVALUATION_FILES[0]
-    if not path.is_file() or not (folder / results.MESH).is_file() or path.stat().st_mtime < (folder / results.MESH).stat().st_mtime:
+    path = folder / result_folder.EVALUATION_FILES[0]
+    if (
+        not path.is_file()
+        or not (folder / result_folder.MESH).is_file()
+        or path.stat().st_mtime < (folder / result_folder.MESH).stat().st_mtime
+    ):
         return []
     mesh = json.loads(path.read_text(encoding="utf-8")).get("mesh")
     if not mesh:
@@ -250,15 +255,15 @@ def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
 
 def _run_sections(folder: Path) -> list[dict[str, Any]]:
     """The recording and the versions, as config.yaml names them."""
-    values = read_yaml(folder / results.CONFIG) if (folder / results.CONFIG).is_file() else {}
+    values = read_yaml(folder / result_folder.CONFIG) if (folder / result_folder.CONFIG).is_file() else {}
     return [values.get(name) or {} for name in RUN_SECTIONS]
 
 
 def _config(folder: Path) -> list[tuple[str, list[tuple[str, Any, bool]]]]:
     """Sections with names, values, and whether these differ from the preset's."""
-    if not (folder / results.CONFIG).is_file():
+    if not (folder / result_folder.CONFIG).is_file():
         return []
-    config, _ = results.read_config(folder)
+    config, _ = result_folder.read_config(folder)
     values, preset = dump(config), dump(PRESETS[config.preset])
     general = [(name, value, value != preset[name]) for name, value in values.items() if not isinstance(value, dict)]
     sections = [("general", general)]

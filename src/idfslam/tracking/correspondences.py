@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from idfslam.config import TrackerConfig
-from idfslam.tracking.compatibility import compatible_subsets
-from idfslam.tracking.registration import Registration, random_subsets, register
+from idfslam.tracking.procrustes import Registration, random_subsets, register
+from idfslam.tracking.spatial_consistency import compatible_subsets
 
 
 @dataclass(frozen=True)

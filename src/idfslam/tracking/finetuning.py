@@ -5,11 +5,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from idfslam.compute.devices import repeatable
 from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
-from idfslam.hardware import repeatable
-from idfslam.mapping.losses import correspondence_loss, depth_loss, photometric_residuals
-from idfslam.tracking.description import Described
+from idfslam.tracking.frame_features import Described
 from idfslam.tracking.matching import Matches
 
 Render = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -17,6 +16,18 @@ Render = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 Differentiable in the pose.
 """
+
+
+def depth_loss(depth: Tensor, target_depth: Tensor) -> Tensor:
+    """Eq. 7: mean |D - D^| [m] over the rays (B,) that have a reading (target > 0); 0 if none has."""
+    measured = target_depth > 0
+    return ((depth - target_depth).abs() * measured).sum() / measured.sum().clamp(min=1)
+
+
+def correspondence_loss(points_r: Tensor, points_c: Tensor, T_rc: Tensor, weights: Tensor) -> Tensor:
+    """Eq. 8: mean of w ||p_r - T_rc p_c|| [m] over correspondences: points (C, 3) [m] of the two frames, weights (C,)."""
+    aligned = points_c @ T_rc[:3, :3].mT + T_rc[:3, 3]
+    return (weights * torch.linalg.vector_norm(points_r - aligned, dim=-1)).mean()
 
 
 def finetuning_losses(
@@ -38,7 +49,7 @@ def finetuning_losses(
     colour, rendered = render((T_wr.to(T_rc) @ T_rc).to(points.dtype), uv)
     points_r = reference.points.flatten(0, 1)[matches.keyframe]
     return {
-        "photometric": photometric_residuals(colour, current.colour.flatten(1).mT[chosen]).mean(),
+        "photometric": torch.linalg.vector_norm(colour - current.colour.flatten(1).mT[chosen], dim=-1).mean(),  # Eq. 1
         "depth": depth_loss(rendered, depth),
         "correspondence": correspondence_loss(points_r.to(T_rc), points[matches.frame].to(T_rc), T_rc, matches.weight),
     }

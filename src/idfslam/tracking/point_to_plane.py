@@ -8,24 +8,18 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry import se3
-from idfslam.mapping.objectives import noise_ratio
+from idfslam.sensing.depth_noise import BEST, difference_noise
 from idfslam.tracking.correspondences import Correspondences
-from idfslam.tracking.description import Described
+from idfslam.tracking.frame_features import Described
 
 _STRIDE = 4  # rows and columns of the frame, of which one takes part, in all but the last steps
 _FINE_STEPS = 2  # in which all take part
 _REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step
 _FACING = 0.8  # least cosine between two normals that may correspond
-_BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at its best (Nguyen et al. 2012)
 _MATCH_NOISE = 0.01  # [m] of a match on top of the sensor's: a pixel of the features, seen from 2 m
 _MATCH_WEIGHT = 0.1  # of a match beside a point: neighbouring matches err alike
 _PRIOR = 1.0  # information [1/m^2, 1/rad^2] that the pose stays: next to nothing, against 10^4 of a point
 _ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter
-
-
-def sensor_noise(z: Tensor) -> Tensor:
-    """Standard deviation [m] of the difference of two readings at depth z [m]."""
-    return 2**0.5 * _BEST * noise_ratio(z)
 
 
 @torch.no_grad()
@@ -50,7 +44,7 @@ def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: in
     c, H, b = keyframe.camera, torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
     images = [image.numpy() for image in (frame.points, frame.normals, keyframe.points, keyframe.normals)]
     camera = np.array([c.fx, c.fy, c.cx, c.cy], np.float32)
-    numbers = (np.float32(value) for value in (reach, _FACING, 2**0.5 * _BEST, _ROBUST))
+    numbers = (np.float32(value) for value in (reach, _FACING, 2**0.5 * BEST, _ROBUST))
     numba_tracking.plane_system(T_kc.float().numpy(), *images[:2], stride, *images[2:], camera, *numbers, H.numpy(), b.numpy())  # type: ignore[call-arg]
     return H, b
 
@@ -66,7 +60,7 @@ def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stri
     offset, normal = moved - keyframe.points[v, u], keyframe.normals[v, u]
     distance = (offset * normal).sum(-1)
     near = (distance.abs() < reach) & (offset.norm(dim=-1) < 2 * reach)
-    sigma = sensor_noise(z)
+    sigma = difference_noise(z)
     weight = (inside & near & ((turned * normal).sum(-1) > _FACING)) * _robust(distance, sigma)
     J = torch.cat([normal, torch.linalg.cross(moved, normal)], -1)
     JtW = (J * weight[:, None]).T
@@ -85,7 +79,7 @@ def _match_system(T_kc: Tensor, matches: Correspondences) -> tuple[Tensor, Tenso
     """Normal equations H (6, 6), b (6,) of the differences between matched points."""
     moved, target = se3.transform(T_kc, matches.frame.to(T_kc)), matches.keyframe.to(T_kc)
     difference = moved - target
-    weight = _MATCH_WEIGHT * _robust(difference.norm(dim=-1), sensor_noise(target[:, 2]) + _MATCH_NOISE)
+    weight = _MATCH_WEIGHT * _robust(difference.norm(dim=-1), difference_noise(target[:, 2]) + _MATCH_NOISE)
     J = torch.cat([torch.eye(3).to(T_kc).expand(len(moved), 3, 3), -se3.hat(moved)], -1)
     JtW = (J * weight[:, None, None]).flatten(0, 1).T
     return JtW @ J.flatten(0, 1), -JtW @ difference.flatten()

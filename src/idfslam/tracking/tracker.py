@@ -9,21 +9,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.compute.devices import resolve_precision
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
-from idfslam.hardware import resolve_precision
-from idfslam.state import State, adam_dict, plain_adam
+from idfslam.storage.state import State, adam_dict, plain_adam
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
-from idfslam.tracking.description import Described, reduced
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
+from idfslam.tracking.finetune_validator import Guard, held_out
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
-from idfslam.tracking.guard import Guard, held_out
+from idfslam.tracking.frame_features import Described, reduced
 from idfslam.tracking.matching import Features, Matches, match, spread
-from idfslam.tracking.partners import partners
+from idfslam.tracking.overlap import partners
 from idfslam.tracking.point_to_plane import point_to_plane
-from idfslam.tracking.registration import Registration, supported
+from idfslam.tracking.procrustes import Registration, supported
 
 _ASKING, _ANSWERING = 8, 2  # strides of the pixels that the guard has ask and answer: a few ms a pair, whatever the tracker's own are
 

@@ -1,0 +1,43 @@
+"""Normals of the map at a frame's points, smoothed over like neighbours: what is noise in them looks like information along a wall."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+_ALIKE = 0.906  # least cosine between normals that are averaged: 25 degrees
+_COPLANAR = 0.03  # [m] from the tangent plane at most
+_REACH = 2  # patches to each side
+
+
+def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and its length (N,).
+
+    A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals
+    of a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
+    """
+    if points.device.type != "cpu":
+        slope = gradient.norm(dim=-1)
+        return plain_smoothed(points, gradient / slope.clamp(min=1e-9)[:, None], patches), slope
+    from idfslam.alignment.kernels import numba_alignment
+
+    normal, slope = torch.empty_like(gradient), torch.empty(len(gradient))
+    inputs, outputs = [t.numpy() for t in (points, gradient, patches)], (normal.numpy(), slope.numpy())
+    numba_alignment.smoothed_normals(*inputs, _REACH, np.float32(_ALIKE), np.float32(_COPLANAR), *outputs)  # type: ignore[call-arg]
+    return normal, slope
+
+
+def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
+    """The normals of `smoothed_normals` in torch, on any device."""
+    rows, columns = patches.shape
+    padded = F.pad(patches.long(), (_REACH,) * 4, value=-1)
+    here, known = patches.clamp(min=0).long(), patches >= 0
+    total = torch.zeros(rows, columns, 3, dtype=unit.dtype, device=unit.device)
+    for i in range(2 * _REACH + 1):
+        for j in range(2 * _REACH + 1):
+            there = padded[i : i + rows, j : j + columns]
+            n, other = unit[here], unit[there.clamp(min=0)]
+            off = (n * (points[there.clamp(min=0)] - points[here])).sum(-1)
+            alike = (there >= 0) & ((n * other).sum(-1) >= _ALIKE) & (off.abs() < _COPLANAR)
+            total += other * alike[..., None]
+    return F.normalize(total[known], dim=-1)[patches[known].long().argsort()]

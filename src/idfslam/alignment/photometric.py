@@ -1,0 +1,226 @@
+"""Direct photometric alignment: points of a keyframe that stand out keep their brightness in the frame.
+
+What the shape of the map leaves open (along a bare wall everything fits) the images of earlier keyframes decide, to a
+fraction of a pixel. Two levels of an image pyramid, the coarse one first, widen the reach.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of an image pyramid."""
+
+    luminance: Tensor  # (h, w) in [0, 1]
+    camera: Camera
+
+    def at(self, uv: Tensor) -> Tensor:
+        """Luminance and its derivatives along u and v [1/px], bilinear: (3, N) at pixels (N, 2); the nearest edge's outside."""
+        return self._sampled(with_slopes(self.luminance), uv)
+
+    def luminance_at(self, uv: Tensor) -> Tensor:
+        """The first of these alone, (N,)."""
+        return self._sampled(self.luminance[None], uv)[0]
+
+    def _sampled(self, channels: Tensor, uv: Tensor) -> Tensor:
+        size = uv.new_tensor([self.camera.width, self.camera.height])
+        place = ((uv + 0.5) * (2 / size) - 1)[None, None]
+        return F.grid_sample(channels[None], place, align_corners=False, padding_mode="border")[0, :, 0]
+
+
+def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
+    """Luminance of an image (H, W, 3), the finest level of at least `height` rows and each next of half as many."""
+    full = luminance(colour)
+    shrink = max(1, camera.height // height)
+    out: list[Level] = []
+    for _ in range(levels):
+        finer = out[-1].luminance if out else full
+        halved = bool(out) and finer.shape[0] % 2 == 0 and finer.shape[1] % 2 == 0  # means of means of as many are means
+        image = half(finer) if halved else F.avg_pool2d(full[None], shrink)[0] if shrink > 1 else full
+        out.append(Level(image, camera.resized(image.shape[1], image.shape[0])))
+        shrink *= 2
+    return out
+
+
+def half(image: Tensor) -> Tensor:
+    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels, on the CPU by OpenCV."""
+    if image.device.type != "cpu":
+        return F.avg_pool2d(image[None], 2)[0]
+    return torch.from_numpy(cv2.resize(image.numpy(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+
+
+def luminance(colour: Tensor) -> Tensor:
+    """(H, W, 3) -> (H, W), on the CPU by Numba."""
+    if colour.device.type != "cpu":
+        return colour.mean(-1)
+    from idfslam.alignment.kernels import numba_alignment
+
+    out = torch.empty(colour.shape[:2])
+    numba_alignment.luminance_of(colour.numpy(), out.numpy())  # type: ignore[call-arg]
+    return out
+
+
+def with_slopes(image: Tensor) -> Tensor:
+    """(h, w) -> (3, h, w): the image and its central differences along u and v; zero at the border."""
+    out = image.new_zeros(3, *image.shape)
+    out[0] = image
+    out[1, :, 1:-1] = (image[:, 2:] - image[:, :-2]) / 2
+    out[2, 1:-1] = (image[2:] - image[:-2]) / 2
+    return out
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Points of a keyframe where its image changes most, spread over it."""
+
+    points: Tensor  # (M, 3) [m] in the keyframe's frame
+    luminance: list[Tensor]  # of each level (M,)
+
+
+def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
+    """The steepest pixel of each of the cells of the finest level that it takes for `count` where there is depth.
+
+    If it has depth, no edge of it near, and a slope [1/px].
+    """
+    fine = levels[0]
+    measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
+    cell = max(2, round((measured / count) ** 0.5))
+    u, v = (compiled_steepest if depth.device.type == "cpu" else plain_steepest)(fine, depth, cell, least)
+    row, column = _rows_of(fine, depth)
+    points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
+    return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]) for level in levels])
+
+
+def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """u (M,) and v (M,) of the steepest pixel of each cell, in torch, on any device."""
+    h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
+    slope = with_slopes(fine.luminance)[1:].norm(dim=0)
+    row, column = _rows_of(fine, depth)
+    z = depth[row[:, None], column[None]]
+    nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
+    slope = slope * ((nearest > 0) & (farthest - nearest < 0.02 + 0.03 * nearest))
+    cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
+    best, place = cells.max(1)
+    index = torch.nonzero(best > least).flatten()
+    v = index // (w // cell) * cell + place[index] // cell
+    u = index % (w // cell) * cell + place[index] % cell
+    return u, v
+
+
+def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """`plain_steepest` by Numba, on the CPU."""
+    from idfslam.alignment.kernels import numba_alignment
+
+    most = (fine.camera.height // cell) * (fine.camera.width // cell)
+    u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
+    found = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
+    return u[:found], v[:found]
+
+
+def _rows_of(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
+    """The row of a depth image (H, W) that each row of a level lies in, and the column that each of its columns does."""
+    row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
+    column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
+    return row, column
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """A frame's image and depth, to hold landmarks against."""
+
+    levels: list[Level]
+    depth: Tensor  # (H, W) [m]
+    camera: Camera  # of the depth
+
+
+@dataclass(frozen=True)
+class Term:
+    """What the images add to the normal equations of a pose (shift, turn about the camera, both along world axes)."""
+
+    H: Tensor  # (6, 6) float64
+    b: Tensor  # (6,) float64
+    seen: int  # landmarks in view
+    noise: float  # scale of the differences of brightness
+
+
+def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
+    """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
+
+    Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
+    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by
+    `plain_photometric_term`, to the same values.
+    """
+    if marks.points.device.type != "cpu":
+        return plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+    from idfslam.alignment.kernels.numba_alignment import photometric_system
+
+    image, camera = frame.levels[level].luminance, frame.levels[level].camera
+    H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    R_cw = T_wc[:3, :3].T.contiguous().numpy()
+    shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
+    ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
+    seen, noise = photometric_system(
+        marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift,
+        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest, H.numpy(), b.numpy(),
+    )  # fmt: skip
+    return Term(H, b, seen, noise)
+
+
+def plain_photometric_term(
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+) -> Term:
+    """`photometric_term` in torch, on any device."""
+    T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
+    d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes
+    points_c = d @ T_wc[:3, :3]
+    image = frame.levels[level]
+    uv, z = image.camera.project(points_c)
+    value, slope_u, slope_v = image.at(uv)
+    target = marks.luminance[level]
+    size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
+    inside = (z >= 0.05) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
+    gain, offset = _exposure(target, value, inside)
+    r = value - gain * target - offset
+    scale = _median(r.abs()[inside]).mul(1.4826).clamp(min=floor)
+    w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
+    # dr = -slope . dpi/dp . R^T (shift + turn x d)
+    fx, fy = image.camera.fx, image.camera.fy
+    x, y, _ = points_c.unbind(-1)
+    z = z.clamp(min=0.05)
+    a = torch.stack([slope_u * fx / z, slope_v * fy / z, -(slope_u * fx * x + slope_v * fy * y) / z**2], -1)
+    n = -(a @ T_wc[:3, :3].T)
+    J = torch.cat([n, torch.linalg.cross(d, n)], -1)
+    JtW = (J * w[:, None]).T
+    return Term((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), int(inside.sum()), float(scale))
+
+
+def _median(values: Tensor) -> Tensor:
+    """The median with the middle two averaged, as numpy has it; 0 of nothing."""
+    return values.quantile(0.5) if len(values) else values.new_zeros(())
+
+
+def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
+    """Whether the frame's own depth agrees with the landmark's; where it has none, yes."""
+    u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
+    v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
+    depth = frame.depth[v, u]
+    return (depth <= 0) | ((depth - z).abs() < 0.05 + 0.05 * z)
+
+
+def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """Gain and offset with value = gain * target + offset over the landmarks in view, from means and spreads."""
+    n = inside.sum().clamp(min=1)
+    mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
+    spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()
+    spread_v = (((value - mean_v) ** 2 * inside).sum() / n).sqrt()
+    gain = (spread_v / spread_t.clamp(min=1e-3)).clamp(0.7, 1.4)
+    return gain, mean_v - gain * mean_t

@@ -1,0 +1,308 @@
+"""The benchmark of pairs: relative poses of frames some frames apart, learned features against the field's classics.
+
+All see the same pairs, and all matches go through the same robust Procrustes. The poses of a recording are read here, to compare.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.batch.recordings import listed
+from idfslam.benchmark.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
+from idfslam.benchmark.keypoints import KeypointDetector, Keypoints, Kind
+from idfslam.benchmark.match_figure import MatchPicture, draw_matches
+from idfslam.benchmark.runs import machine, markdown_table
+from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
+from idfslam.datasets import Dataset, open_recording
+from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.frame import Frame
+from idfslam.pretraining.validation import pose_error
+from idfslam.storage import atomic_files
+from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
+from idfslam.tracking.features import FeatureExtractor, untrained_extractor
+from idfslam.tracking.frame_features import Described, reduced
+from idfslam.tracking.procrustes import Registration
+from idfslam.tracking.tracker import Tracker
+
+REPORT, TABLE = "pairs.json", "pairs.md"
+ROTATIONS = (5, 10)  # [degrees]
+TRANSLATIONS = (5, 10, 25)  # [cm]
+_WRONG = (5, 15)  # [degrees, cm] beyond which a pose that was believed is counted as wrong
+_RIGHT = (5, 10)  # [degrees, cm] within which a pose is right: how often belief and doubt are
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A pose of a frame in its keyframe, and what it rests on."""
+
+    T_kc: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    believed: bool = False
+    inliers: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))  # (M, 4) pixels in frame and keyframe
+
+
+def _estimate(found: Correspondences, pose: Registration, believed: bool) -> Estimate:
+    pixels = torch.cat([found.frame_uv, found.keyframe_uv], -1)[pose.inliers]
+    return Estimate(pose.T_ab.numpy(), believed, pixels.double().numpy())
+
+
+class Method(Protocol):
+    """A way to register two frames, in two steps that are timed apart: what a frame costs, and what a pair costs."""
+
+    def describe(self, frame: Frame) -> Any: ...
+
+    def register(self, frame: Any, keyframe: Any) -> Estimate: ...
+
+
+class LearnedFeatures:
+    """The neural tracker."""
+
+    def __init__(self, config: TrackerConfig, extractor: FeatureExtractor | None = None) -> None:
+        self._tracker = Tracker(config, FinetuneConfig(enabled=False), extractor=extractor)
+
+    def describe(self, frame: Frame) -> Described:
+        return self._tracker.describe(frame)
+
+    def register(self, frame: Described, keyframe: Described) -> Estimate:
+        found, pose = self._tracker.register(frame, keyframe)
+        return Estimate() if pose is None else _estimate(found, pose, self._tracker.believes(pose, found, frame, keyframe))
+
+
+class KeypointFeatures:
+    """SIFT or ORB on the whole image, matched mutually; believed by the paper's thresholds, since they know nothing of depth images."""
+
+    def __init__(self, kind: Kind, config: TrackerConfig) -> None:
+        self._detector, self._config, self._generator = KeypointDetector(kind), config, torch.Generator().manual_seed(0)
+
+    def describe(self, frame: Frame) -> Keypoints:
+        return self._detector.detect(frame)
+
+    def register(self, frame: Keypoints, keyframe: Keypoints) -> Estimate:
+        indices, weight = self._detector.match(frame, keyframe, self._config.matches)
+        i, j = indices.T
+        pixels = torch.from_numpy(frame.uv[i]), torch.from_numpy(keyframe.uv[j])
+        points = torch.from_numpy(frame.points[i]), torch.from_numpy(keyframe.points[j])
+        found = Correspondences(*pixels, *points, torch.from_numpy(weight))
+        pose = estimate_pose(found, self._config, self._generator)
+        return Estimate() if pose is None else _estimate(found, pose, believable(pose, found, PAPER.tracker))
+
+
+class DepthAlone:
+    """ICP from the identity."""
+
+    def __init__(self, variant: Variant) -> None:
+        self._icp = IterativeClosestPoints(variant)
+
+    def describe(self, frame: Frame) -> Cloud:
+        return self._icp.cloud(frame)
+
+    def register(self, frame: Cloud, keyframe: Cloud) -> Estimate:
+        return Estimate(*self._icp.align(frame, keyframe))
+
+
+@dataclass
+class Tally:
+    """The errors and times of one method at one gap."""
+
+    rotation: list[float] = field(default_factory=list)  # [degrees]
+    translation: list[float] = field(default_factory=list)  # [cm]
+    believed: list[bool] = field(default_factory=list)
+    describe: list[float] = field(default_factory=list)  # [ms] a frame
+    register: list[float] = field(default_factory=list)  # [ms] a pair that is described
+
+    def figures(self) -> dict[str, float | None]:
+        """What the report tells of them: shares in [0, 1] (None: of nothing), degrees, cm, ms."""
+        rotation, translation, believed = (np.array(values) for values in (self.rotation, self.translation, self.believed))
+        right = (rotation < _RIGHT[0]) & (translation < _RIGHT[1])
+        wrong = (rotation > _WRONG[0]) | (translation > _WRONG[1])
+        return {
+            "pairs": len(rotation),
+            **{f"rotation_below_{limit}_deg": float((rotation < limit).mean()) for limit in ROTATIONS},
+            **{f"translation_below_{limit}_cm": float((translation < limit).mean()) for limit in TRANSLATIONS},
+            "rotation_mean_deg": float(rotation.mean()),
+            "rotation_median_deg": float(np.median(rotation)),
+            "translation_mean_cm": float(translation.mean()),
+            "translation_median_cm": float(np.median(translation)),
+            "believed": float(believed.mean()),
+            "believed_but_wrong": float((believed & wrong).mean()),
+            "right_of_believed": _share(right[believed]),
+            "doubted_of_not_right": _share(~believed[~right]),
+            "ms_a_frame": float(np.median(self.describe)),
+            "ms_a_pair": float(2 * np.median(self.describe) + np.median(self.register)),
+        }
+
+
+def _share(those: NDArray[np.bool_]) -> float | None:
+    """How many of them, if there are any."""
+    return float(those.mean()) if len(those) else None
+
+
+@dataclass(frozen=True)
+class PairSample:
+    """Pairs of a recording one gap apart that can be read and have poses."""
+
+    recording: Dataset
+    gap: int
+    starts: tuple[int, ...]
+
+    def __iter__(self) -> Any:
+        """(keyframe, frame, true T_kc) of each."""
+        truth = self.recording.ground_truth
+        assert truth is not None
+        for i in self.starts:
+            try:
+                keyframe, frame = self.recording[i], self.recording[i + self.gap]
+            except FrameError:
+                continue
+            yield keyframe, frame, np.linalg.inv(truth[i]) @ truth[i + self.gap]
+
+
+def sample(recording: Dataset, gap: int, pairs: int) -> PairSample:
+    """`pairs` pairs spread evenly over the recording. Raises RecordingError where it has no poses or is too short."""
+    truth = recording.ground_truth
+    if truth is None:
+        raise RecordingError(f"{recording.name}: has no ground truth, expected poses to compare with; choose a recording that has them")
+    if len(recording) <= gap:
+        raise RecordingError(f"{recording.name}: has {len(recording)} frames, expected more than --gap {gap}")
+    known = np.asarray(np.isfinite(truth).all((1, 2)))
+    starts = np.flatnonzero(known[:-gap] & known[gap:])
+    if not len(starts):
+        raise RecordingError(f"{recording.name}: no two frames {gap} apart have poses; choose another --gap")
+    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, pairs).astype(int))]
+    return PairSample(recording, gap, tuple(int(i) for i in chosen))
+
+
+def learned(config: TrackerConfig, weights: Sequence[Path]) -> dict[str, Method]:
+    """By name: the features that the config names, and those in `weights`."""
+    return {"ours": LearnedFeatures(config), **{path.stem: LearnedFeatures(replace(config, weights=path)) for path in weights}}
+
+
+def baselines(config: TrackerConfig, images: torch.Tensor, report: Callable[[str], None]) -> dict[str, Method]:
+    """By name: untrained features fitted to `images` (B, 3, h, w), SIFT, ORB, and ICP where it is installed."""
+    found: dict[str, Method] = {
+        "untrained": LearnedFeatures(config, untrained_extractor(images)),
+        "SIFT": KeypointFeatures("SIFT", config),
+        "ORB": KeypointFeatures("ORB", config),
+    }
+    if icp_installed():
+        return found | {"ICP": DepthAlone("PLANE_ICP"), "GICP": DepthAlone("GICP")}
+    report("no rows for ICP and GICP: small_gicp is not installed: pip install 'idf-slam[bench]'")
+    return found
+
+
+def bench_pairs(
+    recordings: Sequence[str],
+    config: Config,
+    *,
+    gaps: Sequence[int] = (5, 10, 20, 40),
+    pairs: int = 100,
+    weights: Sequence[Path] = (),
+    against_baselines: bool = True,
+    folder: Path | None = None,
+    report: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Errors of our features, those in `weights`, and the baselines, on `pairs` pairs of each recording and gap.
+
+    Into `folder` (if any) go JSON, table, and pictures of matches. Raises ConfigError and RecordingError before the first pair where
+    something cannot be measured.
+    """
+    if pairs < 1 or not gaps or min(gaps) < 1:
+        raise ConfigError(f"--pairs {pairs} --gap {' '.join(map(str, gaps))}, expected at least 1 pair and gaps of at least 1 frame")
+    opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in listed(recordings)}
+    samples = [sample(recording, gap, pairs) for recording in opened.values() for gap in gaps]
+    if folder is not None:
+        atomic_files.prepare(folder)
+    rows = []
+    for taken in samples:
+        chosen = learned(config.tracker, weights)
+        if against_baselines:
+            chosen |= baselines(config.tracker, _images(taken.recording, config.tracker.height), report)
+        tallies, picture = _measure(taken, chosen)
+        rows += [
+            {"recording": taken.recording.name, "gap": taken.gap, "method": name, **tally.figures()} for name, tally in tallies.items()
+        ]
+        report(f"{taken.recording.name}: {len(taken.starts)} pairs {taken.gap} frames apart")
+        if folder is not None:
+            draw_matches(folder / f"matches-{taken.recording.name}-{taken.gap}.png", picture)
+    found = {"machine": machine(), "preset": config.preset, "rows": rows}
+    if folder is not None:
+        atomic_files.write_json(folder / REPORT, found)
+        with atomic_files.replacing(folder / TABLE) as part:
+            part.write_text(markdown(found), encoding="utf-8")
+    return found
+
+
+def _measure(taken: PairSample, chosen: Mapping[str, Method]) -> tuple[dict[str, Tally], list[MatchPicture]]:
+    """The tallies of all methods, and the matches of the pair in the middle."""
+    tallies: dict[str, Tally] = {name: Tally() for name in chosen}
+    pictures: list[MatchPicture] = []
+    for place, (keyframe, frame, truth) in enumerate(taken):
+        for name, method in chosen.items():
+            estimate = _timed(method, frame, keyframe, tallies[name])
+            rotation, translation = pose_error(estimate.T_kc, truth)
+            tallies[name].rotation.append(rotation)
+            tallies[name].translation.append(translation)
+            tallies[name].believed.append(estimate.believed)
+            if place == len(taken.starts) // 2 and len(estimate.inliers):
+                title = f"{name}: {len(estimate.inliers)} inliers, {rotation:.1f} degrees and {translation:.1f} cm off"
+                pictures.append(MatchPicture(title, keyframe.colour, frame.colour, estimate.inliers))
+    return tallies, pictures
+
+
+def _timed(method: Method, frame: Frame, keyframe: Frame, tally: Tally) -> Estimate:
+    marks = [time.perf_counter()]
+    described = []
+    for image in (frame, keyframe):
+        described.append(method.describe(image))
+        marks.append(time.perf_counter())
+    estimate = method.register(*described)
+    marks.append(time.perf_counter())
+    first, second, last = np.diff(marks) * 1e3
+    tally.describe += [first, second]
+    tally.register.append(last)
+    return estimate
+
+
+def _images(recording: Dataset, height: int) -> torch.Tensor:
+    """A few images (B, 3, h, w) spread over the recording."""
+    images = [reduced(recording[int(i)], height)[0] for i in np.linspace(0, len(recording) - 1, 4)]
+    return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+
+
+COLUMNS = (
+    *((f"rotation_below_{limit}_deg", f"< {limit}° [%]", 100.0, 0) for limit in ROTATIONS),
+    *((f"translation_below_{limit}_cm", f"< {limit} cm [%]", 100.0, 0) for limit in TRANSLATIONS),
+    ("rotation_mean_deg", "rotation, mean [°]", 1.0, 2),
+    ("rotation_median_deg", "median", 1.0, 2),
+    ("translation_mean_cm", "translation, mean [cm]", 1.0, 2),
+    ("translation_median_cm", "median", 1.0, 2),
+    ("believed", "believed [%]", 100.0, 0),
+    ("believed_but_wrong", "and wrong [%]", 100.0, 1),
+    ("right_of_believed", f"of them < {_RIGHT[0]}° and < {_RIGHT[1]} cm [%]", 100.0, 1),
+    ("doubted_of_not_right", "doubted of the others [%]", 100.0, 0),
+    ("ms_a_frame", "ms a frame", 1.0, 0),
+    ("ms_a_pair", "ms a pair", 1.0, 0),
+)
+
+
+def _cell(value: float | None, unit: float, digits: int) -> str:
+    return "-" if value is None else f"{value * unit:.{digits}f}"
+
+
+def markdown(found: Mapping[str, Any]) -> str:
+    """The report as text: a table for each recording."""
+    rows, m = found["rows"], found["machine"]
+    parts = [f"idf-slam {m['idf-slam']}, preset {found['preset']}, {m['processor']}, {m['cores']} cores."]
+    for name in dict.fromkeys(row["recording"] for row in rows):
+        cells = [
+            [row["method"], str(row["gap"]), str(row["pairs"]), *(_cell(row[key], unit, digits) for key, _, unit, digits in COLUMNS)]
+            for row in rows
+            if row["recording"] == name
+        ]
+        parts += [f"{name}:", markdown_table(["method", "gap", "pairs", *(title for _, title, _, _ in COLUMNS)], cells)]
+    return "\n\n".join(parts) + "\n"

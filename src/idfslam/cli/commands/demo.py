@@ -1,0 +1,38 @@
+"""`idf-slam demo`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from idfslam.cli.commands.command import Values, output
+from idfslam.config import FAST, check
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Demo:
+    """SLAM on a room that the package generates itself: run, evaluation and pictures, no files needed."""
+
+    values: Values = FAST
+    out: Path = Path("results/demo")
+    """The result folder."""
+    frames: int = 240
+    """Frames of the walk through the room."""
+    room: int = 0
+    """Which room: any number makes one."""
+    report: bool = True
+    """Whether report.html and its pictures are made at the end."""
+    config: Path | None = None
+    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        from idfslam.cli.tables import print_evaluation, print_files, print_run
+        from idfslam.demo.demo import demo
+
+        done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, report=self.report, console=console)
+        print_run(done, output())
+        print_evaluation(evaluation, self.out, output())
+        print_files(self.out, [path.name for path in pictures], output())

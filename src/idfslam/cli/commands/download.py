@@ -1,0 +1,51 @@
+"""`idf-slam download`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from idfslam.cli.commands.command import output
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Download:
+    """A public sequence (TUM RGB-D, 7-Scenes, ICL-NUIM, Replica) from where its authors publish it; goes on where it was cut off."""
+
+    name: Positional[str] = ""
+    """Which one, such as tum-fr1-desk; --list shows all."""
+    out: Path = Path("data")
+    """The folder of downloads; the sequence becomes a folder in it."""
+    listing: Annotated[bool, arg(name="list")] = False
+    """All names, with their sizes and terms."""
+
+    def __call__(self, console: "Console") -> None:
+        from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+        from idfslam.cli.tables import print_catalogue
+        from idfslam.downloads.catalogue import catalogue, named
+        from idfslam.downloads.download import download
+        from idfslam.errors import ConfigError
+
+        if self.listing:
+            print_catalogue(catalogue().values(), output())
+            return
+        if not self.name:
+            raise ConfigError("download: expected the name of a sequence; `idf-slam download --list` shows all")
+        sequence = named(self.name)
+        console.print(sequence.licence, highlight=False, soft_wrap=True, markup=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=console) as progress:
+            task = progress.add_task(sequence.name, total=None)
+
+            def report(done: int, total: int | None) -> None:
+                unpacking = done == total
+                progress.update(task, completed=done, total=total, description="unpacking" if unpacking else sequence.name)
+
+            folder = download(sequence, self.out, report=report)
+        for recording in sequence.run:
+            output().print(f"idf-slam run {folder / recording}", highlight=False, soft_wrap=True, markup=False)

@@ -1,0 +1,33 @@
+"""`idf-slam eval`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from idfslam.cli.commands.command import output
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Errors of a run's trajectory and mesh against ground truth: a table, evaluation.json and pictures."""
+
+    folder: Positional[Path]
+    """The result folder."""
+    gt: Path | None = None
+    """True trajectory in TUM format, camera-to-world; none given: the recording's own."""
+    gt_mesh: Path | None = None
+    """True mesh [m], in the frame of the true trajectory; none given: a generated recording's own, else the mesh is not evaluated."""
+    protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] = "seen"
+    """What counts as surface."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.cli.tables import print_evaluation
+        from idfslam.runs.evaluate_run import evaluate_folder
+
+        evaluation = evaluate_folder(self.folder, gt=self.gt, gt_mesh=self.gt_mesh, protocol=self.protocol)
+        print_evaluation(evaluation, self.folder, output())

@@ -1,0 +1,45 @@
+"""`idf-slam export`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Export:
+    """A run for other programs: poses, posed images, meshes, points, grids.
+
+    tum: poses of all frames, t tx ty tz qx qy qz qw.  kitti: the same as 3 x 4 matrices.
+    nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
+    ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
+    grid: T-SDF, colour and what was observed on a dense grid (npz).  blocks: the same, only near the surface.
+    """
+
+    folder: Positional[Path]
+    """The result folder."""
+    to: tuple[Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"], ...]
+    """One format or several."""
+    resolution: float = 0.02
+    """Cells of meshes and grids, spacing of points [m]."""
+    images: int | None = None
+    """How many frames give images and points, spread over the run; none given: the keyframes."""
+    texture: Literal["images", "map"] | None = None
+    """OBJ and GLB with a texture from the recording's images, or from the map's colours; none given: vertex colours."""
+    recording: Path | None = None
+    """Where the recording lies now, if it has been moved since the run."""
+    out: Path | None = None
+    """Where the files go; none given: export/ in the result folder."""
+
+    def __call__(self, console: "Console") -> None:
+        from idfslam.export.exporter import Exporter
+        from idfslam.runs.finished_run import FinishedRun
+
+        out = self.out or self.folder / "export"
+        run = FinishedRun(self.folder, moved=self.recording)
+        exporter = Exporter(run, out, self.resolution, self.images, self.texture)
+        print(*exporter.write(self.to), sep="\n")

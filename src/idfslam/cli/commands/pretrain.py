@@ -1,0 +1,61 @@
+"""`idf-slam pretrain`."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from idfslam.config import PRETRAIN, PretrainConfig, check
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Pretrain:
+    """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
+
+    recordings: Positional[tuple[Path, ...]]
+    """Recordings as `run` takes them."""
+    values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
+    out: Path = Path("weights.safetensors")
+    """The weights (safetensors), for `run --tracker.weights`; beside them the checkpoint."""
+    start: Path | None = None
+    """Weights to begin with; none given: random ones."""
+    resume: bool = False
+    """Go on from the checkpoint beside --out."""
+    checkpoint_every: int = 500
+    """Steps between checkpoints; 0: only at the end. Ctrl-C writes one, too."""
+    validate: tuple[Path, ...] = ()
+    """Recordings to measure the features on while they train; none of their frames is learnt from."""
+    validate_every: int = 500
+    """Steps between validations; 0: only at the end."""
+    log: Path | None = None
+    """A folder for TensorBoard's curves, which needs the extra [train]."""
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        from rich.progress import Progress
+
+        from idfslam.datasets import open_recording
+        from idfslam.pretraining.pretraining import Outputs, pretrain
+
+        recordings, held = ([open_recording(path) for path in paths] for paths in (self.recordings, self.validate))
+        outputs = Outputs(self.out, self.log, self.checkpoint_every, self.validate_every)
+        first = os.environ.get("RANK", "0") == "0"  # of the processes that torchrun starts
+        with Progress(console=console, disable=not first) as progress:
+            task = progress.add_task("pretraining", total=values.steps)
+
+            def report(done: int, figures: Mapping[str, float]) -> None:
+                losses = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" not in name)
+                progress.update(task, completed=done, description=f"pretraining: {losses}")
+                validation = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" in name)
+                if validation:
+                    progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
+
+            pretrain(recordings, outputs, values, held=held, start=self.start, resume=self.resume, report=report)
+        if first:
+            print(self.out)

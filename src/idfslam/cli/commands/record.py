@@ -1,0 +1,49 @@
+"""`idf-slam record`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from idfslam.cli.commands.command import output
+from idfslam.cli.commands.run import CameraFlags
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Record:
+    """A live camera into a recording that `run` and all other commands read; Ctrl-C ends it, and what was stored is whole."""
+
+    source: Positional[Path]
+    """The camera: realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER],
+    orbbec[:NUMBER]; replay[@SPEED]:PATH plays a recording as if it were one."""
+    out: Path
+    """The folder of the recording; one that holds a recording already is refused."""
+    seconds: float | None = None
+    """How long; none given: until Ctrl-C."""
+    frames: int | None = None
+    """How many frames; none given: until Ctrl-C."""
+    png: bool = False
+    """Colour as PNG, exact and several times as large, instead of JPEG. Depth is exact to the millimetre in any case."""
+    camera: CameraFlags = field(default_factory=CameraFlags)
+
+    def __call__(self, console: "Console") -> None:
+        from rich.progress import Progress, TextColumn, TimeElapsedColumn
+
+        from idfslam.live import located, open_live
+        from idfslam.live.recorder import record
+
+        stream = open_live(located(str(self.source)), camera=self.camera.given(), frames=self.frames)
+        with Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console) as progress:
+            task = progress.add_task("waiting for the camera")
+
+            def report(stored: int, dropped: int) -> None:
+                progress.update(task, description=f"recording: {stored} frames" + (f", dropped {dropped}" if dropped else ""))
+
+            done = record(stream, self.out, seconds=self.seconds, png=self.png, report=report)
+        dropped = f", {done.dropped} dropped" if done.dropped else ""
+        output().print(f"{done.frames} frames in {done.seconds:.0f} s{dropped}", highlight=False)
+        output().print(str(done.folder), highlight=False, soft_wrap=True, markup=False)

@@ -1,0 +1,139 @@
+"""What this machine has, what a run would use of it, and what is missing."""
+
+import os
+import platform
+import re
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from idfslam import __version__
+from idfslam.compute import host
+from idfslam.compute.devices import bf16_pays, resolve_device, resolve_precision
+from idfslam.config import Config
+from idfslam.errors import IdfSlamError
+from idfslam.mapping.fused import fusable
+from idfslam.mapping.kernels.grid import default_implementation
+from idfslam.mapping.mapper import Mapper
+from idfslam.tracking.features import load_extractor
+
+GIB = 2**30
+_LITTLE_MEMORY = 2 * GIB  # a run takes 0.9 GiB (docs/results.md)
+_LITTLE_DISK = GIB // 2  # a result folder takes some tens of megabytes
+_PACKAGES = ("numpy", "numba", "opencv-python-headless", "trimesh")
+_REQUIREMENT = re.compile(r"^(?P<package>[\w.-]+).*\bextra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was found, and what should be done; nothing to do: ready."""
+
+    found: dict[str, Any]  # plain values, ready for JSON
+    advice: list[str]
+
+    @property
+    def ready(self) -> bool:
+        return not self.advice
+
+
+def examine(config: Config, folder: Path = Path()) -> Examination:
+    """This machine for runs with `config` whose results go below `folder`."""
+    advice: list[str] = []
+    found = {
+        "idf-slam": __version__,
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in _PACKAGES},
+        "torch": _torch(),
+        "processor": {"name": host.processor(), "cores": host.cores(), "instruction_sets": host.instruction_sets()},
+        "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_WAIT_POLICY")},
+        "memory_bytes": _memory(advice),
+        "free_disk_bytes": _disk(folder, advice),
+        "numba_cache": _numba_cache(advice),
+        "weights": _weights(config, advice),
+        "extras": extras(),
+        "used": _used(config, advice),
+    }
+    return Examination(found, advice)
+
+
+def _torch() -> dict[str, Any]:
+    names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())] if torch.cuda.is_available() else []
+    return {"version": torch.__version__, "cuda": torch.version.cuda, "gpus": names, "bf16_pays_on_cpu": bf16_pays(torch.device("cpu"))}
+
+
+def _memory(advice: list[str]) -> dict[str, int] | None:
+    sizes = host.memory()
+    if sizes is not None and sizes[1] < _LITTLE_MEMORY:
+        advice.append(f"{sizes[1] / GIB:.1f} GiB of memory are available, a run takes about 1: close other programs")
+    return None if sizes is None else {"total": sizes[0], "available": sizes[1]}
+
+
+def _disk(folder: Path, advice: list[str]) -> int:
+    free = host.free_disk(folder)
+    if free < _LITTLE_DISK:
+        advice.append(f"{free / GIB:.2f} GiB are free at {folder.absolute()}: make room, or choose another place with --out")
+    return free
+
+
+def _numba_cache(advice: list[str]) -> dict[str, Any]:
+    """Where compiled kernels are kept, and how many there are; none yet: the first run compiles for most of a minute."""
+    folder, is_set = Path(__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(is_set)] if is_set else [folder]
+    count = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
+    writable = all(os.access(place if place.exists() else place.parent, os.W_OK) for place in places)
+    if not writable:
+        advice.append(f"{places[0]} cannot be written to, so kernels are compiled in every run: set NUMBA_CACHE_DIR to a folder of yours")
+    return {"folder": str(places[0]), "kernels": count, "writable": writable}
+
+
+def _weights(config: Config, advice: list[str]) -> dict[str, Any]:
+    try:
+        load_extractor(config.tracker.weights)
+    except (IdfSlamError, OSError) as error:
+        advice.append(f"the tracker's weights: {error}" + ("" if config.tracker.weights else "; install the package again"))
+        return {"path": str(config.tracker.weights or "shipped"), "loaded": False}
+    return {"path": str(config.tracker.weights or "shipped"), "loaded": True}
+
+
+def extras() -> dict[str, dict[str, Any]]:
+    """The extras that the package declares: what of each is installed, what is missing, and the line that installs it."""
+    try:
+        declared = requires("idf-slam") or []
+    except PackageNotFoundError:  # used from its sources without being installed
+        declared = []
+    found: dict[str, dict[str, Any]] = {}
+    for match in filter(None, map(_REQUIREMENT.match, declared)):
+        name, package = match["extra"], match["package"]
+        if package.lower() == "idf-slam":
+            continue  # an extra made of others
+        entry = found.setdefault(name, {"installed": {}, "missing": [], "install": f"pip install 'idf-slam[{name}]'"})
+        try:
+            entry["installed"][package] = version(package)
+        except PackageNotFoundError:
+            entry["missing"].append(package)
+    return found
+
+
+def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
+    """Device, precision and kernels of a run; None where it would end with an error, which is then the advice."""
+    try:
+        device = resolve_device(config.device)
+    except IdfSlamError as error:
+        advice.append(str(error))
+        return None
+    if device.type == "cpu" and torch.version.cuda and not torch.cuda.is_available():
+        advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
+    field = Mapper(config.mapper, config.field, device, torch.Generator(device)).field
+    grid = config.field.encoding == "grid"
+    kernels = "numba, fused" if fusable(field) else default_implementation(device.type) if grid else "torch"
+    return {
+        "preset": config.preset,
+        "device": str(device),
+        "tracker_precision": str(resolve_precision(config.tracker.precision, device)).removeprefix("torch."),
+        "map_precision": "bfloat16" if field.bf16 else "float32",
+        "kernels": kernels,
+    }

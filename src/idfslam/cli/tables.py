@@ -1,0 +1,113 @@
+"""What the commands print when they are done: figures as tables, and where the files are."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from idfslam.batch.batch import REPORT, Row
+from idfslam.cli.doctor import GIB, Examination
+from idfslam.downloads.catalogue import Sequence
+from idfslam.evaluation.summary import Evaluation, table
+from idfslam.runs import result_folder
+from idfslam.runs.runner import Run
+
+
+def print_run(run: Run, console: Console) -> None:
+    """Speed, keyframes, lost frames, ATE where it is known, and the result folder."""
+    m = run.metrics
+    lines = [
+        f"{m['frames']} frames in {m['seconds']:.0f} s: {m['frames_per_second']:.2f} frames/s",
+        f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, peak memory {m['peak_memory_mb']:.0f} MiB",
+    ]
+    if "ate_m" in m:
+        lines.append(f"ATE RMSE {m['ate_m']['rmse'] * 100:.2f} cm")
+    console.print("\n".join(lines), highlight=False)
+    print_files(
+        run.folder,
+        sorted(name for name in (*result_folder.FILES, result_folder.REPORT, result_folder.RECORDING) if (run.folder / name).is_file()),
+        console,
+    )
+
+
+def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> None:
+    """The errors, and where JSON and pictures are."""
+    console.print(table(evaluation))
+    print_files(folder, result_folder.EVALUATION_FILES, console)
+
+
+def print_batch(rows: list[Row], folder: Path, console: Console) -> None:
+    """A row for each recording, then why some failed, and where all of it is written."""
+    table = Table()
+    for title in ("recording", "status"):
+        table.add_column(title, overflow="fold")
+    for title in ("ATE [cm]", "frames/s", "seconds"):
+        table.add_column(title, justify="right")
+    table.add_column("where", overflow="fold")
+    for row in rows:
+        ate = "-" if row.ate_m is None else f"{row.ate_m * 100:.2f}"
+        speed = "-" if row.frames_per_second is None else f"{row.frames_per_second:.2f}"
+        again = "" if row.attempts < 2 else f", attempt {row.attempts}"
+        table.add_row(row.name, row.status + again, ate, speed, f"{row.seconds:.0f}", row.where)
+    console.print(table)
+    for row in rows:
+        if row.error is not None and row.attempts:
+            console.print(f"{row.name}: {row.error}", highlight=False, soft_wrap=True, markup=False)
+    print_files(folder, [REPORT], console)
+
+
+def print_examination(examination: Examination, console: Console) -> None:
+    """A line for each thing found, extras, and what is to be done."""
+    e = examination.found
+    processor, torch, memory, cache = e["processor"], e["torch"], e["memory_bytes"], e["numba_cache"]
+    unknown = "not told by the system"
+    free = unknown if memory is None else f"{memory['available'] / GIB:.1f} of {memory['total'] / GIB:.1f} GiB available"
+    kernels = f"{cache['kernels']} kernels in {cache['folder']}" if cache["kernels"] else "nothing yet: the first run takes a minute more"
+    rows = [
+        ("idf-slam", f"{e['idf-slam']}, Python {e['python']}, {e['system']}"),
+        ("torch", f"{torch['version']}, " + (f"CUDA {torch['cuda']}" if torch["cuda"] else "no CUDA in this build")),
+        ("packages", ", ".join(f"{name} {found}" for name, found in e["packages"].items())),
+        ("processor", f"{processor['name']}, {processor['cores']} cores"),
+        ("instructions", ", ".join(processor["instruction_sets"]) or unknown),
+        ("GPUs", ", ".join(torch["gpus"]) or "none"),
+        ("threads", ", ".join(f"{name}={value}" for name, value in e["threads"].items() if value)),
+        ("memory", free),
+        ("disk", f"{e['free_disk_bytes'] / GIB:.1f} GiB free"),
+        ("compiled", kernels),
+        ("weights", f"{e['weights']['path']}, {'found' if e['weights']['loaded'] else 'not usable'}"),
+    ]
+    if e["used"] is not None:
+        used = e["used"]
+        precision = f"tracker {used['tracker_precision']}, map {used['map_precision']}"
+        rows.append(("a run uses", f"{used['device']}, {precision}, kernels: {used['kernels']} (preset {used['preset']})"))
+    for name, extra in sorted(e["extras"].items()):
+        installed = ", ".join(f"{package} {found}" for package, found in extra["installed"].items())
+        missing = f"{', '.join(extra['missing'])} missing: {extra['install']}" if extra["missing"] else ""
+        rows.append((f"[{name}]", "; ".join(filter(None, (installed, missing)))))
+    grid = Table.grid(padding=(0, 2))
+    for title, text in rows:
+        grid.add_row(Text(title, "bold"), Text(text))
+    console.print(grid)
+    for line in examination.advice:
+        console.print(f"to do: {line}", highlight=False, soft_wrap=True, markup=False)
+    console.print("ready" if examination.ready else "not ready", style="green" if examination.ready else "red")
+
+
+def print_files(folder: Path, names: Iterable[str], console: Console) -> None:
+    """A path a line, whole, so that it can be copied."""
+    for name in names:
+        console.print(str(folder / name), highlight=False, soft_wrap=True, markup=False)
+
+
+def print_catalogue(sequences: Iterable[Sequence], console: Console) -> None:
+    """Names, sizes and folders of what can be downloaded, under the terms it is published on."""
+    by_licence: dict[str, Table] = {}
+    for sequence in sequences:
+        table = by_licence.setdefault(sequence.licence, Table(box=None, show_header=False, pad_edge=True))
+        size = "" if sequence.size_mb is None else f"{sequence.size_mb / 1000:.1f} GB"
+        table.add_row(sequence.name, size, sequence.folder)
+    for licence, table in by_licence.items():
+        console.print(licence, highlight=False, soft_wrap=True, markup=False)
+        console.print(table, highlight=False)

@@ -1,0 +1,65 @@
+"""The presets: `paper` holds the values of Sec. VI-A, `fast` (the default) those that people use."""
+
+from idfslam.config.sections import (
+    AlignmentConfig,
+    Config,
+    FieldConfig,
+    FinetuneConfig,
+    KeyframeConfig,
+    LoopConfig,
+    MapperConfig,
+    PretrainConfig,
+    TrackerConfig,
+)
+
+FAST = Config()
+
+PAPER = Config(
+    preset="paper",
+    refine=False,
+    field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
+    mapper=MapperConfig(
+        supervision="rendering",
+        pixels=1024,
+        step_pixels=0,
+        samples=128,
+        importance_samples=16,
+        sharpness=10.0,  # 1 / tr: what the published code of [25] makes of its formula; with 1 free space outweighs the surface
+        squared=True,
+        photometric_weight=0.1,
+        free_space_weight=10.0,
+        truncation_weight=6000.0,
+        every=0,
+        beside=False,
+        redraw=1,
+        pose_optimisation=True,
+        learning_rate=0.005,
+        first_iterations=500,
+        iterations=100,
+        pose_learning_rate=0.005,
+        gradient_clip=1.0,
+        warm_up=20,
+    ),
+    keyframes=KeyframeConfig(cull=0.5, cull_reach=0, covisible=0.3, replay=10, replay_connected=0),
+    tracker=TrackerConfig(
+        matches=200,
+        grid=4,
+        query_stride=1,
+        target_stride=1,
+        mutual=False,
+        consensus="random",
+        truncation=0.0,
+        refits=0,
+        plane_steps=0,
+        min_inliers=30,
+        min_inlier_share=0.2,
+        min_agreement=0.0,
+    ),
+    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, guard=0),
+    alignment=AlignmentConfig(enabled=False),
+    loops=LoopConfig(enabled=False, relocalise=False),
+)
+
+PRESETS = {"fast": FAST, "paper": PAPER}
+
+PRETRAIN = PretrainConfig()

@@ -1,0 +1,71 @@
+"""A recording of a generated scene: every frame rendered when it is asked for, exact or with a Kinect's noise."""
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from idfslam.datasets.generated.sensor_noise import noisy_colour, noisy_depth
+from idfslam.errors import FrameError
+from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
+from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.shading import Rendering
+
+FPS = 30.0
+_FOCAL = 577.0  # [px] at a width of 640
+
+
+class RenderedRecording:
+    """`len(recording)`, `recording[i]`, `camera`, `timestamps`, `ground_truth`, `surface()` of a scene seen from given poses.
+
+    A frame depends on `seed`, its index and its pose alone; `noise` adds what a Kinect does to depth and colour.
+    """
+
+    readers = 2  # a frame takes several times as long as SLAM has for it
+
+    def __init__(
+        self, name: str, scene: BakedScene, ground_truth: NDArray[np.float64], size: tuple[int, int], *, seed: int, noise: bool
+    ) -> None:
+        width, height = size
+        self.name = name
+        self.camera = Camera(width, height, _FOCAL * width / 640, _FOCAL * width / 640, (width - 1) / 2, (height - 1) / 2)
+        self.timestamps: NDArray[np.float64] = np.arange(len(ground_truth)) / FPS
+        self.ground_truth: NDArray[np.float64] = ground_truth
+        self._scene, self._seed, self._noise = scene, seed, noise
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame `index`, rendered now; the same at every call. Raises FrameError outside the recording."""
+        if not 0 <= index < len(self):
+            raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
+        view = self.render(self.ground_truth[index])
+        colour, depth = view.colour, view.depth
+        if self._noise:
+            rng = np.random.default_rng([self._seed, index])
+            depth = noisy_depth(depth, view.normals, self.camera, rng)
+            colour = noisy_colour(colour, self.timestamps[index], rng)
+        return Frame(index, float(self.timestamps[index]), colour, depth, self.camera)
+
+    def render(self, T_wc: NDArray[np.float64], camera: Camera | None = None) -> Rendering:
+        """Exact colour, depth and normals from any camera-to-world pose (4, 4)."""
+        return self._scene.render(camera or self.camera, T_wc)
+
+    def surface(self) -> trimesh.Trimesh:
+        """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
+        return self._scene.surface()
+
+
+def looking(
+    position: NDArray[np.float64], yaw: NDArray[np.float64], pitch: NDArray[np.float64], roll: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Poses at `position` (N, 3) that look along yaw (about z, from x) and pitch (up) [rad]."""
+    forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
+    right = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros_like(yaw)], 1)
+    down = np.cross(forward, right)
+    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
+    poses = np.tile(np.eye(4), (len(yaw), 1, 1))
+    poses[:, :3, 0], poses[:, :3, 1], poses[:, :3, 2] = c * right + s * down, c * down - s * right, forward
+    poses[:, :3, 3] = position
+    return poses

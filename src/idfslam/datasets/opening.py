@@ -1,0 +1,104 @@
+"""Recordings in the layouts of the field, opened lazily. A layout is one file beside this one and one line in READERS."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from idfslam.datasets import generated
+from idfslam.datasets.calibration import Calibration, override
+from idfslam.datasets.generated.kidnapped import Kidnapped
+from idfslam.datasets.readers import (
+    azure_kinect,
+    folder,
+    icl_nuim,
+    record3d,
+    replica,
+    scannet,
+    seven_scenes,
+    stray_scanner,
+    tum,
+    video_folder,
+)
+from idfslam.datasets.recording import Dataset, Reader, Selection
+from idfslam.datasets.ros import reader as ros
+from idfslam.datasets.topics import Topics
+from idfslam.errors import ConfigError, RecordingError
+
+READERS: tuple[Reader, ...] = (  # in the order in which they are tried
+    scannet.READER,
+    replica.READER,
+    seven_scenes.READER,
+    icl_nuim.READER,
+    tum.READER,
+    stray_scanner.READER,
+    record3d.READER,
+    azure_kinect.READER,
+    video_folder.READER,
+    folder.READER,
+    ros.READER,
+)
+FORMATS = (*(reader.name for reader in READERS), *generated.NAMES)
+
+
+def open_recording(
+    path: Path | str,
+    *,
+    format: str | None = None,
+    camera: Mapping[str, float | None] | None = None,
+    depth_scale: float | None = None,
+    topics: Mapping[str, str | None] | None = None,
+    start: int = 0,
+    frames: int | None = None,
+    stride: int = 1,
+) -> Dataset:
+    """Opens a recording, recognised by what lies in it, or generates one: `synthetic[:SEED][:kinect]`, `corridor[:SEED][:kinect][:Nlaps]`.
+
+    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), the name of a generated recording, or `kidnap:` and one of these (see
+        `kidnapped`).
+    format: one of FORMATS, where the layout is not recognised or is mistaken for another.
+    camera: any of fx, fy, cx, cy [px] (and depth_scale), over what the recording says. All four together state the pinhole
+        camera of the images as they are, without distortion.
+    depth_scale: units of the depth images per metre, over what the recording says.
+    topics: any of colour, depth, camera_info, poses: the topics of a ROS recording, where they are not found by themselves.
+    start, frames, stride: every stride-th frame from `start`, `frames` of them (all that there are if None), numbered from 0.
+
+    Raises RecordingError where the recording as a whole cannot be used, ConfigError where an argument is out of range.
+    """
+    given, named = override(camera, depth_scale), Topics.of(topics)
+    if format is not None and format not in FORMATS:
+        raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
+    inner = generated.kidnapped_path(str(path))
+    kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
+    dataset: Dataset
+    if inner is not None:
+        dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics))
+    elif kind is not None:
+        dataset = generated.open_generated(str(path), kind, given, length=0 if frames is None else start + (frames - 1) * stride + 1)
+    else:
+        place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
+        try:
+            dataset = _open(_reader(place, format), place, given, named)
+        except OSError as error:
+            raise RecordingError(f"{error.filename or place}: {error.strerror}, expected a readable recording") from error
+    return Selection(dataset, start=start, frames=frames, stride=stride)
+
+
+def _open(reader: Reader, path: Path, given: Calibration, named: Topics) -> Dataset:
+    if named == Topics():
+        return reader.open(path, given)
+    if reader.open_topics is None:
+        raise ConfigError(f"{path}: topics are named, but a recording of layout {reader.name} has none: leave --topics out")
+    return reader.open_topics(path, given, named)
+
+
+def _reader(path: Path, format: str | None) -> Reader:
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}")
+    if format is not None:
+        return next(reader for reader in READERS if reader.name == format)
+    for reader in READERS:
+        if reader.recognises(path):
+            return reader
+    content = ", ".join(sorted(entry.name for entry in path.iterdir())[:6]) if path.is_dir() else "a file"
+    layouts = "; ".join(f"{reader.name} ({reader.layout})" for reader in READERS)
+    raise RecordingError(f"{path}: not a known recording: found {content or 'an empty folder'}, expected one of {layouts}")

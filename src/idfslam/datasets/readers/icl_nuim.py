@@ -1,0 +1,79 @@
+"""ICL-NUIM in its "TUM RGB-D compatible PNGs" (Handa et al., ICRA 2014): associations.txt, rgb/, depth/, *.gt.freiburg.
+
+The published camera has fy = -480 because the renderer's y axis points up, in the camera as in the world: a left-handed frame. The
+images themselves are stored top row first. Here both frames are mirrored, T_wc = F T F with F = diag(1, -1, 1, 1), and fy is
++480: right-handed, x right, y down, z forward. The published surface must be mirrored in y in the same way to lie on the map.
+Stamps are frame numbers, at 30 Hz.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.readers import tum
+from idfslam.datasets.recording import FPS, Reader, Recording
+from idfslam.errors import RecordingError
+
+PUBLISHED = Calibration(481.2, 480.0, 319.5, 239.5, 640, 480, depth_scale=5000, source="ICL-NUIM, as published")
+_NAME = re.compile(r"(^|[^a-z])icl([^a-z]|$)|living_room_traj|office_traj", re.IGNORECASE)
+_F = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def recognises(path: Path) -> bool:
+    """By the pose file, or by the folder's name unless cam_params.json tells of another camera."""
+    if not (path / "associations.txt").is_file():
+        return False
+    return any(path.glob("*.gt.freiburg")) or (bool(_NAME.search(path.name)) and not (path / "cam_params.json").exists())
+
+
+def open_icl_nuim(path: Path, override: Calibration) -> Recording:
+    numbers, pairs = read_associations(path / "associations.txt")
+    calibration = override.over(read_cam_params(path)).over(read_camera_file(path)).over(PUBLISHED)
+    return Recording(
+        path.name,
+        ImageFiles(pairs),
+        timestamps=numbers / FPS,
+        ground_truth=read_ground_truth(path, numbers),
+        calibration=calibration,
+    )
+
+
+def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
+    """Frame numbers (N,) and (colour, depth) of the lines `number depth/N.png number rgb/N.png`, in either order."""
+    if not path.is_file():
+        raise RecordingError(f"{path.parent}: associations.txt is missing, expected the TUM RGB-D compatible PNGs of ICL-NUIM")
+    numbers, pairs = [], []
+    for line, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        words = text.split("#")[0].split()
+        if not words:
+            continue
+        if len(words) != 4 or not words[0].isdecimal() or words[0] != words[2]:
+            raise RecordingError(f"{path}: line {line} is '{text.strip()}', expected: number depth/N.png number rgb/N.png")
+        depth, colour = (words[1], words[3]) if words[1].startswith("depth") else (words[3], words[1])
+        numbers.append(int(words[0]))
+        pairs.append((path.parent / colour, path.parent / depth))
+    if not pairs:
+        raise RecordingError(f"{path}: empty, expected lines of: number depth/N.png number rgb/N.png")
+    return np.array(numbers, np.float64), pairs
+
+
+def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(N, 4, 4) of the frames by their numbers, axes turned to OpenCV's; NaN where a frame has no pose."""
+    files = [*sorted(path.glob("*.gt.freiburg")), path / "groundtruth.txt"]
+    if len(files) > 2:
+        raise RecordingError(f"{path}: {len(files) - 1} files *.gt.freiburg, expected one: remove those of other sequences")
+    if not files[0].is_file():
+        return None
+    stamps, reference = poses.read_freiburg(files[0])
+    if not len(stamps):
+        raise RecordingError(f"{files[0]}: empty, expected lines of number tx ty tz qx qy qz qw: fill or remove it")
+    found = _F @ poses.at_stamps(stamps, reference, numbers, tolerance=tum.TOLERANCE) @ _F
+    return poses.checked(found, count=len(numbers), source=lambda _: str(files[0]))
+
+
+READER = Reader("icl_nuim", "associations.txt, *.gt.freiburg", recognises, open_icl_nuim)

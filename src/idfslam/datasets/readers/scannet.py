@@ -1,0 +1,218 @@
+"""ScanNet (Dai et al., CVPR 2017): exported (color/, depth/, pose/, intrinsic/) or raw (.sens, version 4); depth in millimetres.
+
+Colour is larger than depth: it is brought to the depth camera's image. A pose of inf or nan means that the frame has none.
+"""
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered, paired
+from idfslam.datasets.readers.folder import read_poses
+from idfslam.datasets.recording import Reader, ReadImages, Recording, regular_stamps
+from idfslam.errors import FrameError, RecordingError
+
+_VERSION = 4
+_COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
+_DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2, "occi", is a codec of its own that no published recording uses
+_FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth
+
+
+def recognises(path: Path) -> bool:
+    if path.is_file():
+        return path.suffix == ".sens"
+    exported = all((path / name).is_dir() for name in ("color", "depth", "intrinsic"))
+    return exported or any(path.glob("*.sens"))
+
+
+def open_scannet(path: Path, override: Calibration) -> Recording:
+    """A .sens file, a folder with one, or an exported folder (preferred where it holds both)."""
+    if path.is_dir() and (path / "color").is_dir():
+        return _open_exported(path, override)
+    files = [path] if path.is_file() else sorted(path.glob("*.sens"))
+    if len(files) != 1:
+        raise RecordingError(f"{path}: {len(files)} .sens files, expected color/, depth/ and intrinsic/ or one .sens file: name one")
+    return _open_sens(files[0], override)
+
+
+def _open_exported(path: Path, override: Calibration) -> Recording:
+    images = numbered(path / "color")
+    pairs = paired(images, numbered(path / "depth"), path)
+    stated = override.over(read_cam_params(path))
+    depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
+    colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs), None if stated.complete else colour, depth)
+    return Recording(
+        path.name,
+        read,
+        timestamps=regular_stamps(len(pairs)),
+        ground_truth=read_poses(path, list(images)),
+        calibration=stated.over(depth).over(Calibration(depth_scale=1000)),
+    )
+
+
+@dataclass(frozen=True)
+class ColourOnDepth:
+    """Called with i: colour resampled to the depth camera's image, and depth.
+
+    The two cameras are taken to share their centre (ScanNet's extrinsics are the identity), so the warp is affine.
+    """
+
+    read: ReadImages
+    colour: Calibration | None  # None: colour shows what depth shows, at another size
+    depth: Calibration
+
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+        bgr, raw = self.read(i)
+        height, width = bgr.shape[:2]
+        size = (raw.shape[1], raw.shape[0])
+        if (width, height) != size:
+            shrinks = width > size[0]
+            bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
+        if self.colour is None or not (self.colour.complete and self.depth.complete):
+            return bgr, raw
+        source = self.colour.camera(width, height, "intrinsic_color").resized(*size)
+        target = self.depth.camera(*size, "intrinsic_depth")
+        x, y = source.fx / target.fx, source.fy / target.fy
+        A = np.array([[x, 0, source.cx - x * target.cx], [0, y, source.cy - y * target.cy]])  # depth pixel -> colour pixel
+        corners = np.array([[0, 0, 1], [*size, 1]])
+        if np.abs(corners @ A.T - corners[:, :2]).max() < 0.5:  # less than half a pixel anywhere: not worth the blur
+            return bgr, raw
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(bgr, A, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8), raw
+
+
+@dataclass(frozen=True)
+class SensHeader:
+    """What precedes the frames of a .sens file."""
+
+    colour: Calibration
+    depth: Calibration
+    colour_codec: str
+    depth_codec: str
+    frames: int
+
+
+@dataclass(frozen=True)
+class SensFrame:
+    """Where one frame lies in a .sens file."""
+
+    offset: int  # of its colour [bytes]; its depth follows
+    colour_bytes: int
+    depth_bytes: int
+    stamp: float  # [s]
+    T_wc: NDArray[np.float64]  # (4, 4)
+
+
+def _open_sens(path: Path, override: Calibration) -> Recording:
+    header, frames = read_sens_index(path)
+    stamps = np.array([frame.stamp for frame in frames])
+    truth = np.stack([frame.T_wc for frame in frames])
+    known = np.isfinite(truth).all((1, 2)).any()
+    warp = None if override.complete else header.colour
+    return Recording(
+        path.stem,
+        ColourOnDepth(SensImages(path, header, frames), warp, header.depth),
+        timestamps=stamps if np.all(np.diff(stamps) > 0) else regular_stamps(len(frames)),
+        ground_truth=poses.checked(truth, count=len(frames), source=lambda _: str(path)) if known else None,
+        calibration=override.over(header.depth),
+    )
+
+
+def read_sens_index(path: Path) -> tuple[SensHeader, list[SensFrame]]:
+    """Header and the places of all frames, without reading an image; raises RecordingError where the file is not what it should be."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = _read_header(file, path)
+        frames = []
+        for i in range(header.frames):
+            data = file.read(_FRAME.size)
+            if len(data) == _FRAME.size:
+                *pose, stamp, _, colour_bytes, depth_bytes = _FRAME.unpack(data)
+                frame = SensFrame(file.tell(), colour_bytes, depth_bytes, stamp / 1e6, np.array(pose).reshape(4, 4))
+                end = frame.offset + colour_bytes + depth_bytes
+            if len(data) < _FRAME.size or end > size:
+                raise RecordingError(f"{path}: cut off in frame {i} of {header.frames} ({size} bytes): copy the recording again")
+            frames.append(frame)
+            file.seek(end)
+    return header, frames
+
+
+def _read_header(file: BinaryIO, path: Path) -> SensHeader:
+    def take(layout: str) -> tuple[float, ...]:
+        data = file.read(struct.calcsize(layout))
+        if len(data) < struct.calcsize(layout):
+            raise RecordingError(f"{path}: cut off in its header, expected a .sens file of version {_VERSION}")
+        return struct.unpack(layout, data)
+
+    version, length = take("<IQ")
+    if version != _VERSION or length > 4096:
+        raise RecordingError(f"{path}: .sens version {int(version)}, expected {_VERSION}: not a ScanNet recording, or another version")
+    file.seek(int(length), 1)  # the sensor's name
+    K_colour, _, K_depth, _ = (np.array(take("<16f")).reshape(4, 4) for _ in range(4))  # each followed by its extrinsics
+    colour_codec, depth_codec = (int(code) for code in take("<2i"))
+    colour_width, colour_height, depth_width, depth_height = (int(length) for length in take("<4I"))
+    scale, frames = take("<fQ")
+    if colour_codec not in _COLOUR_CODECS or depth_codec not in _DEPTH_CODECS:
+        found = f"colour compression {colour_codec}, depth compression {depth_codec}"
+        raise RecordingError(f"{path}: {found}, expected raw, png or jpeg colour (0-2) and raw or zlib depth (0, 1): export the recording")
+    return SensHeader(
+        _calibration(K_colour, colour_width, colour_height, None, path),
+        _calibration(K_depth, depth_width, depth_height, scale, path),
+        _COLOUR_CODECS[colour_codec],
+        _DEPTH_CODECS[depth_codec],
+        int(frames),
+    )
+
+
+def _calibration(K: NDArray[np.float64], width: int, height: int, scale: float | None, path: Path) -> Calibration:
+    fx, fy, cx, cy = (float(value) for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    return Calibration(fx, fy, cx, cy, width, height, depth_scale=scale, source=str(path))
+
+
+@dataclass(frozen=True)
+class SensImages:
+    """Called with i: colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of frame i, each at its own size."""
+
+    path: Path
+    header: SensHeader
+    frames: list[SensFrame]
+
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        frame, source = self.frames[i], f"{self.path}: frame {i}"
+        try:
+            with self.path.open("rb") as file:  # opened anew: two threads may read at once
+                file.seek(frame.offset)
+                colour, depth = file.read(frame.colour_bytes), file.read(frame.depth_bytes)
+        except OSError as error:
+            raise FrameError(f"{source}: {error.strerror}") from error
+        return self._colour(colour, source), self._depth(depth, source)
+
+    def _colour(self, data: bytes, source: str) -> NDArray[np.uint8]:
+        if self.header.colour_codec != "raw":
+            return decode_colour(data, source)
+        height, width = self.header.colour.height or 0, self.header.colour.width or 0
+        if len(data) != height * width * 3:
+            raise FrameError(f"{source}: {len(data)} bytes of colour, expected {height * width * 3}: copy the recording again")
+        return np.frombuffer(data, np.uint8).reshape(height, width, 3)[..., ::-1]
+
+    def _depth(self, data: bytes, source: str) -> NDArray[np.uint16]:
+        height, width = self.header.depth.height or 0, self.header.depth.width or 0
+        try:
+            raw = zlib.decompress(data) if self.header.depth_codec == "zlib" else data
+        except zlib.error as error:
+            raise FrameError(f"{source}: depth cannot be unpacked ({error}): copy the recording again") from error
+        if len(raw) != height * width * 2:
+            raise FrameError(f"{source}: {len(raw)} bytes of depth, expected {height * width * 2}: copy the recording again")
+        return np.frombuffer(raw, "<u2").reshape(height, width)
+
+
+READER = Reader("scannet", "color/, depth/, intrinsic/ or a .sens file", recognises, open_scannet)

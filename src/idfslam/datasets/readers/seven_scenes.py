@@ -1,0 +1,46 @@
+"""7-Scenes: seq-XX/frame-NNNNNN.{color.png,depth.png,pose.txt}; depth in millimetres, 65535 = no reading.
+
+The published depth is not registered to the colour camera; like the field, this reader uses the depth camera for both.
+"""
+
+from pathlib import Path
+
+from idfslam.datasets.calibration import Calibration, read_cam_params
+from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.readers.folder import read_pose_files
+from idfslam.datasets.recording import Reader, Recording, regular_stamps
+from idfslam.errors import RecordingError
+
+PUBLISHED = Calibration(585.0, 585.0, 320.0, 240.0, 640, 480, depth_scale=1000, source="7-Scenes, as published")
+
+
+def recognises(path: Path) -> bool:
+    return any(path.glob("frame-*.color.png")) or any(path.glob("seq-*/frame-*.color.png"))
+
+
+def open_seven_scenes(path: Path, override: Calibration) -> Recording:
+    """A sequence's folder, or a scene's where it holds one sequence only."""
+    path = _sequence(path)
+    images = numbered(path, "frame-*.color.png")
+    pairs = paired(images, numbered(path, "frame-*.depth.png"), path)
+    return Recording(
+        f"{path.parent.name}-{path.name}",
+        ImageFiles(pairs),
+        timestamps=regular_stamps(len(pairs)),
+        ground_truth=read_pose_files(path, "frame-*.pose.txt", list(images)),
+        calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
+    )
+
+
+def _sequence(path: Path) -> Path:
+    if any(path.glob("frame-*")):
+        return path
+    sequences = sorted({file.parent.name for file in path.glob("seq-*/frame-*")})
+    if not sequences:
+        raise RecordingError(f"{path}: no frame-NNNNNN.color.png, expected the folder seq-XX of a sequence")
+    if len(sequences) > 1:
+        raise RecordingError(f"{path}: {len(sequences)} sequences ({', '.join(sequences)}), expected one: name {path / sequences[0]}")
+    return path / sequences[0]
+
+
+READER = Reader("7scenes", "frame-NNNNNN.color.png, frame-NNNNNN.depth.png", recognises, open_seven_scenes)

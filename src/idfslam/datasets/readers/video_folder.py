@@ -1,0 +1,60 @@
+"""A plain folder whose colour is a video: rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi ...) and depth/, else as in `folder`."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import video
+from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.images import Depth, numbered, read_depth
+from idfslam.datasets.readers.folder import calibrated, read_poses
+from idfslam.datasets.recording import Reader, Recording
+from idfslam.datasets.video import VideoTrack
+from idfslam.errors import RecordingError
+
+_NAMES = ("rgb", "color", "colour", "video")
+
+
+def colour_video(path: Path) -> Path | None:
+    """The video of a folder, if there is one; raises RecordingError where there are several."""
+    if not path.is_dir():
+        return None
+    found = sorted(file for file in path.iterdir() if file.stem.lower() in _NAMES and file.suffix.lower() in video.SUFFIXES)
+    if len(found) > 1:
+        raise RecordingError(
+            f"{path}: {len(found)} colour videos ({', '.join(file.name for file in found)}), expected one: remove the others"
+        )
+    return found[0] if found else None
+
+
+def recognises(path: Path) -> bool:
+    return (path / "depth").is_dir() and colour_video(path) is not None
+
+
+def open_video_folder(path: Path, override: Calibration) -> Recording:
+    """The video's frames and the depth images in the order of their numbers are taken to be pairs; stamps are the video's."""
+    file = colour_video(path)
+    if file is None or not (path / "depth").is_dir():
+        raise RecordingError(f"{path}: expected a video rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi) and the folder depth/")
+    track, depth = VideoTrack(file), numbered(path / "depth")
+    if len(track) != len(depth):
+        found = f"{len(track)} frames in {file.name} and {len(depth)} images in depth/"
+        raise RecordingError(f"{path}: {found}, expected one depth image for each frame, in their order")
+    files = list(depth.values())
+
+    def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
+        return track.colour(i), read_depth(files[i])
+
+    calibration, beside = calibrated(path, override)
+    return Recording(
+        path.name,
+        read,
+        timestamps=track.times,
+        ground_truth=read_poses(path, list(depth)),
+        calibration=calibration,
+        depth_camera=beside,
+    )
+
+
+READER = Reader("video", "rgb.mp4 or color.mkv, depth/, intrinsics.txt", recognises, open_video_folder)

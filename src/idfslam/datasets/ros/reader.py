@@ -1,0 +1,145 @@
+"""ROS 1 bags (also RealSense's), ROS 2 bags and MCAP files: topics of colour and depth images found by themselves, or named."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import poses
+from idfslam.datasets.association import TOLERANCE, associate
+from idfslam.datasets.calibration import Calibration, DepthCamera
+from idfslam.datasets.images import Depth
+from idfslam.datasets.recording import Reader, Recording
+from idfslam.datasets.ros import realsense_bag
+from idfslam.datasets.ros.bag import SUFFIXES, Bag, Entry
+from idfslam.datasets.ros.images import colour_of, depth_of, units_per_metre
+from idfslam.datasets.ros.topic_search import CAMERA_INFO, ImageTopic, find_camera, find_images
+from idfslam.datasets.ros.transforms import StaticFrames, matrix
+from idfslam.datasets.topics import Topics
+from idfslam.errors import RecordingError
+
+log = logging.getLogger(__name__)
+
+_POSES = (  # types of messages that hold one pose
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/PoseWithCovarianceStamped",
+    "geometry_msgs/TransformStamped",
+    "nav_msgs/Odometry",
+)
+
+
+def recognises(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES if path.is_file() else (path / "metadata.yaml").is_file() or bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(file for file in path.glob("*") if file.suffix.lower() in SUFFIXES)
+
+
+def _bag(path: Path) -> Path:
+    """The file or the folder of a ROS 2 bag at a path."""
+    if path.is_file() or (path / "metadata.yaml").is_file():
+        return path
+    files = _files(path)
+    if len(files) != 1:
+        raise RecordingError(
+            f"{path}: {len(files)} bags and no metadata.yaml, expected a ROS 2 bag's folder or one .bag or .mcap: name one"
+        )
+    return files[0]
+
+
+def open_ros(path: Path, override: Calibration, topics: Topics | None = None) -> Recording:
+    """Images within 20 ms of one another, by the stamps of their headers, are pairs; a frame's stamp is that of its colour image."""
+    topics, path = topics or Topics(), _bag(path)
+    bag = Bag(path)
+    colour, depth = find_images(bag, topics)
+    camera = find_camera(bag, colour, topics.camera_info)
+    if not override.over(camera).complete:
+        infos = ", ".join(bag.topics(CAMERA_INFO)) or "none at all"
+        wanted = "name it with --topics.camera-info, or give --camera.fx --camera.fy --camera.cx --camera.cy"
+        raise RecordingError(f"{path}: no {CAMERA_INFO} for {colour.name} (found {infos}): {wanted}")
+    static = [topic for topic in bag.topics("tf2_msgs/TFMessage") if "static" in topic]
+    frames = StaticFrames((message for topic in static for message in bag.messages(topic)), f"{path}: /tf_static")
+    index = bag.index(colour.name, depth.name)
+    stamps = {name: np.array([entry.stamp for entry in index[name]]) for name in index}
+    pairs = associate(stamps[colour.name], stamps[depth.name], TOLERANCE)
+    if not pairs:
+        found = f"{len(stamps[colour.name])} images in {colour.name} and {len(stamps[depth.name])} in {depth.name}"
+        raise RecordingError(f"{path}: {found}, none within {1000 * TOLERANCE:.0f} ms of another, expected stamps of one clock")
+    log.info("%s: colour from %s, depth from %s", path, colour.name, depth.name)
+    timestamps = stamps[colour.name][[i for i, _ in pairs]]
+    scale = realsense_bag.units_per_metre(bag, depth.name) if realsense_bag.is_stream(depth.name) else units_per_metre(depth.message)
+    return Recording(
+        path.stem,
+        RosImages(bag, colour.name, depth.name, [(index[colour.name][i], index[depth.name][k]) for i, k in pairs]),
+        timestamps=timestamps,
+        ground_truth=None if topics.poses is None else read_truth(bag, topics.poses, colour.frame, frames, timestamps),
+        calibration=override.over(camera).over(Calibration(depth_scale=scale)),
+        depth_camera=_beside(bag, colour, depth, frames, named=topics.depth is not None),
+    )
+
+
+@dataclass(frozen=True)
+class RosImages:
+    """Called with i: colour and depth of pair i."""
+
+    bag: Bag
+    colour: str
+    depth: str
+    pairs: list[tuple[Entry, Entry]]
+
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+        colour, depth = self.pairs[i]
+        bgr = colour_of(self.bag.at(self.colour, colour), f"{self.bag.path}: {self.colour} at {colour.stamp:.3f} s")
+        return bgr, depth_of(self.bag.at(self.depth, depth), f"{self.bag.path}: {self.depth} at {depth.stamp:.3f} s")
+
+
+def _beside(bag: Bag, colour: ImageTopic, depth: ImageTopic, frames: StaticFrames, *, named: bool) -> DepthCamera | None:
+    """The depth camera, where depth is not registered to colour; raises RecordingError where it is unknown how they stand."""
+    if realsense_bag.is_stream(depth.name) and realsense_bag.is_stream(colour.name):
+        T = realsense_bag.T_colour_depth(bag, colour.name, depth.name)
+    elif depth.registered or depth.frame == colour.frame:
+        return None
+    elif (found := frames.T(colour.frame, depth.frame)) is not None:
+        T = found
+    elif named:
+        log.warning("%s: nothing says where %s stands; it is taken to be registered to %s", bag.path, depth.name, colour.name)
+        return None
+    else:
+        where = f"{depth.name} in frame {depth.frame}, {colour.name} in {colour.frame}, and no /tf_static between"
+        raise RecordingError(f"{bag.path}: {where}: record depth registered to colour, or name it with --topics.depth if it is")
+    camera = find_camera(bag, depth)
+    if not camera.complete:
+        raise RecordingError(f"{bag.path}: no {CAMERA_INFO} for {depth.name}: record it, or depth registered to colour")
+    return DepthCamera(camera, T)
+
+
+def read_truth(
+    bag: Bag, topic: str, camera: str, frames: StaticFrames, timestamps: NDArray[np.float64]
+) -> NDArray[np.float64]:  # (N, 4, 4)
+    """The poses of a topic, carried over from the frame that they are of to the camera where /tf_static tells; NaN where none is near."""
+    if bag.types.get(topic) not in _POSES:
+        found = ", ".join(bag.topics(*_POSES)) or "none"
+        raise RecordingError(f"{bag.path}: no poses in {topic} (found {found}): name another with --topics.poses")
+    entries: list[tuple[float, NDArray[np.float64]]] = []
+    for message in bag.messages(topic):
+        T = frames.T(message.child_frame_id, camera) if hasattr(message, "child_frame_id") else None
+        header = message.header.stamp
+        entries.append((header.sec + header.nanosec / 1e9, _pose(message, f"{bag.path}: {topic}") @ (np.eye(4) if T is None else T)))
+    entries.sort(key=lambda entry: entry[0])
+    stamps, reference = np.array([stamp for stamp, _ in entries]), np.stack([T for _, T in entries])
+    found_poses = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
+    return poses.checked(found_poses, count=len(timestamps), source=lambda _: f"{bag.path}: {topic}")
+
+
+def _pose(message: Any, source: str) -> NDArray[np.float64]:
+    if hasattr(message, "transform"):
+        return matrix(message.transform.translation, message.transform.rotation, source)
+    pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    return matrix(pose.position, pose.orientation, source)
+
+
+READER = Reader("ros", "a .bag or .mcap file or a ROS 2 bag's folder", recognises, open_ros, open_ros)

@@ -1,0 +1,66 @@
+"""The first demo on a machine: a second process compiles SLAM's and the evaluation's kernels while this one builds and renders the room.
+
+Numba compiles one function at a time in a process and keeps what it has compiled on disk, where the other process finds it.
+"""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import yaml
+
+from idfslam.compute.devices import resolve_device
+from idfslam.config import FAST, Config, dump, update
+
+_COARSE = 0.2  # [m] cells of the mesh that is made to be thrown away
+
+
+def compiled() -> bool:
+    """Whether the kernels are on disk, as far as one of them tells."""
+    from idfslam.mapping.kernels.numba_field import learn
+
+    folder = learn.stats.cache_path
+    return folder is not None and any(Path(folder).glob("numba_field.learn-*.nbi"))
+
+
+@contextmanager
+def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
+    """Within, a second process compiles, unless all is compiled. Gives a function that waits for the first frame's kernels.
+
+    Where that process fails, this one compiles by itself when the time comes.
+    """
+    if resolve_device(config.device).type != "cpu" or compiled():
+        yield lambda: None
+        return
+    command = [sys.executable, "-m", "idfslam.demo.compile_ahead"]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        with process.stdin:
+            process.stdin.write(yaml.safe_dump(dump(config)))
+        yield process.stdout.readline
+        process.wait()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def main() -> None:
+    """What `compiling_beside` starts: a config on stdin; a line on stdout once a frame can be processed."""
+    from idfslam.evaluation.mesh_error import mesh_error
+    from idfslam.mapping.saved_map import SavedMap
+    from idfslam.slam.warm_up import warm_up
+
+    slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"))
+    print("ready", flush=True)
+    mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
+    mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
+    SavedMap(slam.mapper.learnt(), slam.graph.views()).render(poses[0], camera)
+
+
+if __name__ == "__main__":
+    main()

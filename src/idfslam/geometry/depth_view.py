@@ -1,0 +1,26 @@
+"""A posed depth image: what was observed from where, reduced to what coverage and meshing need."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.geometry.camera import Camera
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """What a camera measured from one pose: a depth image, its camera and the pose."""
+
+    T_wc: NDArray[np.float64]  # (4, 4)
+    depth: NDArray[np.float32]  # (H, W) [m], 0 = no reading
+    camera: Camera
+
+
+def reduced_view(T_wc: NDArray[np.float64], depth: NDArray[np.float32], camera: Camera, height: int) -> DepthView:
+    """A view with every so many-th pixel of its depth, at least `height` rows of them."""
+    step = max(1, camera.height // height)
+    first = step // 2
+    small = np.ascontiguousarray(depth[first::step, first::step])
+    fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - first) / step, (camera.cy - first) / step
+    return DepthView(T_wc, small, Camera(small.shape[1], small.shape[0], fx, fy, cx, cy))

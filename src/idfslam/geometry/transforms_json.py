@@ -1,0 +1,38 @@
+"""Poses and camera of a transforms.json, as nerfstudio, instant-ngp and most radiance-field programs write it.
+
+Its cameras look along -z with y up (OpenGL), and its pixel centres lie at half integers.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import ResultError
+from idfslam.geometry.camera import Camera
+
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # T_wc times this is the pose of the same camera in the convention of OpenGL
+
+
+def read_transforms(path: Path) -> tuple[NDArray[np.float64], Camera | None]:
+    """T_wc (N, 4, 4) of its frames in the order of the file, and its camera where it has one for all frames; scale is taken as metres.
+
+    Raises ResultError where the file is not of this kind.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        poses = np.array([frame["transform_matrix"] for frame in values["frames"]], np.float64)
+        if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+            raise ValueError(f"its matrices are {poses.shape}")
+        return poses @ OPENGL, _camera(values)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ResultError(f"{path}: not readable as transforms.json ({error}); expected frames with a 4 x 4 transform_matrix") from error
+
+
+def _camera(values: dict[str, Any]) -> Camera | None:
+    if not {"fl_x", "cx", "cy", "w", "h"} <= values.keys():
+        return None
+    fx = float(values["fl_x"])
+    return Camera(int(values["w"]), int(values["h"]), fx, float(values.get("fl_y", fx)), values["cx"] - 0.5, values["cy"] - 0.5)

@@ -1,0 +1,153 @@
+"""A live camera into a recording: the plain folder of `datasets/folder.py`, readable at every moment up to the last whole frame."""
+
+import errno
+import logging
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.compute.interrupt import stop_on_interrupt
+from idfslam.datasets.images import SATURATED
+from idfslam.datasets.readers.folder import COLOUR_FOLDERS
+from idfslam.datasets.stamps import STAMPS
+from idfslam.errors import ResultError
+from idfslam.frame import Frame
+from idfslam.live import LiveStream
+from idfslam.storage import atomic_files
+
+log = logging.getLogger(__name__)
+
+_COLOUR, _DEPTH = COLOUR_FOLDERS[0], "depth"
+_UNITS = 1000  # of depth per metre
+_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}  # 1: the quickest
+_WRITERS = 2  # threads
+_PENDING = 16  # frames that wait to be written; beyond them the camera's frames are dropped
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a recording came to."""
+
+    folder: Path
+    frames: int
+    dropped: int  # that came faster than they could be written
+    seconds: float
+
+
+def record(
+    stream: LiveStream,
+    folder: Path,
+    *,
+    seconds: float | None = None,
+    png: bool = False,
+    report: Callable[[int, int], None] = lambda stored, dropped: None,
+) -> Recorded:
+    """Every frame that there is time for, until the stream's end, `seconds` or Ctrl-C; `png` keeps colour exactly, in more room.
+
+    Raises ResultError where the folder holds a recording already or a frame cannot be written: what was stored until then can be read.
+    """
+    _prepare(folder, stream)
+    start = time.monotonic()
+    with stop_on_interrupt() as stop, Writer(folder, ".png" if png else ".jpg") as writer:
+        for _, frame in stream:
+            if isinstance(frame, Frame):
+                writer.put(frame)
+            else:
+                log.warning("%s; the frame is left out", frame)
+            report(writer.stored, stream.dropped)
+            if stop.is_set() or (seconds is not None and time.monotonic() - start >= seconds):
+                break
+    report(writer.stored, stream.dropped)
+    return Recorded(folder, writer.stored, stream.dropped, time.monotonic() - start)
+
+
+def _prepare(folder: Path, stream: LiveStream) -> None:
+    """The folders, and the camera's file."""
+    if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS) if (folder / name).exists()]:
+        raise ResultError(f"{folder}: holds a recording already ({found[0]}); choose another folder with --out")
+    atomic_files.prepare(folder)
+    for name in (_COLOUR, _DEPTH):
+        (folder / name).mkdir()
+    with atomic_files.replacing(folder / "intrinsics.txt") as part:
+        np.savetxt(part, stream.camera.matrix().numpy(), fmt="%.10g")
+
+
+class Writer:
+    """Stores frames in threads of its own. A frame is stored once its line stands in timestamps.txt; without it the reader passes it by.
+
+    Raises ResultError where a frame cannot be written, from `put` or on leaving; all that was stored before stays.
+    """
+
+    def __init__(self, folder: Path, colour_suffix: str) -> None:
+        self.stored = 0
+        self._folder, self._suffix = folder, colour_suffix
+        self._pool = ThreadPoolExecutor(_WRITERS, thread_name_prefix="writer")
+        self._pending: deque[Future[None]] = deque()
+        self._lock = threading.Lock()
+        self._full = False
+
+    def __enter__(self) -> "Writer":
+        self._stamps = (self._folder / STAMPS).open("wb", buffering=0)
+        return self
+
+    def put(self, frame: Frame) -> None:
+        """Takes the frame; waits where too many are being written."""
+        self._pending.append(self._pool.submit(self._store, frame))
+        while self._pending and (self._pending[0].done() or len(self._pending) > _PENDING):
+            self._settle(self._pending.popleft())
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        self._pool.shutdown(wait=True)
+        self._stamps.close()
+        while self._pending and kind is None:
+            self._settle(self._pending.popleft())
+
+    def _settle(self, future: Future[None]) -> None:
+        try:
+            future.result()
+        except OSError as error:
+            kept = f"the {self.stored} frames stored before can be read"
+            raise ResultError(f"{self._folder}: a frame cannot be written ({error.strerror}); {kept}") from error
+
+    def _store(self, frame: Frame) -> None:
+        """Colour, depth, and then the line that makes them count; the numbers are those of the frames."""
+        name = f"{frame.index:06d}"
+        try:
+            _write(self._folder / _COLOUR / f"{name}{self._suffix}", bgr(frame))
+            _write(self._folder / _DEPTH / f"{name}.png", millimetres(frame))
+            line = f"{name} {frame.timestamp:.6f}\n".encode()
+            with self._lock:
+                if self._full:
+                    return
+                if self._stamps.write(line) != len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                self.stored += 1
+        except OSError:
+            self._full = True  # nothing may follow half a line
+            raise
+
+
+def _write(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    _, data = cv2.imencode(path.suffix, image, _ENCODING[path.suffix])
+    with atomic_files.replacing(path) as part:
+        part.write_bytes(data.tobytes())
+
+
+def bgr(frame: Frame) -> NDArray[np.uint8]:
+    """Colour (H, W, 3) as images are stored; what came from 8 bits comes back exactly."""
+    return np.asarray(cv2.cvtColor(np.rint(frame.colour * 255).astype(np.uint8), cv2.COLOR_RGB2BGR), np.uint8)
+
+
+def millimetres(frame: Frame) -> NDArray[np.uint16]:
+    """Depth (H, W) [mm], 0 where there is no reading or it is beyond 16 bits."""
+    units = np.rint(frame.depth * _UNITS)
+    return np.where(units < SATURATED, units, 0).astype(np.uint16)

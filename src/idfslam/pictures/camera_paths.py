@@ -1,0 +1,76 @@
+"""Where a virtual camera goes: poses from a file, a smooth flight along a trajectory, an orbit around a room."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from idfslam.errors import ResultError
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.kitti import load_kitti
+from idfslam.geometry.trajectory import load_tum
+from idfslam.geometry.transforms_json import read_transforms
+from idfslam.pictures.mesh_renderer import looking_at
+
+Floats = NDArray[np.float64]
+_KNOTS_A_SECOND = 1.5  # of the splines: fewer are calmer
+
+
+def load_poses(path: Path) -> tuple[Floats, Camera | None]:
+    """T_wc (N, 4, 4) of a file in TUM or KITTI format or transforms.json, told apart by what is in it; the camera where it has one.
+
+    Raises ResultError where there is no such file or none of these in it, TrajectoryError for a damaged line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ResultError(f"{path}: cannot be read as text; expected poses in TUM or KITTI format, or transforms.json") from error
+    if path.suffix == ".json" or text.lstrip().startswith("{"):
+        return read_transforms(path)
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    columns = len(lines[0].split()) if lines else 0
+    if columns not in (8, 12):
+        raise ResultError(f"{path}: {columns} values in its first line; expected 8 (TUM), 12 (KITTI), or transforms.json")
+    return (load_tum(path) if columns == 8 else load_kitti(path)).poses, None
+
+
+def fly_through(poses: Floats, frames: int, *, fps: float) -> Floats:
+    """(M, 4, 4) evenly timed poses of a smooth flight along T_wc (N, 4, 4): splines through means of it, so that its shake is gone."""
+    if len(poses) < 2:
+        return np.repeat(poses, frames, 0)
+    knots = int(np.clip(round(frames / fps * _KNOTS_A_SECOND), 2, len(poses)))
+    wanted, anchors = np.linspace(0, 1, frames), np.linspace(0, 1, knots)
+    reach = len(poses) // (2 * knots)
+    near = [_around(poses, round(float(i)), reach) for i in anchors * (len(poses) - 1)]
+    out = np.tile(np.eye(4), (frames, 1, 1))
+    turns = Rotation.concatenate([Rotation.from_matrix(few[:, :3, :3]).mean() for few in near])
+    out[:, :3, :3] = RotationSpline(anchors, turns)(wanted).as_matrix()
+    out[:, :3, 3] = make_interp_spline(anchors, [few[:, :3, 3].mean(0) for few in near], k=min(3, knots - 1))(wanted)
+    return out
+
+
+def _around(poses: Floats, i: int, reach: int) -> Floats:
+    """The poses up to `reach` before and after pose i, as many on either side."""
+    reach = min(reach, i, len(poses) - 1 - i)
+    return poses[i - reach : i + reach + 1]
+
+
+def orbit(poses: Floats, frames: int, *, up: Floats, centre: Floats, radius: float) -> Floats:
+    """(M, 4, 4) once around `centre` (3,) at `radius` [m] in the plane across `up`, at the mean height of T_wc (N, 4, 4), looking outwards.
+
+    Outwards, since a room is seen from within: the camera turns once about itself on a small circle.
+    """
+    up = up / np.linalg.norm(up)
+    side = np.cross(up, poses[0, :3, 2])
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))]) if np.linalg.norm(side) < 0.1 else side
+    side /= np.linalg.norm(side)
+    ahead = np.cross(side, up)
+    height = float(((poses[:, :3, 3] - centre) @ up).mean())
+    out = []
+    for angle in 2 * np.pi * np.arange(frames) / frames:
+        direction = np.cos(angle) * ahead + np.sin(angle) * side
+        eye = centre + up * height + radius * direction
+        out.append(looking_at(eye + direction, eye, up))
+    return np.stack(out)

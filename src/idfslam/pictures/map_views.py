@@ -1,0 +1,139 @@
+"""What can be made of a saved map: a mesh at any resolution, pictures and videos from anywhere."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from idfslam.errors import ConfigError, ResultError
+from idfslam.evaluation.evaluate import load_mesh
+from idfslam.geometry.camera import Camera
+from idfslam.mapping.saved_map import load_map
+from idfslam.pictures.camera_paths import fly_through, load_poses, orbit
+from idfslam.pictures.image_files import write_colour, write_depth
+from idfslam.pictures.mesh_renderer import up_direction
+from idfslam.pictures.video import write_video
+from idfslam.runs import result_folder
+from idfslam.runs.finished_run import FinishedRun
+from idfslam.storage import atomic_files
+
+MESH_FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
+Item = TypeVar("Item")
+_ORBIT = 0.08  # radius of an orbit, as a share of the room's size
+
+
+def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> Path:
+    """The mesh of a result folder's map with cells of `resolution` [m], into `out` or the folder's mesh.ply; returns where.
+
+    Raises ResultError where the map is missing, ConfigError for a resolution or a kind of file that cannot be.
+    """
+    if not 0 < resolution < np.inf:
+        raise ConfigError(f"--resolution {resolution}, expected metres above 0, such as 0.01")
+    path = out or folder / result_folder.MESH
+    if path.suffix not in MESH_FORMATS:
+        raise ConfigError(f"--out {path}: meshes are written as {', '.join(MESH_FORMATS)}")
+    saved = load_map(result_folder.existing(folder, result_folder.MAP))
+    atomic_files.prepare(path.parent)
+    with atomic_files.replacing(path) as part:
+        saved.mesh(resolution).export(part)
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPoints:
+    """From where a map is looked at."""
+
+    names: Sequence[str]  # of the pictures
+    poses: NDArray[np.float64]  # (N, 4, 4) T_wc
+    camera: Camera
+
+
+def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | None = None, width: int | None = None) -> ViewPoints:
+    """Frames of the trajectory (none: the keyframes), or the poses of a file; the run's camera, or the file's, `width` [px] wide.
+
+    Raises ConfigError for a frame that the trajectory does not have or a width below 16, ResultError where there is nothing to look from.
+    """
+    camera, trajectory = run.keyframes.camera, run.trajectory.poses
+    if poses is not None:
+        if frames:
+            raise ConfigError("--frames and --poses: choose one of them")
+        found, own = load_poses(poses)
+        names = [f"{i:06d}" for i in range(len(found))]
+        camera = own or camera
+    else:
+        chosen = list(frames) or run.keyframes.indices.tolist()
+        for i in chosen:
+            if not 0 <= i < len(trajectory):
+                raise ConfigError(f"--frames {i}: the trajectory has frames 0 to {len(trajectory) - 1}")
+        found, names = trajectory[chosen], [f"{i:06d}" for i in chosen]
+    if not len(found):
+        raise ResultError(f"{poses}: no poses in it" if poses else f"{run.folder}: the run has no keyframes; choose frames with --frames")
+    if width is not None:
+        if width < 16:
+            raise ConfigError(f"--width {width}, expected at least 16 pixels")
+        camera = camera.resized(width, max(1, round(width * camera.height / camera.width)))
+    return ViewPoints(names, found, camera)
+
+
+def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *, console: Console | None = None) -> list[Path]:
+    """Colour (8 bit) and depth (16 bit, mm) that the map shows from there, as PNG; returns the paths. Raises ResultError without a map.
+
+    console: where a bar shows how far it is.
+    """
+    target, saved = out or run.folder / "render", run.map
+    atomic_files.prepare(target)
+    paths = []
+    for name, T_wc in _bar(list(zip(points.names, points.poses)), console):
+        colour, depth = saved.render(T_wc, points.camera)
+        pair = [target / f"{name}-colour.png", target / f"{name}-depth.png"]
+        write_colour(pair[0], np.asarray(colour))
+        write_depth(pair[1], np.asarray(depth))
+        paths += pair
+    return paths
+
+
+def write_flight(
+    run: FinishedRun,
+    path: Path,
+    kind: Literal["along", "orbit"],
+    *,
+    poses: NDArray[np.float64],
+    camera: Camera,
+    seconds: float,
+    fps: float,
+    console: Console | None = None,
+) -> Path:
+    """A video of the map: along T_wc (N, 4, 4), smoothed, or around the room's middle. Raises ConfigError for times that cannot be.
+
+    console: where a bar shows how far it is.
+    """
+    frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
+    if frames < 2:
+        raise ConfigError(f"--seconds {seconds} at --fps {fps}, expected a video of two frames or more, at most 240 a second")
+    flight = fly_through(poses, frames, fps=fps) if kind == "along" else _orbit(run, poses, frames)
+    saved = run.map
+    atomic_files.prepare(path.parent)
+
+    def images() -> Iterator[NDArray[np.uint8]]:
+        for T_wc in _bar(list(flight), console):
+            yield (np.clip(saved.render(T_wc, camera)[0], 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    with atomic_files.replacing(path) as part:
+        write_video(part, images(), fps=fps)
+    return path
+
+
+def _bar(views: Sequence[Item], console: Console | None) -> Iterable[Item]:
+    return track(views, "views", console=console, disable=console is None)
+
+
+def _orbit(run: FinishedRun, poses: NDArray[np.float64], frames: int) -> NDArray[np.float64]:
+    """Around the middle of where the camera was, inside the room."""
+    mesh = load_mesh(result_folder.existing(run.folder, result_folder.MESH))
+    size = float(np.ptp(np.percentile(mesh.vertices, [2, 98], axis=0), axis=0).max())
+    return orbit(poses, frames, up=up_direction(mesh, poses), centre=poses[:, :3, 3].mean(0), radius=_ORBIT * size)

@@ -1,0 +1,227 @@
+"""Pictures of a mesh with vertex colours, by ray casting: from a camera's pose, and from above into the room."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from idfslam.errors import ResultError
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.ray_casting import RayCaster, pixel_rays
+
+Floats = NDArray[np.floating]
+_LAYERS = 12  # back faces a ray passes before it is given up
+_STEP = 1e-4  # [m] past a back face
+_OCCLUSION_RAYS = 16  # a pixel of the finished picture
+_OCCLUSION_REACH = 0.4  # [m]
+
+
+@dataclass(frozen=True)
+class Shading:
+    """How a picture is lit."""
+
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB
+    ambient: float = 0.55  # share of light that does not depend on the surface's direction; 1: the bare colours
+    occlusion: float = 0.6  # darkness of corners (ambient occlusion); 0: none
+    supersample: int = 2
+
+
+_WIDE = Camera(1280, 960, 1400.0, 1400.0, 639.5, 479.5)
+_PLAIN = Shading(background=(0.0, 0.0, 0.0), ambient=1.0, occlusion=0.0)
+
+
+class Picture:
+    """A mesh prepared for pictures; without vertex colours it is light grey."""
+
+    def __init__(self, mesh: trimesh.Trimesh, *, inside: NDArray[np.float64] | None = None) -> None:
+        """`inside` (M, 3) [m]: points in front of the surface (camera centres). With them, faces are turned towards the nearest of these
+        and seen from that side only, whatever way the file wound them; without, both sides are seen."""
+        if len(mesh.faces) == 0:
+            raise ResultError("the mesh has no faces; expected a surface to draw")
+        self._caster = RayCaster(mesh)
+        self._faces = np.asarray(mesh.faces)
+        self._colours = vertex_colours(mesh)
+        self._normals = np.asarray(mesh.face_normals, np.float32)
+        self._smooth = np.asarray(mesh.vertex_normals, np.float32)
+        self._one_sided = inside is not None
+        if inside is not None:
+            centres = np.asarray(mesh.triangles_center)
+            towards = inside[cKDTree(inside).query(centres, workers=-1)[1]] - centres
+            flip = (towards * self._normals).sum(-1) < 0
+            self._normals = np.where(flip[:, None], -self._normals, self._normals)
+
+    def draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 RGB seen from T_wc (4, 4)."""
+        rgba = self._draw(T_wc, camera, shading)
+        return (rgba[..., :3] * 255 + 0.5).astype(np.uint8)
+
+    def cut_out(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+        """(H, W, 4) uint8 RGBA, transparent where there is no surface, for any background."""
+        rgba = self._draw(T_wc, camera, replace(shading, background=(0.0, 0.0, 0.0)))
+        rgba[..., :3] /= np.maximum(rgba[..., 3:], 1e-3)
+        return (np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+    def _draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+        """(H, W, 4) RGB over the background, and the share of a pixel that is surface."""
+        size, s = (camera.width, camera.height), shading.supersample
+        fine = camera.resized(camera.width * s, camera.height * s)
+        colour = self._colour(T_wc, fine, shading)
+        return np.asarray(cv2.resize(colour.reshape(fine.height, fine.width, 4), size, interpolation=cv2.INTER_AREA))
+
+    def depth(self, T_wc: NDArray[np.float64], camera: Camera) -> Floats:
+        """Z-depth (H, W) [m], 0 where there is no surface, seen from T_wc (4, 4)."""
+        origin = np.broadcast_to(T_wc[:3, 3].astype(np.float32), (camera.width * camera.height, 3))
+        depth = self._first(origin, pixel_rays(camera, T_wc))[0]
+        return np.where(np.isfinite(depth), depth, np.float32(0)).reshape(camera.height, camera.width)
+
+    def _first(self, origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
+        """Distance, face and barycentric coordinates of the first visible face; one-sided meshes let rays pass through backs."""
+        hits = self._caster.cast(origins, rays)
+        distance, face, weights = hits.distance.copy(), hits.face.copy(), hits.barycentric.copy()
+        open_ = np.nonzero(self._is_back(face, rays))[0]
+        for _ in range(_LAYERS):
+            if len(open_) == 0:
+                break
+            start = distance[open_] + _STEP
+            hits = self._caster.cast(origins[open_] + rays[open_] * start[:, None], rays[open_])
+            distance[open_], face[open_], weights[open_] = start + hits.distance, hits.face, hits.barycentric
+            open_ = open_[self._is_back(hits.face, rays[open_])]
+        distance[open_], face[open_] = np.inf, -1
+        return distance, face, weights
+
+    def _is_back(self, face: NDArray[np.int32], rays: Floats) -> NDArray[np.bool_]:
+        if not self._one_sided:
+            return np.zeros(len(face), bool)
+        return (face >= 0) & ((self._normals[face] * rays).sum(-1) > 0)
+
+    def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+        """Shaded RGB in [0, 1] of all pixels, and 1 where there is surface (N, 4)."""
+        rays = pixel_rays(camera, T_wc)
+        origins = np.broadcast_to(T_wc[:3, 3].astype(np.float32), rays.shape)
+        distance, face, weights = self._first(origins, rays)
+        hit = np.nonzero(face >= 0)[0]
+        corners = self._faces[face[hit]]
+        w = np.concatenate([1 - weights[hit].sum(-1, keepdims=True), weights[hit]], -1)[..., None]
+        rgb = (self._colours[corners] * w).sum(1)
+        normal = self._facing((self._smooth[corners] * w).sum(1), self._normals[face[hit]], rays[hit])
+        light = shading.ambient + (1 - shading.ambient) * np.abs((normal * _unit(rays[hit])).sum(-1))
+        if shading.occlusion:
+            light = light * (
+                1
+                - shading.occlusion
+                * self._occlusion(origins[hit] + rays[hit] * distance[hit, None], normal, max(1, _OCCLUSION_RAYS // shading.supersample**2))
+            )
+        image = np.empty((len(rays), 4), np.float32)
+        image[:] = (*shading.background, 0)
+        image[hit, :3] = np.clip(rgb * light[:, None], 0, 1)
+        image[hit, 3] = 1
+        return image
+
+    @staticmethod
+    def _facing(smooth: Floats, flat: Floats, rays: Floats) -> Floats:
+        """Unit normals towards the viewer: the smooth ones, or the face's own where these are degenerate."""
+        normal = np.where(np.linalg.norm(smooth, axis=-1, keepdims=True) > 1e-3, smooth, flat)
+        return _unit(np.where((normal * rays).sum(-1, keepdims=True) > 0, -normal, normal))
+
+    def _occlusion(self, points: Floats, normals: Floats, rays_each: int) -> Floats:
+        """(N,) share of the hemisphere's light (cosine-weighted) that surface nearer than the reach takes away; nearer takes more."""
+        generator = np.random.default_rng(0)
+        taken = np.zeros(len(points), np.float32)
+        origins = points + normals * 2e-3
+        for _ in range(rays_each):
+            sphere = _unit(generator.normal(size=points.shape).astype(np.float32))
+            rays = _unit(normals + 0.999 * sphere)
+            distance = self._caster.cast(origins, rays).distance
+            taken += np.clip(1 - distance / _OCCLUSION_REACH, 0, 1)
+        return taken / rays_each
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def vertex_colours(mesh: trimesh.Trimesh) -> Floats:
+    """(V, 3) RGB in [0, 1]; light grey where the mesh has none."""
+    if isinstance(mesh.visual, trimesh.visual.ColorVisuals) and mesh.visual.kind == "vertex":
+        return np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
+    return np.full((len(mesh.vertices), 3), 0.75, np.float32)
+
+
+def render_mesh(mesh: trimesh.Trimesh, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.uint8], Floats]:
+    """(H, W, 3) uint8 RGB, unlit, and z-depth (H, W) [m], 0 where there is no surface. For many views of one mesh keep a `Picture`."""
+    picture = Picture(mesh)
+    return picture.draw(T_wc, camera), picture.depth(T_wc, camera)
+
+
+def up_direction(mesh: trimesh.Trimesh, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) the room's up: the mean up of the cameras (N, 4, 4), drawn to the normals of floor and ceiling."""
+    up = -poses[:, :3, 1].mean(0)
+    up /= np.linalg.norm(up)
+    normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
+    for degrees in (35, 25, 15, 10, 5, 5):
+        cosine = normals @ up
+        near = np.abs(cosine) > np.cos(np.deg2rad(degrees))
+        if areas[near].sum() == 0:
+            break
+        up = ((areas * np.sign(cosine))[near, None] * normals[near]).sum(0)
+        up /= np.linalg.norm(up)
+    return up
+
+
+def looking_at(target: NDArray[np.float64], eye: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """T_wc (4, 4) of a camera at `eye` (3,) that looks at `target` (3,)."""
+    z = (target - eye) / np.linalg.norm(target - eye)
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], -1)
+    T[:3, 3] = eye
+    return T
+
+
+def overview_pose(
+    mesh: trimesh.Trimesh, poses: NDArray[np.float64], camera: Camera, *, azimuth: float = 0.6, elevation: float = 0.9
+) -> NDArray[np.float64]:
+    """T_wc (4, 4) outside and above the mesh, from where all of it just fits the image; angles [rad] about the room's up."""
+    up = up_direction(mesh, poses)
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    back = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
+    direction = np.cos(elevation) * back + np.sin(elevation) * up
+    low, high = np.percentile(mesh.vertices, [0.2, 99.8], axis=0)  # a stray face must not shrink the room
+    centre = (low + high) / 2
+    T = looking_at(centre, centre + direction, up)
+    points = np.asarray(mesh.vertices)
+    points = points[((points >= low) & (points <= high)).all(-1)]
+    local = (points - centre) @ T[:3, :3]
+    half = np.array([(camera.width - 1) / 2 / camera.fx, (camera.height - 1) / 2 / camera.fy]) * 0.95
+    # |x| <= half (z + d) for every point, for the smallest distance d
+    T[:3, 3] = centre + direction * float((np.abs(local[:, :2]) / half - local[:, 2:]).max())
+    return T
+
+
+def draw_mesh(
+    mesh: trimesh.Trimesh,
+    folder: Path,
+    *,
+    poses: NDArray[np.float64],
+    camera: Camera,
+    views: int = 3,
+    stem: str = "mesh",
+    wide: Camera = _WIDE,
+) -> list[Path]:
+    """Writes STEM_overview.png, from outside into the room, and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
+    pictures = {f"{stem}_overview.png": (Picture(mesh, inside=poses[:, :3, 3]), overview_pose(mesh, poses, wide), wide)}
+    if views:
+        both_sides = Picture(mesh)
+        for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):
+            pictures[f"{stem}_view_{i:05d}.png"] = (both_sides, poses[i], camera)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (picture, T_wc, view) in pictures.items():
+        rgb = picture.draw(T_wc, view, Shading())
+        cv2.imwrite(str(folder / name), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    return [folder / name for name in pictures]

@@ -1,0 +1,126 @@
+"""One step of self-supervised training on a pair of frames, without any pose (after UnsupervisedR&R [31]).
+
+A pair of frames is registered by the features as they are; the other view's points, moved by that pose, should look like the image (colour,
+depth), and matched points should meet. To these losses of [31] comes a contrastive one: where the registration explains the depth
+images, it says which pixels see the same point, and their features should find each other among all pixels of the other image.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from idfslam.compute.devices import resolve_precision
+from idfslam.config import PretrainConfig
+from idfslam.errors import DivergedError
+from idfslam.geometry import se3
+from idfslam.pretraining.augmentation import augmented
+from idfslam.pretraining.contrastive import contrastive_loss
+from idfslam.pretraining.footage import Pair, View
+from idfslam.pretraining.point_rendering import splat
+from idfslam.tracking.features import FeatureExtractor
+from idfslam.tracking.finetuning import correspondence_loss
+from idfslam.tracking.matching import Matches, features_in, match, spread
+from idfslam.tracking.overlap import Partners, partners
+from idfslam.tracking.procrustes import random_subsets, register
+
+
+def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
+    """L1 of colour and of depth [m] between view a and b's points drawn in it, means over what the points cover [31]."""
+    valid = b.valid.flatten()
+    points = se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[valid])
+    drawn = splat(points, b.colour.flatten(1).mT[valid], a.camera)
+    covered = drawn.coverage.detach()
+    measured = covered * a.valid
+    colour = (covered * (drawn.values - a.colour.permute(1, 2, 0)).abs().mean(-1)).sum() / covered.sum().clamp(min=1)
+    depth = (measured * (drawn.depth - a.points[..., 2]).abs()).sum() / measured.sum().clamp(min=1)
+    return colour, depth
+
+
+def registered_pose(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> Tensor | None:
+    """T_ab (4, 4) by the robust registration of unit features a, b (C, h, w); None where too few matches support it."""
+    matches = _correspondences(a, b, pair, config, mutual=True)
+    if len(matches) < config.matches // 10:
+        return None
+    points_b, points_a = _matched_points(matches, pair)
+    subsets = random_subsets(len(matches), subsets=200, share=0.03, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05, truncation=0.1, refits=3)
+    return found.T_ab if float(found.inliers.float().mean()) > config.inliers else None
+
+
+def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> dict[str, Tensor]:
+    """The losses of [31] for unit features a, b (C, h, w): of colour and depth rendered at the pose they give, and of their matches."""
+    matches = _correspondences(a, b, pair, config, mutual=False)
+    if len(matches) < config.matches // 10:
+        return {}
+    points_b, points_a = _matched_points(matches, pair)
+    subsets = random_subsets(len(matches), subsets=config.subsets, share=0.2, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05)
+    colour_a, depth_a = rendering_losses(found.T_ab, pair.a, pair.b)
+    colour_b, depth_b = rendering_losses(se3.inverse(found.T_ab), pair.b, pair.a)
+    apart = correspondence_loss(points_a.double(), points_b.double(), found.T_ab, matches.weight)
+    return {"colour": (colour_a + colour_b) / 2, "depth": (depth_a + depth_b) / 2, "correspondence": apart}
+
+
+def explained(T_ab: Tensor, pair: Pair, config: PretrainConfig) -> tuple[Partners, Partners] | None:
+    """What each view's pixels see of the other at this pose, b's in a and a's in b; None where the depth images contradict it."""
+    both = partners(T_ab, pair.a, pair.b), partners(se3.inverse(T_ab), pair.b, pair.a)
+    enough = all(found.agreement >= config.agreement and len(found.index) >= config.queries for found in both)
+    return both if enough else None
+
+
+def contrastive_losses(
+    a: Tensor, b: Tensor, T_ab: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator
+) -> dict[str, Tensor]:
+    """The contrastive loss of unit features a, b (C, h, w), both ways; nothing where T_ab does not explain the depth images."""
+    seen = explained(T_ab, pair, config)
+    if seen is None:
+        return {}
+    losses = []
+    for features, others, found in ((a, b, seen[0]), (b, a, seen[1])):
+        chosen = torch.randperm(len(found.index), generator=generator)[: config.queries].to(found.index.device)
+        losses.append(contrastive_loss(others.flatten(1).mT[found.index[chosen]], features, found.uv[chosen], config.temperature))
+    return {"contrastive": torch.stack(losses).mean()}
+
+
+def _correspondences(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, *, mutual: bool) -> Matches:
+    found = match(features_in(b), features_in(a), pair.b.valid, pair.a.valid, query_stride=3, target_stride=2, mutual=mutual)
+    return spread(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=4)
+
+
+def _matched_points(matches: Matches, pair: Pair) -> tuple[Tensor, Tensor]:
+    return pair.b.points.flatten(0, 1)[matches.frame], pair.a.points.flatten(0, 1)[matches.keyframe]
+
+
+def features_of(extractor: FeatureExtractor, images: Sequence[Tensor], config: PretrainConfig) -> Tensor:
+    """Unit features (N, C, h, w) float32 of N images (3, h, w), by the config's arithmetic."""
+    device = images[0].device
+    with torch.autocast(device.type, torch.bfloat16, enabled=resolve_precision(config.precision, device) is torch.bfloat16):
+        features: Tensor = extractor(torch.stack(list(images)).contiguous(memory_format=torch.channels_last))
+    return features.float()
+
+
+def train_step(
+    extractor: FeatureExtractor, pair: Pair, config: PretrainConfig, generator: torch.Generator, *, strength: float = 1.0
+) -> dict[str, float]:
+    """Adds the gradients of the pair's weighted losses, divided by the batch, to the extractor's; the losses by name.
+
+    The images as they are give the pose whose correspondences are learnt; trained are the features of views augmented by `strength`.
+    Raises DivergedError for a loss that is not finite.
+    """
+    device = next(extractor.parameters()).device
+    changed = Pair(*(augmented(view, strength, generator) for view in (pair.a, pair.b))).to(device)
+    pair = pair.to(device)
+    with torch.no_grad():
+        a, b = features_of(extractor, [pair.a.colour, pair.b.colour], config)
+        T_ab = registered_pose(a, b, pair, config, generator)
+    a, b = features_of(extractor, [changed.a.colour, changed.b.colour], config)
+    losses = registration_losses(a, b, changed, config, generator) if config.rendered else {}
+    losses |= contrastive_losses(a, b, T_ab, changed, config, generator) if T_ab is not None else {}
+    for name, loss in losses.items():
+        if not bool(loss.isfinite()):
+            raise DivergedError(f"pretraining: the {name} loss is {float(loss)}; lower --learning-rate")
+    if losses:
+        weighted = [getattr(config, f"{name}_weight") * loss.double() for name, loss in losses.items()]
+        (torch.stack(weighted).sum() / config.batch).backward()
+    return {name: float(loss.detach()) for name, loss in losses.items()}

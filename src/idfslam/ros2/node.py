@@ -1,0 +1,283 @@
+"""A ROS 2 node: RGB-D topics in, the camera's pose (PoseStamped and TF), path and status out, a result folder at the end.
+
+    python -m idfslam.ros2.node --ros-args -p colour_topic:=/camera/color/image_raw -p preset:=fast -p out:=results/robot
+
+A thin adapter, to be run in a sourced ROS 2 environment, which brings rclpy, message_filters, tf2_ros and the messages (they are
+not on PyPI). It is tested against stand-ins of the same interface, not against a running ROS 2. Colour and depth are paired by their
+stamps, the newest pair wins: what arrives while a frame is in hand is dropped, and counted. ROS maps have z up; here the map's axes are
+those of the first camera's body: x where it looked, y to its left, z up. The depth must be registered to the colour image.
+"""
+
+import logging
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.errors import ConfigError, FrameError, IdfSlamError
+
+log = logging.getLogger(__name__)
+
+# The map's axes (x forward, y left, z up) in those of the first camera (x right, y down, z forward).
+T_MAP_WORLD: NDArray[np.float64] = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+_MODULES = ("rclpy", "message_filters", "tf2_ros", "sensor_msgs.msg", "geometry_msgs.msg", "nav_msgs.msg", "std_msgs.msg")
+_CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "mono8": (0, 0, 0)}
+_DEPTHS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
+_QUEUE = 10  # messages of each topic among which pairs are sought
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The node's ROS parameters."""
+
+    colour_topic: str = "/camera/color/image_raw"
+    depth_topic: str = "/camera/aligned_depth_to_color/image_raw"
+    info_topic: str = "/camera/color/camera_info"
+    slop: float = 0.02  # [s] between the stamps of a pair
+    depth_scale: float = 1000.0  # units of 16-bit depth a metre; 32FC1 is in metres
+    preset: str = "fast"
+    config: str = ""  # a YAML file of values over the preset
+    out: str = "results/ros2"  # where results go at the end
+    map_frame: str = "map"
+    camera_frame: str = ""  # none given: that of the colour image's header
+    publish_tf: bool = True
+
+
+class SlamNode:
+    """Subscribes, runs Slam in a thread of its own on the newest frame, publishes. `close` finishes the map and writes the results."""
+
+    def __init__(self, ros: SimpleNamespace) -> None:
+        from idfslam.config import load, preset
+        from idfslam.runs.metrics import Meter
+        from idfslam.slam import Slam
+        from idfslam.storage import atomic_files
+
+        self._ros, self.node = ros, ros.rclpy.create_node("idf_slam")
+        given = {f.name: self.node.declare_parameter(f.name, f.default).value for f in fields(Parameters)}
+        self.parameters = Parameters(**given)
+        self._folder = Path(self.parameters.out)
+        atomic_files.prepare(self._folder)
+        path = self.parameters.config
+        self.slam = Slam(load(Path(path), base=self.parameters.preset) if path else preset(self.parameters.preset))
+        self._meter, self._stamps, self.dropped = Meter(), [], 0  # type: tuple[Meter, list[float], int]
+        self._newest: tuple[Any, Any, Any] | None = None
+        self._arrived, self._closing = threading.Condition(), False
+        self._advertise()
+        self._subscribe()
+        self._worker = threading.Thread(target=self._work, name="slam")
+        self._worker.start()
+
+    def _advertise(self) -> None:
+        ros, publisher = self._ros, self.node.create_publisher
+        self._pose = publisher(ros.geometry_msgs.PoseStamped, "~/pose", _QUEUE)
+        self._path = publisher(ros.nav_msgs.Path, "~/path", 1)
+        self._status = publisher(ros.std_msgs.String, "~/status", _QUEUE)
+        self._tf = ros.tf2_ros.TransformBroadcaster(self.node)
+
+    def _subscribe(self) -> None:
+        ros, p = self._ros, self.parameters
+        topics = (
+            (ros.sensor_msgs.Image, p.colour_topic),
+            (ros.sensor_msgs.Image, p.depth_topic),
+            (ros.sensor_msgs.CameraInfo, p.info_topic),
+        )
+        subscribers = [ros.message_filters.Subscriber(self.node, kind, topic) for kind, topic in topics]
+        self._pairs = ros.message_filters.ApproximateTimeSynchronizer(subscribers, _QUEUE, p.slop)
+        self._pairs.registerCallback(self.receive)
+
+    def receive(self, colour: Any, depth: Any, info: Any) -> None:
+        """A pair with its camera; the one that still waits is dropped."""
+        with self._arrived:
+            self.dropped += self._newest is not None
+            self._newest = (colour, depth, info)
+            self._arrived.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self._arrived:
+                self._arrived.wait_for(lambda: self._newest is not None or self._closing)
+                if self._newest is None:
+                    return
+                messages, self._newest = self._newest, None
+            try:
+                self._process(*messages)
+            except FrameError as error:
+                log.warning("%s; the frame is left out", error)
+            except IdfSlamError as error:
+                log.error("%s; no further frame is taken", error)
+                return
+
+    def _process(self, colour: Any, depth: Any, info: Any) -> None:
+        frame = frame_of(len(self._stamps), colour, depth, info, self.parameters.depth_scale)
+        result = self.slam.process(frame)
+        self._stamps.append(frame.timestamp)
+        self._camera = frame.camera
+        self._meter.frame()
+        self._publish(colour.header, result)
+
+    def _publish(self, header: Any, result: Any) -> None:
+        ros, p = self._ros, self.parameters
+        position, quaternion = pose_in_map(result.T_wc)
+        pose = self._pose_message(header, result.T_wc)
+        self._pose.publish(pose)
+        if p.publish_tf:
+            transform = ros.geometry_msgs.TransformStamped()
+            transform.header, transform.child_frame_id = pose.header, p.camera_frame or header.frame_id
+            fill(transform.transform.translation, "xyz", position)
+            fill(transform.transform.rotation, "xyzw", quaternion)
+            self._tf.sendTransform(transform)
+        if result.keyframe:  # the whole path, which keyframes carry, moves with them
+            path = ros.nav_msgs.Path(header=pose.header)
+            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.placed]
+            self._path.publish(path)
+        self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}"))
+
+    def _pose_message(self, header: Any, T_wc: NDArray[np.float64]) -> Any:
+        message = self._ros.geometry_msgs.PoseStamped()
+        message.header.stamp, message.header.frame_id = header.stamp, self.parameters.map_frame
+        position, quaternion = pose_in_map(T_wc)
+        fill(message.pose.position, "xyz", position)
+        fill(message.pose.orientation, "xyzw", quaternion)
+        return message
+
+    def close(self) -> None:
+        """After the frame in hand: the last polish of the map, and the results, where there was a frame with depth."""
+        with self._arrived:
+            self._closing, self._newest = True, None
+            self._arrived.notify()
+        self._worker.join()
+        if self.slam.graph.keyframes:
+            self.slam.finish()
+            self._write()
+            log.warning("%d frames, %d dropped: results in %s", len(self._stamps), self.dropped, self._folder)
+        else:
+            log.warning("no frame with depth came on %s and %s: no results", self.parameters.colour_topic, self.parameters.depth_topic)
+
+    def _write(self) -> None:
+        from idfslam.geometry.trajectory import Trajectory, save_tum
+        from idfslam.runs import result_folder
+        from idfslam.storage import atomic_files
+
+        slam, stamps = self.slam, np.array(self._stamps)
+        indices = np.array([k.index for k in slam.graph.placed], np.int64)
+        poses = np.array([k.T_wk.numpy() for k in slam.graph.placed], np.float64)
+        with atomic_files.replacing(self._folder / result_folder.TRAJECTORY) as part:
+            save_tum(part, Trajectory(stamps, slam.trajectory()))
+        result_folder.write_keyframes(self._folder, result_folder.KeyframeRecord(self._camera, indices, stamps[indices], poses))
+        result_folder.write_config(self._folder, slam.config, None)
+        with atomic_files.replacing(self._folder / result_folder.MAP) as part:
+            slam.save_map(part)
+        with atomic_files.replacing(self._folder / result_folder.MESH) as part:
+            slam.mesh().export(part)
+        atomic_files.write_json(self._folder / result_folder.METRICS, self._meter.summary(slam.timings) | {"dropped_frames": self.dropped})
+        written = {
+            result_folder.TRAJECTORY,
+            result_folder.KEYFRAMES,
+            result_folder.CONFIG,
+            result_folder.MAP,
+            result_folder.MESH,
+            result_folder.METRICS,
+        }
+        result_folder.remove_stale(self._folder, written=written)
+
+
+def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float) -> Any:
+    """A Frame of sensor_msgs/Image, Image and CameraInfo, undistorted. Raises FrameError for what it cannot be made of."""
+    from idfslam.datasets.images import Undistortion, metres, rgb
+    from idfslam.frame import Frame
+    from idfslam.geometry.camera import Camera
+
+    bgr, raw = colour_of(colour), depth_of(depth, depth_scale)
+    camera = Camera(info.width, info.height, info.k[0], info.k[4], info.k[2], info.k[5])
+    if not bgr.shape[:2] == raw.shape == (camera.height, camera.width):
+        sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]}, depth {raw.shape[1]}x{raw.shape[0]}, camera {camera.width}x{camera.height}"
+        raise FrameError(f"frame {index}: {sizes}, expected one size: take the topic of depth registered to colour")
+    straight: Any = raw
+    if any(info.d):
+        undistort = Undistortion(camera, tuple(info.d))
+        bgr, straight = undistort.colour(bgr), undistort.depth(raw)
+    stamp = colour.header.stamp
+    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(straight, depth_scale), camera)
+
+
+def colour_of(message: Any) -> NDArray[np.uint8]:
+    """sensor_msgs/Image -> (H, W, 3) BGR."""
+    if message.encoding not in _CHANNELS:
+        raise FrameError(f"colour of encoding '{message.encoding}', expected one of {', '.join(_CHANNELS)}")
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
+    r, g, b = _CHANNELS[message.encoding]
+    channels = {"mono8": 1, "rgba8": 4, "bgra8": 4}.get(message.encoding, 3)
+    pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    return np.ascontiguousarray(pixels[..., [b, g, r]])
+
+
+def depth_of(message: Any, scale: float) -> NDArray[np.uint16]:
+    """sensor_msgs/Image of 16UC1, or of 32FC1 [m] -> (H, W) in `scale` units a metre, 0 where there is no reading."""
+    if message.encoding not in _DEPTHS:
+        raise FrameError(f"depth of encoding '{message.encoding}', expected one of {', '.join(_DEPTHS)}")
+    kind = np.dtype(_DEPTHS[message.encoding]).newbyteorder(">" if message.is_bigendian else "<")
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
+    values = np.ascontiguousarray(rows[:, : message.width * kind.itemsize]).view(kind)
+    if message.encoding == "32FC1":
+        units = np.nan_to_num(values.astype(np.float64) * scale, nan=0.0, posinf=0.0, neginf=0.0)
+        values = np.where((units > 0) & (units < np.iinfo(np.uint16).max), units.round(), 0)
+    return values.astype(np.uint16)
+
+
+def pose_in_map(T_wc: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position (3,) [m] and quaternion (x, y, z, w) of the camera's optical frame in the map."""
+    from scipy.spatial.transform import Rotation
+
+    T = T_MAP_WORLD @ T_wc
+    return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+
+
+def fill(message: Any, names: str, values: NDArray[np.float64]) -> None:
+    """The fields of a message by their letters."""
+    for name, value in zip(names, values):
+        setattr(message, name, float(value))
+
+
+def load_ros() -> SimpleNamespace:
+    """The modules of ROS 2 by their names. Raises ConfigError where they are not there."""
+    try:
+        return SimpleNamespace(**{name.removesuffix(".msg"): import_module(name) for name in _MODULES})
+    except ImportError as error:
+        raise ConfigError(
+            f"no ROS 2 in this Python ({error}): source its setup file (source /opt/ros/.../setup.bash) and try again"
+        ) from error
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Spins until Ctrl-C or the end of ROS, then writes the results; exits with 1 and one line on the user's mistakes."""
+    from idfslam.cli.command_line import prepare_process
+
+    prepare_process()
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    try:
+        ros = load_ros()
+        ros.rclpy.init(args=arguments)
+        node = SlamNode(ros)
+    except IdfSlamError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    log.warning("listening: %s", asdict(node.parameters))
+    try:
+        ros.rclpy.spin(node.node)
+    except (KeyboardInterrupt, ros.rclpy.executors.ExternalShutdownException):
+        pass
+    finally:
+        node.close()
+        node.node.destroy_node()
+        ros.rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

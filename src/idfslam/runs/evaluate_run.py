@@ -1,0 +1,84 @@
+"""A result folder against the ground truth of the recording that it was made of, or against one in files."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+from idfslam.datasets import Dataset
+from idfslam.errors import IdfSlamError, ResultError
+from idfslam.evaluation.depth_range import DepthRange, depth_range
+from idfslam.evaluation.evaluate import evaluate, load_mesh
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, protocol_named
+from idfslam.evaluation.summary import Evaluation
+from idfslam.geometry.trajectory import Trajectory, load_tum
+from idfslam.live import is_live, replayed
+from idfslam.runs import result_folder
+from idfslam.runs.source import open_source
+
+log = logging.getLogger(__name__)
+
+
+def evaluate_folder(
+    folder: Path,
+    *,
+    gt: Path | None = None,
+    gt_mesh: Path | None = None,
+    protocol: str = "seen",
+    recording: Dataset | None = None,
+    samples: int = SAMPLES,
+    views: int = VIEWS,
+) -> Evaluation:
+    """Errors of the results in `folder`, where evaluation.json, trajectory.png and error.png are written.
+
+    gt: trajectory in TUM format, matched by time stamp; none: the recording's own. gt_mesh: [m], in the frame of the true trajectory;
+    none: with the recording's own trajectory the surface of a generated one, else the mesh is not evaluated.
+    recording: what the results were made of, where it is open already; none: the one that config.yaml names is opened.
+    samples: points on each surface. views: of depth L1.
+    Raises ResultError where results or ground truth are missing, RecordingError where the recording is and no `gt` stands for it.
+    """
+    result_folder.existing(folder, result_folder.TRAJECTORY)
+    asked = protocol_named(protocol)
+    if recording is None and gt is None:
+        recording = _recording(folder)
+    trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
+    surface = load_mesh(gt_mesh) if gt_mesh is not None else recording.surface() if recording is not None and gt is None else None
+    record = result_folder.read_keyframes(folder)
+    return evaluate(
+        folder,
+        gt_trajectory=trajectory,
+        gt_mesh=surface,
+        camera=record.camera,
+        readings=_readings(folder, recording) if surface is not None and asked.measured else None,
+        protocol=protocol,
+        keyframes=record.indices,
+        samples=samples,
+        views=views,
+    )
+
+
+def _recording(folder: Path) -> Dataset | None:
+    """What the results were made of; None if that was no recording, but a camera, or frames handed over by a program."""
+    _, source = result_folder.read_config(folder)
+    if source is not None and is_live(source.path):
+        path = replayed(source.path)
+        source = None if path is None else replace(source, path=path, frames=None)
+    return None if source is None else open_source(source)
+
+
+def _recorded_truth(folder: Path, recording: Dataset | None) -> Trajectory:
+    if recording is None or recording.ground_truth is None:
+        raise ResultError(f"{folder}: its recording has no ground truth; give one with --gt (TUM format: t tx ty tz qx qy qz qw)")
+    return Trajectory.of_known(recording.timestamps, recording.ground_truth)
+
+
+def _readings(folder: Path, recording: Dataset | None) -> DepthRange | None:
+    """The depths that the recording holds; None, and a warning, where they are not to be had."""
+    why = ""
+    try:
+        recording = _recording(folder) if recording is None else recording
+    except IdfSlamError as error:
+        why = f" ({error})"
+    readings = None if recording is None else depth_range(recording)
+    if readings is None:
+        log.warning("%s: no depth image of its recording is at hand%s; all surface in view up to 10 m counts as seen", folder, why)
+    return readings

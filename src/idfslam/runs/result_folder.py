@@ -1,0 +1,160 @@
+"""The result folder of a run: which files it holds, written so that a reader never meets half a file."""
+
+import json
+import platform
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from idfslam import __version__
+from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
+from idfslam.errors import ResultError
+from idfslam.geometry.camera import Camera
+from idfslam.storage import atomic_files
+from idfslam.viewer.rerun_program import RECORDING
+
+TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
+KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
+FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
+CHECKPOINT = "checkpoint.safetensors"  # of a run that is not over
+FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a run
+EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
+_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # of a report
+_PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The recording of a run and which of its frames: what `open_recording` is called with."""
+
+    path: str
+    format: str | None = None
+    camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that win over the recording's own
+    depth_scale: float | None = None  # units of the depth images per metre
+    topics: dict[str, str] | None = None  # of a ROS recording, where they are named
+    start: int = 0
+    frames: int | None = None
+    stride: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierKeyframe:
+    """A keyframe of a map that a run started in."""
+
+    source: Source  # the recording that it is of
+    index: int  # its frame there
+    timestamp: float  # [s]
+    T_wk: NDArray[np.float64]  # (4, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeRecord:
+    """The keyframes of a run as keyframes.json tells them."""
+
+    camera: Camera
+    indices: NDArray[np.int64]  # (K,) frames of the trajectory
+    timestamps: NDArray[np.float64]  # (K,) [s]
+    poses: NDArray[np.float64]  # (K, 4, 4) T_wk
+    earlier: Sequence[EarlierKeyframe] = ()  # those of other recordings
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Within, a file that cannot be written is a ResultError: a full disk, a folder that was taken away."""
+    try:
+        yield
+    except OSError as error:
+        advice = f"make room or give permission, then `idf-slam run --resume {folder}` goes on from the last checkpoint"
+        raise ResultError(f"{error.filename or folder}: cannot be written ({error.strerror or error}); {advice}") from error
+
+
+def remove_stale(folder: Path, *, written: set[str]) -> None:
+    """Takes away the files of an earlier run that this one did not write, and nothing else."""
+    for name in {*FILES, *EVALUATION_FILES, REPORT, RECORDING} - written:
+        (folder / name).unlink(missing_ok=True)
+    if REPORT not in written:
+        remove_pictures(folder)
+
+
+def remove_pictures(folder: Path) -> None:
+    """Takes away a report's pictures, and their folder if nothing else is in it."""
+    pictures = folder / PICTURES
+    for path in pictures.glob("*.png"):
+        if _PICTURE.fullmatch(path.name):
+            path.unlink()
+    if pictures.is_dir() and not any(pictures.iterdir()):
+        pictures.rmdir()
+
+
+def write_config(folder: Path, config: Config, source: Source | None) -> None:
+    """The effective values; beside them the recording and the versions that made the results."""
+    versions = {"idf-slam": __version__, "python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+    values = dump(config) | dict(zip(RUN_SECTIONS, (asdict(source) if source else None, versions)))
+    with atomic_files.replacing(folder / CONFIG) as part:
+        part.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def read_config(folder: Path) -> tuple[Config, Source | None]:
+    """What `write_config` wrote. Raises ResultError if the folder holds no run, ConfigError if its config.yaml is damaged."""
+    path = existing(folder, CONFIG)
+    recording = read_yaml(path).get(RUN_SECTIONS[0])
+    if recording is None:
+        return load(path), None
+    if not isinstance(recording, dict) or not set(recording) <= set(Source.__dataclass_fields__) or "path" not in recording:
+        raise ResultError(f"{path}: 'recording' is {recording!r}, expected {', '.join(Source.__dataclass_fields__)}")
+    return load(path), Source(**recording)
+
+
+def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
+    """Camera, and frame index, time stamp [s] and pose T_wk (4 x 4, rows) of each keyframe; apart, those of the map that was extended."""
+    keyframes = [
+        {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
+        for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
+    ]
+    earlier = [asdict(keyframe) for keyframe in record.earlier]
+    values = {"camera": asdict(record.camera), "keyframes": keyframes} | ({"earlier": earlier} if earlier else {})
+    atomic_files.write_json(folder / KEYFRAMES, values)
+
+
+def own_keyframes(record: KeyframeRecord, source: Source) -> list[EarlierKeyframe]:
+    """A run's own keyframes as those of an earlier one."""
+    columns = zip(record.indices, record.timestamps, record.poses, strict=True)
+    return [EarlierKeyframe(source, int(index), float(stamp), T_wk) for index, stamp, T_wk in columns]
+
+
+def read_keyframes(folder: Path) -> KeyframeRecord:
+    """What `write_keyframes` wrote. Raises ResultError if it is missing or of another form."""
+    path = existing(folder, KEYFRAMES)
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        keyframes = values["keyframes"]
+        return KeyframeRecord(
+            Camera(**values["camera"]),
+            np.array([k["index"] for k in keyframes], np.int64),
+            np.array([k["timestamp"] for k in keyframes], np.float64),
+            np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
+            [
+                EarlierKeyframe(Source(**k["source"]), k["index"], k["timestamp"], np.array(k["T_wk"], np.float64).reshape(4, 4))
+                for k in values.get("earlier", [])
+            ],
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultError(f"{path}: not as a run writes it ({error}); run again into this folder") from error
+
+
+def existing(folder: Path, name: str) -> Path:
+    """The path of a file of the results. Raises ResultError if it is not there."""
+    path = folder / name
+    if not folder.is_dir():
+        raise ResultError(f"{folder}: no such folder; expected the results of `idf-slam run`")
+    if not path.is_file():
+        found = ", ".join(f for f in FILES if (folder / f).is_file()) or "no result file at all"
+        raise ResultError(f"{folder}: has no {name} (found {found}); expected the results of a finished `idf-slam run`")
+    return path

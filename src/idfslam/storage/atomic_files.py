@@ -1,0 +1,72 @@
+"""Files that a reader never meets half written: each is written beside its place and then moved there."""
+
+import json
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from idfslam.errors import ResultError
+
+_PART = ".part-"  # begins the name of a file that is being written
+
+
+def prepare(folder: Path) -> None:
+    """Makes the folder and tries to write into it, so that nothing is computed in vain; removes half-written files of a killed program.
+
+    Raises ResultError.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{_PART}trial").touch()
+        for part in folder.glob(f"{_PART}*"):
+            part.unlink()
+    except OSError as error:
+        raise ResultError(f"{folder}: results cannot be written there ({error.strerror}); choose another folder with --out") from error
+
+
+@contextmanager
+def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """A path beside `path` to write to; it takes the place of `path` once all is written, and is gone after an error.
+
+    durable: it is on the disk before it takes that place, so that a power failure does not leave less than there was.
+    """
+    part = path.with_name(f"{_PART}{path.name}")
+    try:
+        yield part
+        if durable:
+            _sync(part)
+        os.replace(part, path)
+        if durable and os.name != "nt":  # Windows opens no folders
+            _sync(path.parent)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Waits until a file or folder is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Writes values as JSON. Numbers that JSON does not know (NaN, infinity) become null."""
+    with replacing(path) as part:
+        part.write_text(json.dumps(_plain(values), indent=2) + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
