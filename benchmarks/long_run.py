@@ -56,7 +56,7 @@ def main() -> None:
         if i % EVERY == 0 or i == count:
             ate = absolute_trajectory_error(slam.trajectory(), truth[:i]).translation.rmse
             frames_in = i - int(rows[-1][0]) if rows else i
-            rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loop_closer.loops.closed), 100 * ate))
+            rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loops()), 100 * ate))
             spent = {stage: sum(times) for stage, times in slam.timings.items()}
             stages = ", ".join(f"{stage} {(ms - before.get(stage, 0.0)) / frames_in:.1f}" for stage, ms in spent.items())
             print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), "|", stages, flush=True)

@@ -65,7 +65,7 @@ def main() -> None:
         connections = slam.figures()
         print(
             f"{name}: {len(poses)} frames, ATE {100 * ate:.2f} cm, live {100 * live:.2f} cm, end {100 * end:.1f} cm, "
-            f"{len(connections['loops'])} loops, {len(list(wrong(slam, slam.loop_closer.loops.closed, truth)))} wrong, "
+            f"{len(connections['loops'])} loops, {len(list(wrong(slam, list(slam.loops()), truth)))} wrong, "
             f"{connections['loops_refused']} refused, {len(slam.graph.keyframes)} keyframes, "
             f"{sum(s.value in ('lost', 'interpolated') for s in slam.statuses())} lost",
             flush=True,

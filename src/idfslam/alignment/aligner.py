@@ -7,6 +7,7 @@ shape leaves a direction open (a bare wall) the brightness of keyframes' landmar
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -19,9 +20,9 @@ from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe import Images, Keyframe
 from idfslam.sensing.depth_noise import noise_ratio
-from idfslam.storage.state import State
+from idfslam.storage.state import State, Stateful
 
 _MARGIN, _FORGOTTEN = 1.5, 0.95  # a prediction may be off by so many times what the worst of the last was, which is forgotten slowly
 _WRONG_BRIGHTNESS = 0.1  # difference of brightness at which a landmark is another place
@@ -96,12 +97,14 @@ MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
-class Aligner:
+class Aligner(Stateful):
     """Aligns views to a map and to the images of keyframes; both may change between calls."""
 
     def __init__(self, config: AlignmentConfig, query: MapQuery, truncation: float, generator: torch.Generator) -> None:
         """query: the map's signed distance; truncation: that of the map [m]."""
         self.config, self.query, self.truncation, self._generator = config, query, truncation, generator
+        self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
+        self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
         self._usual_brightness = 0.0
         self.expected: float | None = None  # how far off a prediction is at most, judging by the last ones [px of the finest image]
 
@@ -244,18 +247,24 @@ class Aligner:
         return term.seen / max(len(marks.points), 1), term.noise
 
     def appearance(self, view: Keyframe) -> Appearance:
-        """A view's image pyramid, worked out once."""
-        if view.appearance is None:
-            levels = pyramid(view.colour, view.camera, height=self.config.image_height, levels=self.config.image_levels)
-            view.appearance = Appearance(levels, view.depth, view.camera)
-        return view.appearance
+        """A view's image pyramid, worked out once for as long as its images are in memory."""
+        images = view.images
+        if images not in self._appearances:
+            levels = pyramid(images.colour, view.camera, height=self.config.image_height, levels=self.config.image_levels)
+            self._appearances[images] = Appearance(levels, images.depth, view.camera)
+        return self._appearances[images]
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:
-        """A keyframe's landmarks, worked out once; its pyramid is let go, since only landmarks are held against others."""
-        if keyframe.landmarks is None:
-            keyframe.landmarks = landmarks(self.appearance(keyframe).levels, keyframe.depth, count=self.config.landmarks)
-            keyframe.appearance = None
-        return keyframe.landmarks
+        """A keyframe's landmarks, worked out once; its pyramid is released, since only landmarks are compared with other images."""
+        if keyframe not in self._landmarks:
+            appearance = self.appearance(keyframe)
+            self._landmarks[keyframe] = landmarks(appearance.levels, keyframe.depth, count=self.config.landmarks)
+            self.release(keyframe)
+        return self._landmarks[keyframe]
+
+    def release(self, view: Keyframe) -> None:
+        """Frees a view's image pyramid, which is worked out anew if it is needed again."""
+        self._appearances.pop(view.images, None)
 
     def _judged(
         self, T: Tensor, system: _System, information: Information, brightness: float, in_view: float, iterations: int, focal: float

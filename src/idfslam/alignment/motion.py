@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from idfslam.geometry import se3
-from idfslam.storage.state import State
+from idfslam.storage.state import State, Stateful
 
 _VELOCITY = 4.0  # a direction teaches the velocity from so many times the information on that teaches the pose: errors of one
 #                  pose are forgotten with the next, but a wrong velocity is carried through the whole of a bare wall
@@ -62,7 +62,7 @@ def change_between(T: Tensor, other: Tensor) -> Tensor:
     return torch.cat([other[:3, 3] - T[:3, 3], torch.from_numpy(turn)])
 
 
-class MotionModel:
+class MotionModel(Stateful):
     """The motion from one frame to the next, taken for constant."""
 
     def __init__(self) -> None:

@@ -42,7 +42,7 @@ def odometry(config: Config, *, finetune: bool, grid: int) -> Config:
         config,
         tracker=replace(config.tracker, grid=grid),
         finetune=replace(config.finetune, enabled=finetune),
-        alignment=replace(config.alignment, enabled=False),
+        front_end="registration",
         loops=replace(config.loops, enabled=False, relocalise=False),
         mapper=replace(config.mapper, pose_optimisation=False, every=0, final_updates=0, first_iterations=first, iterations=each),
     )

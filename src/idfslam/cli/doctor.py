@@ -18,6 +18,7 @@ from idfslam.errors import IdfSlamError
 from idfslam.mapping.fused import fusable
 from idfslam.mapping.kernels.grid import default_implementation
 from idfslam.mapping.mapper import Mapper
+from idfslam.mapping.updates import InTurns
 from idfslam.tracking.features import load_extractor
 
 GIB = 2**30
@@ -127,7 +128,7 @@ def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
         return None
     if device.type == "cpu" and torch.version.cuda and not torch.cuda.is_available():
         advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
-    field = Mapper(config.mapper, config.field, device, torch.Generator(device)).field
+    field = Mapper(config.mapper, config.field, device, torch.Generator(device), InTurns()).field
     grid = config.field.encoding == "grid"
     kernels = "numba, fused" if fusable(field) else default_implementation(device.type) if grid else "torch"
     return {

@@ -33,6 +33,14 @@ def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.devic
     return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]
 
 
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Within, torch's global generator, from which networks draw their first weights, starts at `seed`; afterwards it is as it was."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        yield
+
+
 class _Repeating:
     """How many are within `repeatable` now, in all threads: torch has one setting for them all."""
 

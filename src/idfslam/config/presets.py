@@ -1,7 +1,6 @@
 """The presets: `paper` holds the values of Sec. VI-A, `fast` (the default) those that people use."""
 
 from idfslam.config.sections import (
-    AlignmentConfig,
     Config,
     FieldConfig,
     FinetuneConfig,
@@ -16,6 +15,7 @@ FAST = Config()
 
 PAPER = Config(
     preset="paper",
+    front_end="registration",
     refine=False,
     field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
     mapper=MapperConfig(
@@ -56,7 +56,6 @@ PAPER = Config(
         min_agreement=0.0,
     ),
     finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, guard=0),
-    alignment=AlignmentConfig(enabled=False),
     loops=LoopConfig(enabled=False, relocalise=False),
 )
 

@@ -282,8 +282,6 @@ class PretrainConfig:
 class AlignmentConfig:
     """Second-order alignment of every frame to the map (not in the paper)."""
 
-    enabled: bool = True
-    """Align every frame to the map; off: the tracker's pose stands, as in the paper."""
     points: int = 3000
     """Depth points of a frame that are aligned."""
     iterations: int = 12
@@ -386,6 +384,12 @@ class Config:
     """Seed of every random choice."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the networks run; auto: a GPU when there is one."""
+    front_end: str = "alignment"
+    """Tracks frames: "alignment" to the map, helped by the neural tracker where in doubt; "registration" by the tracker alone (paper)."""
+    map_representation: str = "neural_field"
+    """The map: "neural_field", one network of T-SDF and colour."""
+    back_end: str = "keyframe_mapping"
+    """What keyframes do: "keyframe_mapping", the map learns from them and from replayed ones."""
     refine: bool = True
     """After the last frame, polish all keyframes' poses and the map together (mapper.final_...)."""
     field: FieldConfig = FieldConfig()

@@ -59,7 +59,7 @@ def main() -> None:
     print("ready", flush=True)
     mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
     mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
-    SavedMap(slam.mapper.learnt(), slam.graph.views()).render(poses[0], camera)
+    SavedMap(slam.mapper.learnt(), slam.coverage.views()).render(poses[0], camera)
 
 
 if __name__ == "__main__":

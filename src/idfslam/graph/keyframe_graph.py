@@ -1,10 +1,7 @@
-"""Keyframes and what connects them (Sec. IV-C): covisibility, culling, replay; every frame hangs on a keyframe."""
+"""The keyframe graph (Sec. IV-C): stored keyframes, which of them see the same, and which were measured against each other."""
 
 import bisect
-import itertools
-import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -12,283 +9,103 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.config import KeyframeConfig
-from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
-from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.graph.keyframe import Keyframe
-from idfslam.graph.path_length import ways_from
-from idfslam.graph.submaps import brought_together, far_from
+from idfslam.graph.path_length import path_lengths
+from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.storage.state import State
 
-_COVERAGE_ROWS = 120  # of the depth that is kept of each view the map learnt from
-_COVERAGE_MOST = 1000
-_CANDIDATES = 4  # stored keyframes that are looked at more closely for the most covisible
-
+_CANDIDATES = 4  # stored keyframes compared closely for the most covisible; more: a better choice, at a covisibility test each
 
 Revive = Callable[[State], Keyframe]
 """A keyframe's state -> the keyframe, with its images again."""
 
 
-@dataclass(frozen=True)
-class _Link:
-    """A frame relative to a stored keyframe, so that moving the keyframe moves it."""
-
-    keyframe: int
-    T_kc: Tensor
-    status: Status
-    timestamp: float
-
-
-def _columns(links: list[_Link]) -> State:
-    return {
-        "keyframe": [link.keyframe for link in links],
-        "T_kc": torch.stack([link.T_kc for link in links]) if links else torch.zeros(0, 4, 4, dtype=torch.float64),
-        "status": [link.status.value for link in links],
-        "timestamp": [link.timestamp for link in links],
-    }
-
-
-def _rows(columns: State) -> list[_Link]:
-    values = zip(columns["keyframe"], columns["T_kc"], columns["status"], columns["timestamp"])
-    return [_Link(k, T_kc.clone(), Status(status), timestamp) for k, T_kc, status, timestamp in values]
-
-
 class KeyframeGraph:
-    """Stored keyframes, the covisibility between them, and all frames relative to them."""
+    """Stored keyframes, connected by covisibility and by measured edges. It alone moves keyframes."""
 
-    def __init__(self, config: KeyframeConfig, generator: torch.Generator, *, verify: bool = False) -> None:
-        """verify: covisible keyframes count as linked only where measurements lead to them; off: all of them, as in the paper."""
-        self.config, self._generator, self.verify = config, generator, verify
+    def __init__(self, config: KeyframeConfig, *, verify: bool = False) -> None:
+        """verify: only keyframes that short paths of measurements connect have edges; otherwise all covisible ones, as in the paper."""
+        self.config, self.verify = config, verify
         self.archive = Archive(config.in_memory)
         self.keyframes: list[Keyframe] = []
-        self.reference: Keyframe | None = None  # the last frame that was chosen, whether stored or culled
-        self._chosen_at = 0  # frames processed when that was
-        self.trial: int | None = None  # the first keyframe stored at a place found by its looks, while that may yet prove wrong (trial.py)
-        self._links: list[_Link] = []
-        self._coverage: list[tuple[int, DepthView]] = []  # keyframe, and a view at its pose T_kc
-
-    def __len__(self) -> int:
-        return len(self._links)
+        self.last_keyframe: Keyframe | None = None  # the last frame that was selected, whether stored or culled
+        self.unverified_from: int | None = None  # the first keyframe stored since a relocalisation that may yet prove wrong
 
     def state(self) -> State:
-        """Keyframes, frames and coverage. The reference is the number of a stored keyframe, or its own state where it was culled."""
-        stored = self.reference in self.keyframes
-        culled = None if stored or self.reference is None else self.reference.state()
+        """All keyframes. The last one is the number of a stored keyframe, or its own state where it was culled."""
+        last = self.last_keyframe
+        stored = last in self.keyframes
         return {
             "keyframes": [keyframe.state() for keyframe in self.keyframes],
-            "reference": self.keyframes.index(self.reference) if self.reference is not None and stored else culled,
-            "chosen_at": self._chosen_at,
-            "trial": -1 if self.trial is None else self.trial,
-            "links": _columns(self._links),
-            "coverage": [
-                {"keyframe": k, "T_kc": torch.from_numpy(view.T_wc), "depth": torch.from_numpy(view.depth), "camera": asdict(view.camera)}
-                for k, view in self._coverage
-            ],
-            "generator": self._generator.get_state(),
+            "last_keyframe": self.keyframes.index(last) if last is not None and stored else None if last is None else last.state(),
+            "unverified_from": -1 if self.unverified_from is None else self.unverified_from,
         }
 
     def restore(self, state: State, revive: Revive) -> None:
-        """What `state` told; `revive` gives the keyframes their images again."""
+        """Takes over `state`; `revive` gives the keyframes their images again."""
         for kept in state["keyframes"]:
             self.keyframes.append(revive(kept))
             self.keyframes[-1].keep_in(self.archive)
-        reference = state["reference"]
-        self.reference = self.keyframes[reference] if isinstance(reference, int) else reference and revive(reference)
-        self._chosen_at = state["chosen_at"]
-        self.trial = None if state["trial"] < 0 else state["trial"]
-        self._links = _rows(state["links"])
-        self._coverage = [
-            (kept["keyframe"], DepthView(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"])))
-            for kept in state["coverage"]
-        ]
-        self._generator.set_state(state["generator"])
+        last = state["last_keyframe"]
+        self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
+        self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
 
-    def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
-        """A tracked frame, to be remembered relative to the stored keyframe that the last chosen one hangs on."""
-        k = self.reference.anchor if self.reference else 0
-        T_kc = se3.inverse(self.keyframes[k].T_wk) @ T_wc if self.keyframes else T_wc
-        self._links.append(_Link(k, T_kc, status, timestamp))
+    # Keyframes that come
 
-    def asks_for_keyframe(self, T_wc: Tensor, status: Status, in_view: float = 1.0) -> bool:
-        """Enough motion since the last keyframe, or lost (Sec. III); or too little is left `in_view` of what frames are held against."""
-        if self.reference is None or status is Status.LOST or self.trial == len(self.keyframes):
-            return True
-        if in_view < self.config.in_view and len(self) - self._chosen_at > self.config.in_view_every:
-            return True
-        T_kc = se3.inverse(self.reference.T_wk) @ T_wc
-        moved, turned = float(T_kc[:3, 3].norm()), math.degrees(float(se3.angle(T_kc)))
-        return moved > self.config.translation or turned > self.config.rotation
+    def insert(self, keyframe: Keyframe) -> bool:
+        """Stores a selected frame, connected to the keyframes that see the same; False if it was culled.
 
-    def promote(self, keyframe: Keyframe) -> bool:
-        """Store the newest frame as a keyframe, connected to those that see the same; False if it was culled.
-
-        Its frame is the one appended last; either way it becomes the reference of the frames to come.
+        Either way it is the last keyframe from now on.
         """
-        scores, reach = self._covisibility(keyframe), self._reach()
+        scores, measured = self._covisibility(keyframe), self._measured()
         covisible = torch.nonzero(scores > self.config.covisible).flatten().tolist()
-        keyframe.neighbours.update(covisible)
-        keyframe.linked = {i for i in covisible if i in reach}
-        if self.reference is not None:
-            keyframe.linked.add(self.reference.anchor)
-        keyframe.unlinked = sorted(keyframe.neighbours - keyframe.linked, key=lambda i: -float(scores[i]))
-        keyframe.alike = torch.nonzero(scores > self.config.shared).flatten().tolist()
-        self.reference, self._chosen_at = keyframe, len(self)
-        cover = self._cover(keyframe, scores)
-        stored = cover is None
-        keyframe.anchor = len(self.keyframes) if cover is None else cover
-        keyframe.piece = min((self.keyframes[i].piece for i in keyframe.linked), default=keyframe.anchor)
-        if stored:
+        keyframe.covisible.update(covisible)
+        keyframe.edges = {i for i in covisible if i in measured}
+        if self.last_keyframe is not None:
+            keyframe.edges.add(self.last_keyframe.host)
+        keyframe.unverified = sorted(keyframe.covisible - keyframe.edges, key=lambda i: -float(scores[i]))
+        keyframe.covisible_references = torch.nonzero(scores > self.config.shared).flatten().tolist()
+        self.last_keyframe = keyframe
+        covering = self._covering(keyframe, scores)
+        keyframe.host = len(self.keyframes) if covering is None else covering
+        keyframe.submap = min((self.keyframes[i].submap for i in keyframe.edges), default=keyframe.host)
+        if covering is None:
             self._store(keyframe)
-        last = self._links[-1]
-        self._links[-1] = _Link(keyframe.anchor, self._relative(keyframe), last.status, last.timestamp)
-        return stored
+        return covering is None
 
-    def _cover(self, keyframe: Keyframe, scores: Tensor) -> int | None:
-        """The linked stored keyframe that makes the new one superfluous: it sees the same, from hardly farther off; None if none does."""
-        if not self.config.culling:
-            return None
-        near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
-        covers = [i for i in keyframe.linked if float(scores[i]) > self.config.cull and i >= (self.trial or 0)]
-        if self.config.cull_reach:
-            covers = [i for i in covers if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
-        return max(covers, key=lambda i: float(scores[i]), default=None)
-
-    def adopt(self, keyframe: Keyframe) -> None:
-        """Store a keyframe of an earlier run, before this one's first frame: its pose is known beside all others'."""
+    def load(self, keyframe: Keyframe) -> None:
+        """Stores a keyframe of an earlier run, before this one's first frame; its pose counts as measured against all others'."""
         scores = self._covisibility(keyframe)
-        keyframe.anchor = len(self.keyframes)
-        keyframe.neighbours.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
-        keyframe.linked = set(keyframe.neighbours) | ({keyframe.anchor - 1} if self.keyframes else set())
-        keyframe.alike = torch.nonzero(scores > self.config.shared).flatten().tolist()
+        keyframe.host = len(self.keyframes)
+        keyframe.covisible.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
+        keyframe.edges = set(keyframe.covisible) | ({keyframe.host - 1} if self.keyframes else set())
+        keyframe.covisible_references = torch.nonzero(scores > self.config.shared).flatten().tolist()
         self._store(keyframe)
-        self.reference = keyframe
+        self.last_keyframe = keyframe
 
     def _store(self, keyframe: Keyframe) -> None:
         self.keyframes.append(keyframe)
         keyframe.keep_in(self.archive)
-        for i in keyframe.neighbours:
-            self.keyframes[i].neighbours.add(keyframe.anchor)
-        for i in keyframe.linked:
-            self.keyframes[i].linked.add(keyframe.anchor)
+        for i in keyframe.covisible:
+            self.keyframes[i].covisible.add(keyframe.host)
+        for i in keyframe.edges:
+            self.keyframes[i].edges.add(keyframe.host)
 
-    def _reach(self) -> Collection[int]:
-        """Stored keyframes whose pose relative to the last chosen one was measured, over no long way."""
-        if not self.verify or self.reference is None:
-            return range(len(self.keyframes))
-        return self._near(self.reference, ways_from(self.keyframes, self.reference.anchor))
+    def connect_like_last(self, view: Keyframe) -> None:
+        """A frame that is not kept counts as covisible with what the last keyframe is covisible with."""
+        assert self.last_keyframe is not None
+        view.covisible = set(self.last_keyframe.covisible)
 
-    def _near(self, keyframe: Keyframe, ways: NDArray[np.float64]) -> set[int]:
-        """Stored keyframes to which only a short way of measured relations leads from a chosen one; ways (K,) [m] from its anchor."""
-        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(ways <= self.config.linked_within).tolist()}
-
-    def link(self, keyframe: Keyframe, i: int) -> None:
-        """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
-        keyframe.linked.add(i)
-        if i < keyframe.anchor and i not in keyframe.alike:
-            bisect.insort(keyframe.alike, i)
-        if self.keyframes[keyframe.anchor] is keyframe:
-            self.keyframes[i].linked.add(keyframe.anchor)
-
-    def apart(self, keyframe: Keyframe, ways: NDArray[np.float64]) -> list[int]:
-        """Stored keyframes that no short way of measured relations connects with a chosen one; ways (K,) [m] from its anchor."""
-        near = self._near(keyframe, ways)
-        return [i for i in range(len(self.keyframes)) if i not in near]
-
-    def status(self) -> Status:
-        """How the newest frame's pose was found."""
-        return self._links[-1].status
-
-    def _relative(self, view: Keyframe) -> Tensor:
-        """A view's pose in the keyframe that the last chosen one hangs on."""
-        assert self.reference is not None
-        return se3.inverse(self.keyframes[self.reference.anchor].T_wk) @ view.T_wk
-
-    def settle(self, view: Keyframe, keyframe: Keyframe) -> None:
-        """A lost view was found again beside a stored keyframe: frames to come are held against that one, and the place is on trial."""
-        self.reference = keyframe
-        view.anchor = keyframe.anchor
-        self.trial = len(self.keyframes)
-
-    def begin_piece(self) -> Tensor:
-        """What comes next is not connected with what is stored: the next frame chosen begins a piece. A pose T_wc (4, 4) for it."""
-        self.reference = self.trial = None
-        return far_from(self.keyframes)
-
-    @property
-    def begins_piece(self) -> bool:
-        """Whether the next frame chosen belongs to no piece that is stored."""
-        return self.reference is None
-
-    def join(self, a: int, b: int, T_ab: Tensor) -> list[float]:
-        """Two pieces become one by a measured relation (4, 4) of two keyframes: how far [m] each keyframe moved."""
-        pieces = self.keyframes[a].piece, self.keyframes[b].piece
-        moved = self.move(brought_together(self.keyframes, a, b, T_ab))
-        for keyframe in self.keyframes if self.reference is None else [*self.keyframes, self.reference]:
-            if keyframe.piece == max(pieces):
-                keyframe.piece = min(pieces)
-        self.link(self.keyframes[b], a)
-        self.trial = None  # what was found before says nothing of where the pieces meet
-        return moved
-
-    def cut(self) -> list[Keyframe]:
-        """What was stored at the place on trial becomes a piece of its own; the old keyframes that it was taken to lie beside."""
-        first, self.trial = self.trial, None
-        assert first is not None
-        old, new = self.keyframes[:first], self.keyframes[first:]
-        beside = sorted({i for keyframe in new for i in keyframe.neighbours if i < first})
-        for keyframe in old:
-            keyframe.neighbours, keyframe.linked = ({i for i in known if i < first} for known in (keyframe.neighbours, keyframe.linked))
-        for keyframe in new if self.reference is None else [*new, self.reference]:
-            keyframe.neighbours, keyframe.linked = ({i for i in known if i >= first} for known in (keyframe.neighbours, keyframe.linked))
-            keyframe.unlinked, keyframe.alike = ([i for i in known if i >= first] for known in (keyframe.unlinked, keyframe.alike))
-            keyframe.piece = first
-        change = far_from(self.keyframes) @ se3.inverse(new[0].T_wk)
-        self.move([*(k.T_wk for k in old), *(se3.orthonormal(change @ k.T_wk) for k in new)])
-        gap = next(i for i, link in enumerate(self._links) if link.keyframe >= first) - 1
-        while gap >= 0 and self._links[gap].status is Status.INTERPOLATED:
-            self._links[gap] = replace(self._links[gap], status=Status.LOST)
-            gap -= 1
-        return [self.keyframes[i] for i in beside]
-
-    @property
-    def placed(self) -> list[Keyframe]:
-        """The stored keyframes of the first piece."""
-        return [keyframe for keyframe in self.keyframes if keyframe.piece == 0]
-
-    def piece(self, i: int) -> int:
-        """The piece that the i-th frame processed belongs to."""
-        return self.keyframes[self._links[i].keyframe].piece if self.keyframes else 0
-
-    def bridge(self) -> int:
-        """Lost frames between two of one piece whose poses were found get poses between these. How many they are."""
-        known = [i for i, link in enumerate(self._links) if link.status is not Status.LOST]
-        return sum(self._bridge(i, j) for i, j in itertools.pairwise(known) if j > i + 1 and self.piece(i) == self.piece(j))
-
-    def _bridge(self, start: int, end: int) -> int:
-        """The frames between these two."""
-        T_before, T_after = self.T_wc(start), self.T_wc(end)
-        t_before, span = self._links[start].timestamp, self._links[end].timestamp - self._links[start].timestamp
-        step = se3.log(se3.inverse(T_before) @ T_after)
-        for i in range(start + 1, end):
-            link = self._links[i]
-            share = (link.timestamp - t_before) / span if span > 0 else 0.5
-            T_kc = se3.inverse(self.keyframes[link.keyframe].T_wk) @ T_before @ se3.exp(share * step)
-            self._links[i] = _Link(link.keyframe, T_kc, Status.INTERPOLATED, link.timestamp)
-        return end - start - 1
-
-    def move(self, poses: Sequence[Tensor]) -> list[float]:
-        """New poses T_wk of all stored keyframes; what hangs on them follows. How far [m] each moves a point two metres ahead, at most."""
-        changes = []
-        if self.reference is not None and self.keyframes[self.reference.anchor] is not self.reference:
-            self.reference.T_wk = poses[self.reference.anchor] @ self._relative(self.reference)
-        for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
-            T = se3.inverse(keyframe.T_wk) @ T_wk
-            changes.append(float(T[:3, 3].norm() + 2 * se3.angle(T)))
-            keyframe.T_wk = T_wk
-        return changes
+    def _covering(self, keyframe: Keyframe, scores: Tensor) -> int | None:
+        """The stored keyframe with an edge that makes the new one superfluous, or None: it sees the same, from hardly farther off."""
+        near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
+        covering = [i for i in keyframe.edges if float(scores[i]) > self.config.cull and i >= (self.unverified_from or 0)]
+        if self.config.cull_reach:
+            covering = [i for i in covering if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
+        return max(covering, key=lambda i: float(scores[i]), default=None) if self.config.culling else None
 
     def _covisibility(self, keyframe: Keyframe) -> Tensor:
         """Eq. 5 against all stored keyframes: (K,)."""
@@ -298,95 +115,149 @@ class KeyframeGraph:
         others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
         return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera, others).cpu()
 
-    def cover(self, view: Keyframe) -> None:
-        """Remember what a view that the map learnt from has seen: its depth, reduced, relative to a stored keyframe."""
-        assert self.reference is not None
-        small = reduced_view(self._relative(view).numpy(), view.frame.depth, view.frame.camera, _COVERAGE_ROWS)
-        self._coverage.append((self.reference.anchor, small))
-        if len(self._coverage) > _COVERAGE_MOST:
-            del self._coverage[1::2]  # every other: what is left still spreads over the whole run
+    def _shared(self, a: Keyframe, b: Keyframe) -> float:
+        """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
+        T_ba = se3.inverse(b.T_wk) @ a.T_wk
+        directions = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
+        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), k.camera, k.depth[None])) for n, k, T in directions)
 
-    def cover_with(self, views: Sequence[DepthView]) -> None:
-        """Remember what an earlier run has seen, each view relative to the stored keyframe that is nearest."""
-        centres = torch.stack([k.T_wk[:3, 3] for k in self.keyframes]).numpy()
-        for view in views:
-            k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
-            T_kc = se3.inverse(self.keyframes[k].T_wk).numpy() @ view.T_wc
-            self._coverage.append((k, DepthView(T_kc, view.depth, view.camera)))
+    # Edges
 
-    def views(self) -> list[DepthView]:
-        """All that was seen in the first piece, at the poses that its keyframes have now."""
-        placed = [(self.keyframes[k], view) for k, view in self._coverage if self.keyframes[k].piece == 0]
-        return [DepthView(keyframe.T_wk.numpy() @ view.T_wc, view.depth, view.camera) for keyframe, view in placed]
+    def _measured(self) -> Collection[int]:
+        """Stored keyframes whose pose relative to the last keyframe was measured, over a short path."""
+        if not self.verify or self.last_keyframe is None:
+            return range(len(self.keyframes))
+        return self._near(self.last_keyframe, path_lengths(self.keyframes, self.last_keyframe.host))
 
-    def sample(self, count: int) -> list[Keyframe]:
-        """`count` stored keyframes at random, or all if they are fewer."""
-        return self._draw(self.keyframes, count)
+    def _near(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> set[int]:
+        """Stored keyframes at a short path of edges from a keyframe; lengths (K,) [m] from its host."""
+        return {keyframe.host, *keyframe.edges, *np.flatnonzero(lengths <= self.config.linked_within).tolist()}
+
+    def beyond(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> list[int]:
+        """Stored keyframes that no short path of edges connects with a keyframe; lengths (K,) [m] from its host."""
+        near = self._near(keyframe, lengths)
+        return [i for i in range(len(self.keyframes)) if i not in near]
+
+    def add_edge(self, keyframe: Keyframe, i: int) -> None:
+        """The pose of a keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
+        keyframe.edges.add(i)
+        if i < keyframe.host and i not in keyframe.covisible_references:
+            bisect.insort(keyframe.covisible_references, i)
+        if self.keyframes[keyframe.host] is keyframe:
+            self.keyframes[i].edges.add(keyframe.host)
+
+    # Poses
+
+    def relative_to_host(self, T_wc: Tensor) -> tuple[int, Tensor]:
+        """The host of the last keyframe, and a pose (4, 4) in it; before the first keyframe, 0 and the pose itself."""
+        host = self.last_keyframe.host if self.last_keyframe else 0
+        return host, se3.inverse(self.keyframes[host].T_wk) @ T_wc if self.keyframes else T_wc
+
+    def set_pose(self, keyframe: Keyframe, T_wk: Tensor) -> None:
+        """Moves one keyframe, stored or not, to a refined pose (4, 4)."""
+        keyframe.T_wk = T_wk
+
+    def move(self, poses: Sequence[Tensor]) -> list[float]:
+        """Moves all stored keyframes; what hangs on them follows. Returns how far [m] each moves a point two metres ahead, at most."""
+        changes = []
+        last = self.last_keyframe
+        if last is not None and self.keyframes[last.host] is not last:
+            last.T_wk = poses[last.host] @ self.relative_to_host(last.T_wk)[1]
+        for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
+            T = se3.inverse(keyframe.T_wk) @ T_wk
+            changes.append(float(T[:3, 3].norm() + 2 * se3.angle(T)))
+            keyframe.T_wk = T_wk
+        return changes
+
+    # Relocalisation and submaps
+
+    def attach(self, view: Keyframe, keyframe: Keyframe) -> None:
+        """A lost view was found beside a stored keyframe: coming frames follow that keyframe, and the place is yet to be verified."""
+        self.last_keyframe = keyframe
+        view.host = keyframe.host
+        self.unverified_from = len(self.keyframes)
+
+    def confirm(self) -> None:
+        """The last relocalisation was right."""
+        self.unverified_from = None
+
+    @property
+    def awaits_first_unverified(self) -> bool:
+        """Whether no keyframe was stored since a relocalisation that is yet to be verified."""
+        return self.unverified_from == len(self.keyframes)
+
+    def start_submap(self) -> Tensor:
+        """The next keyframe is not connected with the stored ones and begins a submap; returns a pose T_wc (4, 4) for it."""
+        self.last_keyframe = self.unverified_from = None
+        return separate_origin(self.keyframes)
+
+    @property
+    def starts_submap(self) -> bool:
+        """Whether the next keyframe belongs to no stored submap."""
+        return self.last_keyframe is None
+
+    @property
+    def first_submap(self) -> list[Keyframe]:
+        """The stored keyframes of the first submap, whose world is reported."""
+        return [keyframe for keyframe in self.keyframes if keyframe.submap == 0]
+
+    def merge_submaps(self, a: int, b: int, T_ab: Tensor) -> list[float]:
+        """Merges the submaps of keyframes a and b by a measured T_ab (4, 4); returns how far [m] each keyframe moved."""
+        submaps = self.keyframes[a].submap, self.keyframes[b].submap
+        moved = self.move(merged_poses(self.keyframes, a, b, T_ab))
+        for keyframe in self._with_last(self.keyframes):
+            if keyframe.submap == max(submaps):
+                keyframe.submap = min(submaps)
+        self.add_edge(self.keyframes[b], a)
+        self.unverified_from = None  # an earlier relocalisation says nothing of where the submaps meet
+        return moved
+
+    def split_off(self) -> list[Keyframe]:
+        """Makes the keyframes stored since a wrong relocalisation a submap; returns the old ones that they seemed covisible with."""
+        first, self.unverified_from = self.unverified_from, None
+        assert first is not None
+        old, new = self.keyframes[:first], self.keyframes[first:]
+        seemingly_covisible = sorted({i for keyframe in new for i in keyframe.covisible if i < first})
+        for keyframe in old:
+            keyframe.covisible, keyframe.edges = ({i for i in ids if i < first} for ids in (keyframe.covisible, keyframe.edges))
+        for keyframe in self._with_last(new):
+            keyframe.covisible, keyframe.edges = ({i for i in ids if i >= first} for ids in (keyframe.covisible, keyframe.edges))
+            keyframe.unverified = [i for i in keyframe.unverified if i >= first]
+            keyframe.covisible_references = [i for i in keyframe.covisible_references if i >= first]
+            keyframe.submap = first
+        change = separate_origin(self.keyframes) @ se3.inverse(new[0].T_wk)
+        self.move([*(k.T_wk for k in old), *(se3.orthonormal(change @ k.T_wk) for k in new)])
+        return [self.keyframes[i] for i in seemingly_covisible]
+
+    def _with_last(self, keyframes: Sequence[Keyframe]) -> list[Keyframe]:
+        """Keyframes and the last one, which may be a culled one."""
+        return [*keyframes] if self.last_keyframe is None else [*keyframes, self.last_keyframe]
+
+    # References
 
     def references(self, count: int) -> list[Keyframe]:
-        """The last chosen frame and, up to `count` in all, `earlier` ones."""
-        return [] if self.reference is None else self.beside(self.reference, count)[:count]
+        """Up to `count` keyframes that a coming frame is compared with: the last, and the oldest that see most of the same."""
+        return [] if self.last_keyframe is None else self.references_for(self.last_keyframe, count)[:count]
+
+    def references_for(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
+        """What a view beside a stored keyframe is compared with: that one and, up to `count` in all, `older_references`."""
+        return [keyframe, *self.older_references(keyframe, count - 1)]
+
+    def older_references(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
+        """Up to `count` keyframes older than a keyframe that see most of what it sees, the oldest first: they have drifted least."""
+        return [self.keyframes[i] for i in keyframe.covisible_references if i in keyframe.edges][:count]
 
     def tracking_references(self, frame: Keyframe) -> list[Keyframe]:
         """The keyframes to register a frame against, the next where it is lost against one: by `KeyframeConfig.reference`.
 
-        The most covisible is that of the stored ones, and the last, that shares most with the frame at the pose it has so far.
+        "covisible" is the keyframe, among the most covisible stored ones and the last, that shares most with the frame at its predicted
+        pose.
         """
-        if self.reference is None:
+        if self.last_keyframe is None:
             return []
         if self.config.reference == "last" or not frame.has_depth:
-            return [self.reference]
+            return [self.last_keyframe]
         most = self._covisibility(frame).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
-        candidates = [self.reference, *(self.keyframes[i] for i in most)]
-        chosen = max(candidates, key=lambda k: self._shared(frame, k))
-        return [chosen] if chosen is self.reference else [chosen, self.reference]
-
-    def _shared(self, a: Keyframe, b: Keyframe) -> float:
-        """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
-        T_ba = se3.inverse(b.T_wk) @ a.T_wk
-        ways = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
-        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), k.camera, k.depth[None])) for n, k, T in ways)
-
-    def earlier(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
-        """Up to `count` keyframes that see most of what a stored one sees, the oldest first, all older than it: they have drifted least."""
-        return [self.keyframes[i] for i in keyframe.alike if i in keyframe.linked][:count]
-
-    def beside(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
-        """What a view found beside a stored keyframe is held against: that one and, up to `count` in all, `earlier` ones."""
-        return [keyframe, *self.earlier(keyframe, count - 1)]
-
-    def replay(self, keyframe: Keyframe) -> list[Keyframe]:
-        """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).
-
-        Beyond the paper, `replay_connected` random ones that are: they keep the shared view an average of many. And where a loop has
-        moved keyframes, as many of those instead, the nearest first, until the map has followed.
-        """
-        if unlearnt := [k for k in self.keyframes if k.unlearnt and k is not keyframe]:
-            unlearnt.sort(key=lambda k: float((k.T_wk - keyframe.T_wk)[:3, 3].norm()))
-            return unlearnt[: self.config.replay + self.config.replay_connected]
-        apart: list[Keyframe] = []
-        connected: list[Keyframe] = []
-        for i, other in enumerate(self.keyframes):
-            if other is not keyframe:
-                (connected if i in keyframe.neighbours else apart).append(other)
-        return self._draw(apart, self.config.replay) + self._draw(connected, self.config.replay_connected)
-
-    def _draw(self, keyframes: list[Keyframe], count: int) -> list[Keyframe]:
-        chosen = torch.randperm(len(keyframes), generator=self._generator)[:count]
-        return [keyframes[i] for i in chosen.tolist()]
-
-    def T_wc(self, i: int) -> Tensor:
-        """Pose (4, 4) float64 of the i-th frame processed."""
-        link = self._links[i]
-        return self.keyframes[link.keyframe].T_wk @ link.T_kc if self.keyframes else link.T_kc
-
-    def trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) poses of all frames processed; a frame of another piece than the first has that of the last one before it."""
-        poses: list[NDArray[np.float64]] = []
-        for i in range(len(self)):
-            poses.append(self.T_wc(i).numpy() if self.piece(i) == 0 else poses[-1] if poses else np.eye(4))
-        return np.stack(poses) if poses else np.zeros((0, 4, 4))
-
-    def statuses(self) -> list[Status]:
-        """How each frame's pose was found; those of other pieces than the first count as lost."""
-        return [link.status if self.piece(i) == 0 else Status.LOST for i, link in enumerate(self._links)]
+        candidates = [self.last_keyframe, *(self.keyframes[i] for i in most)]
+        best = max(candidates, key=lambda k: self._shared(frame, k))
+        return [best] if best is self.last_keyframe else [best, self.last_keyframe]

@@ -18,7 +18,7 @@ from idfslam.config import LoopConfig
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.path_length import linked_pairs, ways_from
+from idfslam.graph.path_length import edge_pairs, path_lengths
 from idfslam.graph.pose_graph import Edge, optimise
 from idfslam.storage.state import State
 
@@ -86,8 +86,8 @@ class Loops:
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
         """Stored keyframes of its piece, not linked with a chosen one, that may yet see the same, whatever drift there may be between."""
-        ways = ways_from(graph.keyframes, keyframe.anchor)
-        apart = [i for i in graph.apart(keyframe, ways) if graph.keyframes[i].piece == keyframe.piece]
+        ways = path_lengths(graph.keyframes, keyframe.host)
+        apart = [i for i in graph.beyond(keyframe, ways) if graph.keyframes[i].submap == keyframe.submap]
         if not apart:
             return []
         T = torch.stack([graph.keyframes[i].T_wk for i in apart])
@@ -110,9 +110,9 @@ class Loops:
         change = loop.disagreement(graph)
         shift, turn = float(change[:3, 3].norm()), float(se3.angle(change))
         if shift < _SETTLED[0] and turn < _SETTLED[1]:
-            graph.link(graph.keyframes[loop.b], loop.a)
+            graph.add_edge(graph.keyframes[loop.b], loop.a)
             return []
-        way = ways_from(graph.keyframes, loop.a)[loop.b]
+        way = path_lengths(graph.keyframes, loop.a)[loop.b]
         allowed, turn_allowed = self._allowed(way)
         if shift > allowed or turn > turn_allowed:
             self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
@@ -124,7 +124,7 @@ class Loops:
 
     def forget_between(self, graph: KeyframeGraph) -> None:
         """After the graph was cut: loops between pieces were none."""
-        self.closed = [loop for loop in self.closed if graph.keyframes[loop.a].piece == graph.keyframes[loop.b].piece]
+        self.closed = [loop for loop in self.closed if graph.keyframes[loop.a].submap == graph.keyframes[loop.b].submap]
         self.waiting = None
 
     def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
@@ -142,7 +142,7 @@ class Loops:
         self.closed = [loop for loop, stands in zip(loops, believed, strict=True) if stands]
         moved = graph.move(poses)
         for loop in self.closed:
-            graph.link(graph.keyframes[loop.b], loop.a)
+            graph.add_edge(graph.keyframes[loop.b], loop.a)
         a, b = (graph.keyframes[i].index for i in (new[-1].a, new[-1].b))
         log.info("loop closed between frames %d and %d: keyframes moved by up to %.1f cm", a, b, 100 * max(moved))
         return moved
@@ -150,7 +150,7 @@ class Loops:
     def summary(self, graph: KeyframeGraph) -> dict[str, Any]:
         """Links and loops between keyframes, as metrics.json tells them; loops by the frames' indices."""
         closed = [[graph.keyframes[loop.a].index, loop.view] for loop in self.closed]
-        links = sum(len(keyframe.linked) for keyframe in graph.keyframes) // 2
+        links = sum(len(keyframe.edges) for keyframe in graph.keyframes) // 2
         return {"links": links, "loops": closed, "loops_refused": self.refused}
 
     def _refuse(self, loop: Loop, why: str) -> None:
@@ -160,7 +160,7 @@ class Loops:
 
 def links(graph: KeyframeGraph) -> list[Edge]:
     """The measured relations between stored keyframes, as the present poses have them."""
-    a, b = linked_pairs(graph.keyframes)
+    a, b = edge_pairs(graph.keyframes)
     T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
     T_ab = se3.inverse(T[a]) @ T[b]
     translation = (_LINK[0][0] + _LINK[0][1] * T_ab[:, :3, 3].norm(dim=1)).tolist()

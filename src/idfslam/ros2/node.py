@@ -135,7 +135,7 @@ class SlamNode:
             self._tf.sendTransform(transform)
         if result.keyframe:  # the whole path, which keyframes carry, moves with them
             path = ros.nav_msgs.Path(header=pose.header)
-            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.placed]
+            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.first_submap]
             self._path.publish(path)
         self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}"))
 
@@ -166,8 +166,8 @@ class SlamNode:
         from idfslam.storage import atomic_files
 
         slam, stamps = self.slam, np.array(self._stamps)
-        indices = np.array([k.index for k in slam.graph.placed], np.int64)
-        poses = np.array([k.T_wk.numpy() for k in slam.graph.placed], np.float64)
+        indices = np.array([k.index for k in slam.graph.first_submap], np.int64)
+        poses = np.array([k.T_wk.numpy() for k in slam.graph.first_submap], np.float64)
         with atomic_files.replacing(self._folder / result_folder.TRAJECTORY) as part:
             save_tum(part, Trajectory(stamps, slam.trajectory()))
         result_folder.write_keyframes(self._folder, result_folder.KeyframeRecord(self._camera, indices, stamps[indices], poses))

@@ -234,7 +234,7 @@ def counts(slam: Slam) -> dict[str, Any]:
         "interpolated_frames": found[Status.INTERPOLATED],
         "degenerate_frames": found[Status.DEGENERATE],
     }
-    return {"keyframes": len(slam.graph.placed)} | frames | slam.figures()
+    return {"keyframes": len(slam.graph.first_submap)} | frames | slam.figures()
 
 
 def evaluation(slam: Slam, recording: FrameSource, *, live: bool = False) -> Evaluation | None:
@@ -259,7 +259,7 @@ def _write_poses(
     with atomic_files.replacing(folder / result_folder.TRAJECTORY) as part:
         save_tum(part, trajectory)
     adopted = [] if prior is None else prior.keyframes
-    own = slam.graph.placed[len(adopted) :]
+    own = slam.graph.first_submap[len(adopted) :]
     indices = np.array([keyframe.index for keyframe in own], np.int64)
     poses = np.array([np.asarray(keyframe.T_wk) for keyframe in own], np.float64).reshape(-1, 4, 4)
     earlier = [replace(k.record, T_wk=np.asarray(stored.T_wk)) for k, stored in zip(adopted, slam.graph.keyframes)]

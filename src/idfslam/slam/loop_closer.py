@@ -1,25 +1,29 @@
 """Loop closing: a new keyframe is compared with places seen before, and drift is undone.
 
-`graph/loops.py` says what may be believed; here the tracker and the images are asked. The map follows by what is replayed next.
+`graph/loop_consistency.py` says which loops are consistent; here the tracker and the images are asked. The map follows by replay.
 """
+
+from collections.abc import Sequence
+from typing import Any
 
 from idfslam.config import LoopConfig
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, Loops
-from idfslam.slam.relocaliser import Localiser
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
-_MOVED = 0.005  # [m] a keyframe must be moved by a loop for the map to learn it anew
-_OVERLAPPING = 2  # of the keyframes compared, those that should see the same by their pose; the others are those that look most alike
+_MIN_SHIFT = 0.005  # [m] by which a loop must move a keyframe for the map to learn it again; more: less replay, more of a double surface
+_OVERLAPPING = 2  # of the keyframes compared, those that should see the same by their pose; the others are the most similar ones
 
 
-class LoopCloser:
-    """Closes loops in a graph, and says which keyframes the map has yet to follow."""
+class LoopCloser(KeyframeHook):
+    """Closes loops in a graph."""
 
-    def __init__(self, config: LoopConfig, localiser: Localiser, graph: KeyframeGraph) -> None:
-        self.config, self.localiser, self.graph = config, localiser, graph
+    def __init__(self, config: LoopConfig, relocaliser: Relocaliser, graph: KeyframeGraph) -> None:
+        self.config, self.relocaliser, self.graph = config, relocaliser, graph
         self.loops = Loops(config)
 
     def state(self) -> State:
@@ -27,29 +31,44 @@ class LoopCloser:
         return {"loops": self.loops.state()}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Takes over `state`."""
         self.loops.restore(state["loops"])
 
-    def close(self, keyframe: Keyframe) -> None:
-        """Has a chosen keyframe's place been seen before, from a pose that it was not measured against? Then drift is undone."""
-        apart = self.loops.within_reach(self.graph, keyframe)
-        for i in [i for i in keyframe.unlinked if i not in apart][: self.config.tries]:
-            if self.localiser.agrees(keyframe, self.graph.keyframes[i], keyframe.T_wk):  # no drift: the pose is right already
-                self.graph.link(keyframe, i)
-        for i in self._candidates(keyframe, apart):
-            other = self.graph.keyframes[i]
-            T_wc = self.localiser.seen_again(keyframe, other, self.graph.beside(other, self.localiser.references))
-            if T_wc is not None:
-                T_wb = self.graph.keyframes[keyframe.anchor].T_wk
-                T_ab = se3.inverse(other.T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-                changes = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab, keyframe.index))
-                for moved, change in zip(self.graph.keyframes, changes):
-                    if change > _MOVED:
-                        moved.unlearnt = self.config.relearnt
-                break
+    def figures(self) -> dict[str, Any]:
+        return self.loops.summary(self.graph)
 
-    def _candidates(self, keyframe: Keyframe, apart: list[int]) -> list[int]:
-        """Of stored keyframes that are not linked with this one, those that should see the same by their pose, or that look alike."""
-        overlapping = [i for i in keyframe.unlinked if i in apart][:_OVERLAPPING]
-        alike = [apart[i] for i in self.localiser.most_alike(keyframe, [self.graph.keyframes[i] for i in apart], self.config.tries)]
-        return [*overlapping, *(i for i in alike if i not in overlapping)][: self.config.tries]
+    def closed_loops(self) -> Sequence[Loop]:
+        return self.loops.closed
+
+    def on_split(self) -> None:
+        self.loops.forget_between(self.graph)
+
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        """Adds edges to covisible keyframes that the images confirm, and closes a loop where there is drift."""
+        reachable = self.loops.within_reach(self.graph, keyframe)
+        self._verify_covisible(keyframe, reachable)
+        for i in self._candidates(keyframe, reachable):
+            T_wc = self.relocaliser.verify_loop(keyframe, self.graph.keyframes[i])
+            if T_wc is not None:
+                return self._offer(keyframe, i, T_wc)
+        return Moved()
+
+    def _verify_covisible(self, keyframe: Keyframe, reachable: list[int]) -> None:
+        """Where the images agree at the present pose, there is no drift: the pose was measured."""
+        for i in [i for i in keyframe.unverified if i not in reachable][: self.config.tries]:
+            if self.relocaliser.images_agree(keyframe, self.graph.keyframes[i], keyframe.T_wk):
+                self.graph.add_edge(keyframe, i)
+
+    def _offer(self, keyframe: Keyframe, i: int, T_wc: Any) -> Moved:
+        """The keyframe was found at T_wc (4, 4), seen from stored keyframe i."""
+        T_wb = self.graph.keyframes[keyframe.host].T_wk
+        T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
+        shifts = self.loops.offer(self.graph, Loop(i, keyframe.host, T_ab, keyframe.index))
+        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT])
+
+    def _candidates(self, keyframe: Keyframe, reachable: list[int]) -> list[int]:
+        """Stored keyframes without an edge that should see the same by their pose, then those that look most similar."""
+        overlapping = [i for i in keyframe.unverified if i in reachable][:_OVERLAPPING]
+        keyframes = [self.graph.keyframes[i] for i in reachable]
+        similar = [reachable[i] for i in self.relocaliser.retrieve(keyframe, keyframes, self.config.tries)]
+        return [*overlapping, *(i for i in similar if i not in overlapping)][: self.config.tries]

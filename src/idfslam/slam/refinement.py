@@ -1,71 +1,46 @@
-"""Bundle adjustment in turns: keyframes' poses against the map as it has become since, then the map against all of them."""
+"""Refinement: stored keyframes are aligned anew to the map as it has become, in turns with the map, which then learns from all of them.
 
-import math
+It alternates and is not a joint bundle adjustment: one keyframe moves at a time, and the map stands still meanwhile.
+"""
+
 from collections.abc import Sequence
-from time import perf_counter
 
 from idfslam.alignment.aligner import Aligner
 from idfslam.alignment.motion import change_between, moved
-from idfslam.config import Config
+from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.mapping.mapper import Mapper
-from idfslam.slam.relocaliser import Localiser
-
-_FIRM = 2.0  # of `hold_registered`: with so much of its own a pose follows a registered one by 6 % of the way
+from idfslam.slam.relearn_queue import RelearnQueue
 
 
-class BundleAdjustment:
-    """Refines keyframes of a graph together with the map."""
-
-    def __init__(self, config: Config, graph: KeyframeGraph, mapper: Mapper, aligner: Aligner, localiser: Localiser) -> None:
-        self.config, self.graph, self.mapper, self.aligner, self.localiser = config, graph, mapper, aligner, localiser
-
-    def register(self, keyframe: Keyframe, known: float) -> None:
-        """A new keyframe's pose and the neural tracker's, which knows best where the map is bare or noisy and images are few.
-
-        It counts only where the images of the two keyframes agree with it. known: information of the pose in any direction, per unit
-        weight; where that is far above `hold_registered` the tracker could not move it by a millimetre, and is not asked.
-        """
-        reference = self.graph.reference
-        if reference is None or known >= _FIRM * self.config.alignment.hold_registered:
-            return
-        T_wc = self.localiser.registered(keyframe, reference)
-        if T_wc is None or not self.localiser.agrees(keyframe, reference, T_wc):
-            return
-        aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.localiser.references), registered=True)
-        if aligned.status is not Status.LOST:
-            keyframe.T_wk = aligned.T_wc
+class NoRefinement:
+    """Keyframes stay where they were mapped, as in the paper."""
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Keyframes' poses against the map and earlier keyframes' images. The first of a piece stays: it is the world there.
+        """Moves keyframes of the graph."""
 
-        So do those that a loop has moved until the map has followed: it would draw them back.
+
+class KeyframeRefinement(NoRefinement):
+    """Aligns keyframes to the map and to the images of older keyframes."""
+
+    def __init__(self, config: AlignmentConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: Aligner) -> None:
+        self.config, self.graph, self.relearn, self.aligner = config, graph, relearn, aligner
+
+    def refine(self, keyframes: Sequence[Keyframe]) -> None:
+        """Leaves out the first keyframe of each submap, which defines its world, and those that wait to be learnt where a loop has moved
+        them: the map would draw them back.
         """
-        for keyframe in keyframes if self.config.alignment.enabled else []:
-            if keyframe.anchor == keyframe.piece or keyframe.unlearnt:
-                continue
-            references = self.graph.earlier(keyframe, self.config.alignment.references)
-            aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
-            change = change_between(keyframe.T_wk, aligned.T_wc)
-            near = float(change[:3].norm()) < self.config.alignment.refine_reach
-            if aligned.status is Status.OK and near and not self.aligner.doubtful(aligned):
-                keyframe.T_wk = moved(keyframe.T_wk, change / 2)  # half way: what the map knows here it has from this pose, in part
-            keyframe.appearance = None
+        for keyframe in keyframes:
+            if keyframe.host != keyframe.submap and keyframe not in self.relearn:
+                self._refine(keyframe)
 
-    def polish(self) -> None:
-        """After the last frame: all keyframes, in steps that shrink to nothing, within the budget of time."""
-        c, start = self.config.mapper, perf_counter()
-        refined = max(1, c.final_keyframes // 2)
-        updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
-        for i in range(updates):
-            spent = (perf_counter() - start) / c.final_seconds
-            done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
-            if done >= 1:
-                break
-            keyframes = self.graph.sample(c.final_keyframes)
-            self.refine(keyframes[:refined])
-            self.mapper.start(keyframes, c.iterations, anneal=1 - done)
-        self.mapper.finish()
-        self.mapper.optimiser.anneal = 1.0
+    def _refine(self, keyframe: Keyframe) -> None:
+        references = self.graph.older_references(keyframe, self.config.references)
+        aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
+        change = change_between(keyframe.T_wk, aligned.T_wc)
+        small = float(change[:3].norm()) < self.config.refine_reach
+        if aligned.status is Status.OK and small and not self.aligner.doubtful(aligned):
+            # half way: the map has learnt this place from the present pose, in part
+            self.graph.set_pose(keyframe, moved(keyframe.T_wk, change / 2))
+        self.aligner.release(keyframe)

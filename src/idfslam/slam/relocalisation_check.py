@@ -1,59 +1,80 @@
-"""The trial of a place that a lost camera was found at by its looks: two places can look alike for metres, but not for ever.
+"""Verifies a relocalisation afterwards: two places can look alike for metres, but not for ever.
 
-What is mapped from there on stays apart from what was known until the camera has gone some way and still sees what it should. Where the
-images of old keyframes contradict it instead, it was another place, and becomes a piece of its own (graph/pieces.py).
+What is mapped after a relocalisation stays apart from older keyframes until the camera has gone some way and still sees what it should.
+If the images of old keyframes contradict it instead, it was another place, and what was mapped since becomes a submap of its own.
 """
 
+import logging
+from typing import Any
+
 from idfslam.alignment.aligner import Aligner
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.path_length import distances
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
 
-_WAY = 3.0  # [m], or turned as much 2 m ahead: from there on one keyframe that agrees is enough
-_WITNESSES = 4  # old keyframes that a new one is compared with
-_IN_VIEW = 0.3  # smaller share of an old keyframe's landmarks in view: it says nothing
-_CONTRADICTS = 1.4  # times the difference of brightness that is doubtful
-_TWICE = 2  # keyframes in a row that all witnesses contradict
+log = logging.getLogger(__name__)
+
+_CONFIRMED_AFTER = 3.0  # [m], turns as the shift 2 m ahead: a keyframe this far on that agrees confirms the place. More: later, and safer
+_WITNESSES = 4  # old keyframes compared with a new one; more: fewer wrong contradictions, at a comparison of images each
+_MIN_IN_VIEW = 0.3  # share of an old keyframe's landmarks in view from which it says something
+_CONTRADICTION = 1.4  # photometric error over the doubtful one from which an old keyframe contradicts; more: fewer places are refuted
+_CONTRADICTIONS = 2  # contradicted keyframes in a row that refute a place; more: fewer and later refutations
 
 
-class Trial:
-    """Judges the keyframes of a graph that came after `graph.trial`."""
+class RelocalisationCheck(KeyframeHook):
+    """Compares the keyframes since a relocalisation with older ones."""
 
-    def __init__(self, aligner: Aligner, graph: KeyframeGraph) -> None:
-        self.aligner, self.graph = aligner, graph
-        self.limit = 0.0  # differences of brightness above it contradict
-        self.against = 0  # keyframes in a row that were contradicted
-        self.refuted = 0  # places that were given up
+    def __init__(self, aligner: Aligner, graph: KeyframeGraph, frames: FramePoses) -> None:
+        self.aligner, self.graph, self.frames = aligner, graph, frames
+        self.max_error = 0.0  # photometric error above which an old keyframe contradicts
+        self.contradictions = 0  # keyframes in a row that were contradicted
+        self.refuted = 0  # relocalisations that were undone
 
     def state(self) -> State:
-        """Where it stands."""
-        return {"limit": self.limit, "against": self.against, "refuted": self.refuted}
+        """The counts and the limit."""
+        return {"max_error": self.max_error, "contradictions": self.contradictions, "refuted": self.refuted}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
-        self.limit, self.against, self.refuted = state["limit"], state["against"], state["refuted"]
+        """Takes over `state`."""
+        self.max_error, self.contradictions, self.refuted = state["max_error"], state["contradictions"], state["refuted"]
+
+    def figures(self) -> dict[str, Any]:
+        return {"places_refuted": self.refuted}
 
     def begin(self) -> None:
-        """A place was found just now."""
-        self.limit, self.against = _CONTRADICTS * self.aligner.doubtful_brightness, 0
+        """The camera was relocalised just now."""
+        self.max_error, self.contradictions = _CONTRADICTION * self.aligner.doubtful_brightness, 0
 
-    def refutes(self, keyframe: Keyframe) -> bool:
-        """Whether a keyframe just chosen shows that the place was another one; where it shows that it was right, the trial ends."""
-        first = self.graph.trial
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        if not self.contradicted(keyframe):
+            return Moved()
+        log.info("frame %d contradicts the last relocalisation: what was mapped since becomes a submap of its own", keyframe.index)
+        first = self.graph.unverified_from
+        assert first is not None
+        seemingly_covisible = self.graph.split_off()
+        self.frames.undo_interpolation_before(first)
+        of_submap = [other for other in self.graph.keyframes if other.submap == keyframe.submap]
+        return Moved([*seemingly_covisible, *of_submap], submap=True, split=True)
+
+    def contradicted(self, keyframe: Keyframe) -> bool:
+        """Whether a keyframe just inserted refutes the relocalisation; if it confirms it instead, the check ends."""
+        first = self.graph.unverified_from
         if first is None:
             return False
-        witnesses = [self.graph.keyframes[i] for i in keyframe.alike if i < first][:_WITNESSES]
-        heard = [self.aligner.compare(keyframe, witness, keyframe.T_wk) for witness in witnesses]
-        differences = [difference for in_view, difference in heard if in_view > _IN_VIEW]
-        if not differences:
+        witnesses = [self.graph.keyframes[i] for i in keyframe.covisible_references if i < first][:_WITNESSES]
+        compared = [self.aligner.compare(keyframe, witness, keyframe.T_wk) for witness in witnesses]
+        errors = [error for in_view, error in compared if in_view > _MIN_IN_VIEW]
+        if not errors:
             return False
-        agrees = min(differences) <= self.limit
-        self.against = 0 if agrees else self.against + 1
+        agrees = min(errors) <= self.max_error
+        self.contradictions = 0 if agrees else self.contradictions + 1
         way = distances(self.graph.keyframes[first].T_wk[None].numpy(), keyframe.T_wk[None].numpy())[0]
-        if agrees and way > _WAY:
-            self.graph.trial = None
-        if self.against < _TWICE:
+        if agrees and way > _CONFIRMED_AFTER:
+            self.graph.confirm()
+        if self.contradictions < _CONTRADICTIONS:
             return False
         self.refuted += 1
         return True

@@ -1,69 +1,79 @@
-"""Joining pieces: a new keyframe is looked for in the pieces of the graph that it does not belong to, until where they lie is known.
+"""Merging submaps: each new keyframe is looked for in the other submaps, until the relative pose of two submaps is known.
 
-Nothing limits how far two pieces may be apart, and places that look alike are told from each other by what lies around them. So several
-keyframes over some way, each convincing and with no other place that serves as well, must say the same before two pieces become one.
+Nothing limits how far two submaps may be apart, and places that look alike are told apart by what lies around them. So several keyframes
+over some way, each convincing and unambiguous, must agree before two submaps are merged.
 """
 
 import logging
+from typing import Any
 
 from idfslam.config import LoopConfig
 from idfslam.geometry import se3
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, loop_from, plain_loop, same_correction
 from idfslam.graph.path_length import distances
-from idfslam.slam.relocaliser import Localiser
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
 log = logging.getLogger(__name__)
 
 
-class PieceJoiner:
-    """Joins pieces of a graph, and counts how many it has joined."""
+class SubmapMerger(KeyframeHook):
+    """Merges submaps of a graph."""
 
-    def __init__(self, config: LoopConfig, localiser: Localiser, graph: KeyframeGraph) -> None:
-        self.config, self.localiser, self.graph = config, localiser, graph
-        self.agreeing: list[Loop] = []  # the last findings, as far as they say the same
-        self.joined = 0
+    def __init__(self, config: LoopConfig, relocaliser: Relocaliser, graph: KeyframeGraph, frames: FramePoses) -> None:
+        self.config, self.relocaliser, self.graph, self.frames = config, relocaliser, graph, frames
+        self.agreeing: list[Loop] = []  # the last sightings in another submap, as far as they agree
+        self.merged = 0
 
     def state(self) -> State:
-        """The findings and the count."""
-        return {"agreeing": [plain_loop(loop) for loop in self.agreeing], "joined": self.joined}
+        """The sightings and the count."""
+        return {"agreeing": [plain_loop(loop) for loop in self.agreeing], "merged": self.merged}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
-        self.agreeing, self.joined = [loop_from(loop) for loop in state["agreeing"]], state["joined"]
+        """Takes over `state`."""
+        self.agreeing, self.merged = [loop_from(loop) for loop in state["agreeing"]], state["merged"]
 
-    def join(self, keyframe: Keyframe) -> bool:
-        """Whether a chosen keyframe has just joined its piece to another; the younger one has moved, and the map is to learn it anew."""
-        loop = self._found_elsewhere(keyframe)
+    def figures(self) -> dict[str, Any]:
+        return {"pieces_joined": self.merged}
+
+    def on_split(self) -> None:
+        self.agreeing = []  # they were made where the camera was thought to be
+
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        loop = self._sighting(keyframe)
         if loop is None:
-            return False
-        same = bool(self.agreeing) and same_correction(self.graph, self.agreeing[-1], loop, self.config.confirmed_within)
-        self.agreeing = [*self.agreeing, loop] if same else [loop]
+            return Moved()
+        agrees = bool(self.agreeing) and same_correction(self.graph, self.agreeing[-1], loop, self.config.confirmed_within)
+        self.agreeing = [*self.agreeing, loop] if agrees else [loop]
         if len(self.agreeing) < self.config.agreeing or self._span() < self.config.agreeing_span:
-            return False
+            return Moved()
+        return self._merge(loop)
+
+    def _merge(self, loop: Loop) -> Moved:
         self.agreeing = []
-        self.joined += 1
+        self.merged += 1
         a, b = (self.graph.keyframes[i].index for i in (loop.a, loop.b))
-        for moved, distance in zip(self.graph.keyframes, self.graph.join(loop.a, loop.b, loop.T_ab)):
-            if distance > 0:
-                moved.unlearnt = self.config.relearnt
-        log.info("pieces joined: frame %d was seen again at frame %d", a, b)
-        return True
+        shifts = self.graph.merge_submaps(loop.a, loop.b, loop.T_ab)
+        log.info("submaps merged: frame %d was seen again at frame %d", a, b)
+        log.info("%d frames between the submaps are interpolated", self.frames.interpolate_gaps())
+        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > 0], submap=True)
 
     def _span(self) -> float:
-        """How far [m] the camera has come, or what it looks at, since the first of the agreeing findings."""
+        """How far [m] the camera, or what it looks at, has moved since the first of the agreeing sightings."""
         first, last = (self.graph.keyframes[loop.b].T_wk[None].numpy() for loop in (self.agreeing[0], self.agreeing[-1]))
         return float(distances(first, last)[0])
 
-    def _found_elsewhere(self, keyframe: Keyframe) -> Loop | None:
-        """The keyframe of another piece that this one sees again, and how they lie."""
-        others = [other for other in self.graph.keyframes if other.piece != keyframe.piece]
-        found = self.localiser.locate_among(keyframe, others, self.config.relocalisation_tries, self.graph)
-        if found is None:
+    def _sighting(self, keyframe: Keyframe) -> Loop | None:
+        """The keyframe of another submap that this one sees again, and their relative pose."""
+        others = [other for other in self.graph.keyframes if other.submap != keyframe.submap]
+        answer = self.relocaliser.relocalise(keyframe, others, self.config.relocalisation_tries)
+        if answer is None:
             return None
-        other, aligned = found
-        T_wb = self.graph.keyframes[keyframe.anchor].T_wk
+        other, aligned = answer
+        T_wb = self.graph.keyframes[keyframe.host].T_wk
         T_ab = se3.inverse(other.T_wk) @ aligned.T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-        return Loop(other.anchor, keyframe.anchor, T_ab, keyframe.index)
+        return Loop(other.host, keyframe.host, T_ab, keyframe.index)

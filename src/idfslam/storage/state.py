@@ -1,26 +1,53 @@
-"""The state of a component as plain values, so that a run can be saved and gone on with.
+"""The state of a part as plain values, so that a run can be saved and resumed.
 
-`state()` tells all that the component's next answers depend on and its config does not: tensors, which may share memory with the component,
-and what JSON can say, nested in lists and dicts with words for keys. `restore(state)` puts it into a component made with the same config,
-whose next answers are then the same to the last bit. What can be worked out again to the last bit (features, image pyramids) is left out.
+`state()` holds all that the part's next answers depend on and its config does not: tensors, which may share memory with the part, and what
+JSON can hold, nested in lists and dicts with words for keys. `restore(state)` puts it into a part made with the same config, whose next
+answers are then the same to the last bit. What can be worked out again to the last bit (features, image pyramids) is left out.
 """
 
-from typing import Any, Protocol
+from collections.abc import Iterator
+from typing import Any
 
 State = dict[str, Any]
 
 
-class Stateful(Protocol):
-    """A component of a run that changes while it goes on."""
+class Stateful:
+    """A part of a run that may change while it goes on. A part without state inherits these."""
 
-    def state(self) -> State: ...
+    def state(self) -> State:
+        """What the part's next answers depend on."""
+        return {}
 
-    def restore(self, state: State) -> None: ...
+    def restore(self, state: State) -> None:
+        """Takes over what `state` of such a part returned."""
 
 
-def plain_adam(found: dict[str, Any]) -> State:
+def parts_of(root: Any) -> dict[str, Stateful]:
+    """All parts that an object consists of, each once, by their names in it: `front_end`, `front_end.aligner`, `back_end.hooks.0` ..."""
+    parts: dict[str, Stateful] = {}
+    seen: set[int] = {id(root)}
+    waiting = list(_attributes(root, ""))
+    while waiting:
+        name, part = waiting.pop(0)
+        if id(part) not in seen:
+            seen.add(id(part))
+            parts[name] = part
+            waiting += _attributes(part, f"{name}.")
+    return parts
+
+
+def _attributes(owner: Any, prefix: str) -> Iterator[tuple[str, Stateful]]:
+    """The parts among an object's attributes, in lists too."""
+    for name, value in vars(owner).items():
+        if isinstance(value, Stateful):
+            yield f"{prefix}{name}", value
+        elif isinstance(value, list | tuple):
+            yield from ((f"{prefix}{name}.{i}", item) for i, item in enumerate(value) if isinstance(item, Stateful))
+
+
+def plain_adam(state_dict: dict[str, Any]) -> State:
     """An optimiser's `state_dict` as a state: rates, moments and step counts."""
-    return {"groups": found["param_groups"], "moments": {str(i): moments for i, moments in found["state"].items()}}
+    return {"groups": state_dict["param_groups"], "moments": {str(i): moments for i, moments in state_dict["state"].items()}}
 
 
 def adam_dict(state: State) -> dict[str, Any]:

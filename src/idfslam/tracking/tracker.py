@@ -14,7 +14,7 @@ from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
-from idfslam.storage.state import State, adam_dict, plain_adam
+from idfslam.storage.state import State, Stateful, adam_dict, plain_adam
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetune_validator import Guard, held_out
@@ -39,7 +39,7 @@ class TrackingResult:
     rmse: float  # of the inliers' distances [m]; nan without any
 
 
-class Tracker:
+class Tracker(Stateful):
     """Tracks frames against keyframes; the extractor's out-conv learns the scene by `finetune`.
 
     Deterministic given the seed. `extractor` stands in for the one that the config names. Raises ConfigError if its weights cannot be used.

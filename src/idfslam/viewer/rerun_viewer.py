@@ -243,9 +243,9 @@ class RerunViewer:
     def _show_graph(self, slam: "Slam") -> None:
         """Keyframes, what connects them, and all frames at the poses that they have now."""
         T_wk = np.array([np.asarray(keyframe.T_wk) for keyframe in slam.graph.keyframes]).reshape(-1, 4, 4)
-        placed = [i for i, keyframe in enumerate(slam.graph.keyframes) if keyframe.piece == 0]
+        placed = [i for i, keyframe in enumerate(slam.graph.keyframes) if keyframe.submap == 0]
         self._show_lines("world/keyframes", frustums(T_wk[placed], self._camera) if self._camera else [], _KEYFRAME, width=1)
-        covisible = {(j, i) for i in placed for j in slam.graph.keyframes[i].neighbours if j < i}
+        covisible = {(j, i) for i in placed for j in slam.graph.keyframes[i].covisible if j < i}
         for kind, pairs, colour, width in (("covisible", covisible, _COVISIBLE, 1), ("loop", _loops(slam), _LOOP, 3)):
             self._show_lines(f"world/graph/{kind}", [T_wk[list(pair), :3, 3] for pair in sorted(pairs)], colour, width=width)
         positions, statuses = slam.trajectory()[:, :3, 3], slam.statuses()
@@ -275,7 +275,7 @@ class RerunViewer:
 
 def _loops(slam: "Slam") -> set[tuple[int, int]]:
     """Pairs of stored keyframes between which a loop stands."""
-    return {(loop.a, loop.b) for loop in slam.loop_closer.loops.closed}
+    return {(loop.a, loop.b) for loop in slam.loops()}
 
 
 def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) -> tuple[list[NDArray[np.float64]], list[Status]]:

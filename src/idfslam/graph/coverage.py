@@ -1,0 +1,60 @@
+"""Coverage: what the mapped views observed, so that a mesh keeps to it. Each view hangs on a keyframe and moves with it."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+import torch
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView, reduced_view
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.storage.state import State, Stateful
+
+_ROWS = 120  # of the reduced depth of a view. More: finer outlines of what was observed, more memory (77 kB a view at 120 x 160).
+_MOST = 1000  # views. More: more memory and time to mesh; at this number every other one is dropped.
+
+
+class Coverage(Stateful):
+    """Reduced depth images of the views that the map learnt from."""
+
+    def __init__(self, graph: KeyframeGraph) -> None:
+        self.graph = graph
+        self._views: list[tuple[int, DepthView]] = []  # host keyframe, and a view at its pose T_kc
+
+    def state(self) -> State:
+        """The views."""
+        return {
+            "views": [
+                {"keyframe": k, "T_kc": torch.from_numpy(view.T_wc), "depth": torch.from_numpy(view.depth), "camera": asdict(view.camera)}
+                for k, view in self._views
+            ]
+        }
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._views = [
+            (kept["keyframe"], DepthView(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"]))) for kept in state["views"]
+        ]
+
+    def add(self, view: Keyframe) -> None:
+        """Adds a view that the map learns from, relative to the host of the last keyframe."""
+        host, T_kc = self.graph.relative_to_host(view.T_wk)
+        self._views.append((host, reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _ROWS)))
+        if len(self._views) > _MOST:
+            del self._views[1::2]  # what is left still spreads over the whole run
+
+    def load(self, views: Sequence[DepthView]) -> None:
+        """Adds the views of an earlier run, each relative to the nearest stored keyframe."""
+        centres = torch.stack([k.T_wk[:3, 3] for k in self.graph.keyframes]).numpy()
+        for view in views:
+            k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
+            T_kc = se3.inverse(self.graph.keyframes[k].T_wk).numpy() @ view.T_wc
+            self._views.append((k, DepthView(T_kc, view.depth, view.camera)))
+
+    def views(self) -> list[DepthView]:
+        """All views of the first submap, at the poses that their keyframes have now."""
+        hosted = [(self.graph.keyframes[k], view) for k, view in self._views if self.graph.keyframes[k].submap == 0]
+        return [DepthView(keyframe.T_wk.numpy() @ view.T_wc, view.depth, view.camera) for keyframe, view in hosted]

@@ -1,0 +1,110 @@
+"""The pose of every frame, relative to a stored keyframe: when a keyframe moves, its frames move with it."""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.frame import Status
+from idfslam.geometry import se3
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.storage.state import State, Stateful
+
+
+@dataclass(frozen=True)
+class _FramePose:
+    """A frame in its host keyframe."""
+
+    host: int
+    T_kc: Tensor
+    status: Status
+    timestamp: float
+
+
+class FramePoses(Stateful):
+    """All frames processed, in their order."""
+
+    def __init__(self, graph: KeyframeGraph) -> None:
+        self.graph = graph
+        self._frames: list[_FramePose] = []
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def state(self) -> State:
+        """The frames, column by column."""
+        frames = self._frames
+        return {
+            "host": [frame.host for frame in frames],
+            "T_kc": torch.stack([frame.T_kc for frame in frames]) if frames else torch.zeros(0, 4, 4, dtype=torch.float64),
+            "status": [frame.status.value for frame in frames],
+            "timestamp": [frame.timestamp for frame in frames],
+        }
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        rows = zip(state["host"], state["T_kc"], state["status"], state["timestamp"])
+        self._frames = [_FramePose(host, T_kc.clone(), Status(status), timestamp) for host, T_kc, status, timestamp in rows]
+
+    def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
+        """Adds a tracked frame, relative to the host of the last keyframe."""
+        host, T_kc = self.graph.relative_to_host(T_wc)
+        self._frames.append(_FramePose(host, T_kc, status, timestamp))
+
+    def attach_last(self, keyframe: Keyframe) -> None:
+        """The last frame has become a keyframe: its pose follows that keyframe, or the one that covers it."""
+        host, T_kc = self.graph.relative_to_host(keyframe.T_wk)
+        self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc)
+
+    @property
+    def last_status(self) -> Status:
+        """How the pose of the last frame was found."""
+        return self._frames[-1].status
+
+    def T_wc(self, i: int) -> Tensor:
+        """The pose (4, 4) float64 of the i-th frame."""
+        frame = self._frames[i]
+        return self.graph.keyframes[frame.host].T_wk @ frame.T_kc if self.graph.keyframes else frame.T_kc
+
+    def submap(self, i: int) -> int:
+        """The submap of the i-th frame."""
+        return self.graph.keyframes[self._frames[i].host].submap if self.graph.keyframes else 0
+
+    def trajectory(self) -> NDArray[np.float64]:
+        """(N, 4, 4) poses of all frames. A frame of another submap than the first has the pose of the last frame before it."""
+        poses: list[NDArray[np.float64]] = []
+        for i in range(len(self)):
+            poses.append(self.T_wc(i).numpy() if self.submap(i) == 0 else poses[-1] if poses else np.eye(4))
+        return np.stack(poses) if poses else np.zeros((0, 4, 4))
+
+    def statuses(self) -> list[Status]:
+        """How each frame's pose was found. Frames of other submaps than the first count as lost."""
+        return [frame.status if self.submap(i) == 0 else Status.LOST for i, frame in enumerate(self._frames)]
+
+    def interpolate_gaps(self) -> int:
+        """Gives lost frames between two frames of one submap with a pose interpolated poses; returns how many."""
+        posed = [i for i, frame in enumerate(self._frames) if frame.status is not Status.LOST]
+        return sum(self._interpolate(i, j) for i, j in itertools.pairwise(posed) if j > i + 1 and self.submap(i) == self.submap(j))
+
+    def _interpolate(self, start: int, end: int) -> int:
+        """The frames between these two, at constant velocity."""
+        T_before, T_after = self.T_wc(start), self.T_wc(end)
+        t_before, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
+        step = se3.log(se3.inverse(T_before) @ T_after)
+        for i in range(start + 1, end):
+            frame = self._frames[i]
+            share = (frame.timestamp - t_before) / span if span > 0 else 0.5
+            T_kc = se3.inverse(self.graph.keyframes[frame.host].T_wk) @ T_before @ se3.exp(share * step)
+            self._frames[i] = replace(frame, T_kc=T_kc, status=Status.INTERPOLATED)
+        return end - start - 1
+
+    def undo_interpolation_before(self, keyframe: int) -> None:
+        """The frames just before the first frame of a keyframe are lost again: what they were interpolated to was wrong."""
+        gap = next(i for i, frame in enumerate(self._frames) if frame.host >= keyframe) - 1
+        while gap >= 0 and self._frames[gap].status is Status.INTERPOLATED:
+            self._frames[gap] = replace(self._frames[gap], status=Status.LOST)
+            gap -= 1

@@ -1,0 +1,50 @@
+"""Which frames become keyframes (Sec. III): those that moved or turned enough, and those that would lose sight of their references."""
+
+import math
+
+from idfslam.config import KeyframeConfig
+from idfslam.frame import Status
+from idfslam.geometry import se3
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.storage.state import State, Stateful
+
+
+class KeyframeSelection(Stateful):
+    """Decides for each tracked frame."""
+
+    def __init__(self, config: KeyframeConfig, graph: KeyframeGraph, frames: FramePoses, *, lost_frames: bool) -> None:
+        """lost_frames: frames that were lost become keyframes (Sec. III); off where a lost camera is looked for instead."""
+        self.config, self.graph, self.frames, self.lost_frames = config, graph, frames, lost_frames
+        self._last_at = 0  # frames processed when the last was selected
+
+    def state(self) -> State:
+        """When the last keyframe was selected."""
+        return {"last_at": self._last_at}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._last_at = state["last_at"]
+
+    def selects(self, view: Keyframe, status: Status, in_view: float = 1.0) -> bool:
+        """Whether the frame appended last becomes a keyframe; never one without depth.
+
+        in_view: the share of its references' landmarks that it sees.
+        """
+        if not view.has_depth or (status is Status.LOST and not self.lost_frames):
+            return False
+        selected = self._is_needed(view, status, in_view)
+        if selected:
+            self._last_at = len(self.frames)
+        return selected
+
+    def _is_needed(self, view: Keyframe, status: Status, in_view: float) -> bool:
+        last = self.graph.last_keyframe
+        if last is None or status is Status.LOST or self.graph.awaits_first_unverified:
+            return True
+        if in_view < self.config.in_view and len(self.frames) - self._last_at > self.config.in_view_every:
+            return True
+        T_kc = se3.inverse(last.T_wk) @ view.T_wk
+        shift, turn = float(T_kc[:3, 3].norm()), math.degrees(float(se3.angle(T_kc)))
+        return shift > self.config.translation or turn > self.config.rotation

@@ -1,0 +1,54 @@
+"""What the map learns from: a frame as it is at one moment."""
+
+from collections.abc import Hashable
+from typing import Any, Protocol
+
+from torch import Tensor
+
+from idfslam.geometry.camera import Camera
+
+
+class PosedImages(Hashable, Protocol):
+    """The images of a frame; one object as long as they are in memory."""
+
+    @property
+    def depth(self) -> Tensor: ...  # (H, W) [m], 0 = no reading
+
+    @property
+    def colour(self) -> Tensor: ...  # (H, W, 3) in [0, 1]
+
+
+class PosedFrame(Protocol):
+    """A frame with a pose; the keyframes of the graph are such."""
+
+    T_wk: Tensor  # (4, 4) float64
+
+    @property
+    def index(self) -> int: ...
+
+    @property
+    def camera(self) -> Camera: ...
+
+    @property
+    def images(self) -> Any: ...  # PosedImages
+
+    @property
+    def farthest(self) -> float: ...  # [m]
+
+
+class TrainingView:
+    """A frame as it is now: a map that learns in the background must not see its pose move, nor its images put away."""
+
+    def __init__(self, frame: PosedFrame) -> None:
+        self.frame, self.index, self.T_wk, self.camera = frame, frame.index, frame.T_wk, frame.camera
+        self.images: PosedImages = frame.images
+
+    @property
+    def depth(self) -> Tensor:
+        """(H, W) [m], 0 = no reading."""
+        return self.images.depth
+
+    @property
+    def colour(self) -> Tensor:
+        """(H, W, 3) in [0, 1]."""
+        return self.images.colour

@@ -1,0 +1,182 @@
+"""The back end: keyframes into graph and map (Sec. IV), and what is done with the frames between them."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+from idfslam.compute.devices import threads
+from idfslam.config import Config
+from idfslam.graph.coverage import Coverage
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.loop_consistency import Loop
+from idfslam.graph.replay import Replay
+from idfslam.mapping.mapper import Mapper
+from idfslam.slam.finetuner import NoFinetuning
+from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.keyframe_hook import KeyframeHook
+from idfslam.slam.keyframe_pose import KeyframePose
+from idfslam.slam.polish import NoPolish
+from idfslam.slam.refinement import NoRefinement
+from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import State, Stateful
+
+_CLOSE_KEYFRAMES = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of its map. More:
+#                       more updates are waited for
+_UPDATES_AFTER_MERGE = 10  # map updates around a submap that has moved, before the next frame; the others follow by replay. More: the next
+#                            frames are found there more surely, after a longer pause
+
+
+class BackEnd(Stateful, ABC):
+    """Maps frames. A back end of one's own needs `add_keyframe` alone."""
+
+    @abstractmethod
+    def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
+        """Takes the last frame, which was selected as a keyframe; losses by name."""
+
+    def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
+        """After a frame that is no keyframe; losses by name."""
+        return {}
+
+    def finish(self) -> None:
+        """After the last frame."""
+
+    def foreground(self) -> AbstractContextManager[None]:
+        """Within, a frame is processed: compiled loops take the share of the cores that the back end leaves them."""
+        return nullcontext()
+
+    def loops(self) -> Sequence[Loop]:
+        """The loops that were closed."""
+        return ()
+
+    def figures(self) -> dict[str, Any]:
+        """Counts for metrics.json."""
+        return {}
+
+
+class KeyframeMapping(BackEnd):
+    """A neural map that learns from each keyframe and from replayed ones."""
+
+    def __init__(
+        self,
+        config: Config,
+        graph: KeyframeGraph,
+        frames: FramePoses,
+        coverage: Coverage,
+        replay: Replay,
+        relearn: RelearnQueue,
+        mapper: Mapper,
+        features: KeyframeFeatures,
+        keyframe_pose: KeyframePose,
+        hooks: Sequence[KeyframeHook],
+        refinement: NoRefinement,
+        polish: NoPolish,
+        finetuner: NoFinetuning,
+        timer: StageTimer,
+    ) -> None:
+        self.config, self.graph, self.frames, self.coverage, self.replay, self.relearn = config, graph, frames, coverage, replay, relearn
+        self.mapper, self.features, self.keyframe_pose, self.hooks = mapper, features, keyframe_pose, list(hooks)
+        self.refinement, self.polish, self.finetuner, self.timer = refinement, polish, finetuner, timer
+        self._updated_at = 0  # frames processed when the map was last updated
+
+    def state(self) -> State:
+        """When the map was last updated."""
+        return {"updated_at": self._updated_at}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._updated_at = state["updated_at"]
+
+    def loops(self) -> Sequence[Loop]:
+        return [loop for hook in self.hooks for loop in hook.closed_loops()]
+
+    def figures(self) -> dict[str, Any]:
+        hooks = {name: value for hook in self.hooks for name, value in hook.figures().items()}
+        return hooks | self.finetuner.figures()
+
+    def foreground(self) -> AbstractContextManager[None]:
+        return self.mapper.updates.foreground()
+
+    def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
+        """The keyframe's pose, its relations to others, and the map by it and replayed ones (Sec. IV)."""
+        last = self.graph.last_keyframe
+        losses = {} if last is None else self.keyframe_pose.refine(keyframe, tracked.evidence)
+        stored = self.graph.insert(keyframe)
+        self.frames.attach_last(keyframe)
+        self.features.of(keyframe)
+        self._run_hooks(keyframe)
+        self.coverage.add(keyframe)
+        if last is None:
+            return self._initialise(keyframe)
+        camera_ahead_of_map = keyframe.index - last.index <= _CLOSE_KEYFRAMES * self.config.mapper.every
+        unmapped = tracked.evidence.mapped_share < self.config.mapper.known
+        return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, grow=stored)
+
+    def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
+        """A map update on the frame, if one is due; otherwise a step of the tracker's finetuning (Sec. V-B)."""
+        due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
+        if not due or tracked.is_lost:
+            return self.finetuner.step()
+        self.graph.connect_like_last(view)
+        self.coverage.add(view)
+        return self._update_map(view, at_once=False)
+
+    def finish(self) -> None:
+        with self.timer.stage("finish"):
+            self.polish.run()
+
+    def _run_hooks(self, keyframe: Keyframe) -> None:
+        """Relocalisation check, loops, merged submaps: the map is to learn again what they move."""
+        with self.timer.stage("loops"):
+            for hook in self.hooks:
+                moved = hook.on_keyframe(keyframe)
+                self.relearn.add(moved.keyframes)
+                if moved.split:
+                    for other in self.hooks:
+                        other.on_split()
+                if moved.submap:
+                    break
+            else:
+                return
+        with self.timer.stage("map"), threads(1.0):
+            for _ in range(_UPDATES_AFTER_MERGE):
+                self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
+
+    def _initialise(self, keyframe: Keyframe) -> dict[str, float]:
+        """The first keyframe of a submap; replay keeps what the map knows of the others."""
+        replayed = self._replayed(keyframe) if keyframe.host else []
+        with self.timer.stage("map"), threads(1.0):
+            return self._learn([keyframe, *replayed], self.config.mapper.first_iterations)
+
+    def _update_map(self, view: Keyframe, *, at_once: bool, grow: bool = False) -> dict[str, float]:
+        """Refines replayed keyframes, then has the map learn from them and the view.
+
+        at_once: the next frame already sees the update. Otherwise it may run in the background, and the losses are those of the one
+        before.
+        """
+        self._updated_at = len(self.frames)
+        replayed, iterations = self._replayed(view), self.config.mapper.iterations
+        with self.timer.stage("refine"):
+            self.refinement.refine(replayed[: self.config.alignment.refined])
+        window = [view, *replayed]
+        if at_once:
+            with self.timer.stage("map"), threads(1.0):
+                losses = self._learn(window, iterations, grow=grow)
+        else:
+            self.relearn.trained(window)
+            with self.timer.stage("wait" if self.mapper.updates.in_background else "map"):
+                losses = self.mapper.start_update(window, iterations, grow=grow)
+        self.timer.milliseconds["map"] += self.mapper.updates.times()
+        return losses
+
+    def _replayed(self, view: Keyframe) -> list[Keyframe]:
+        """The keyframes that an update trains on beside a view: those that the map has yet to follow, or else random ones."""
+        return self.relearn.nearest(view, self.graph.keyframes, self.replay.count) or self.replay.draw(view)
+
+    def _learn(self, window: Sequence[Keyframe], iterations: int, *, grow: bool = False) -> dict[str, float]:
+        self.relearn.trained(window)
+        return self.mapper.optimise_map(window, iterations, grow=grow)

@@ -1,0 +1,179 @@
+"""Which parts a system consists of: the one place that turns a configuration into parts.
+
+A front end, a map or a back end of one's own is one class and one line in FRONT_ENDS, MAPS or BACK_ENDS (docs/design.md has an example).
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import TypeVar
+
+import torch
+
+from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.motion import MotionModel
+from idfslam.compute.devices import resolve_device, seeded
+from idfslam.config import Config
+from idfslam.errors import ConfigError
+from idfslam.graph.coverage import Coverage
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_selection import KeyframeSelection
+from idfslam.graph.replay import Replay
+from idfslam.mapping.fused import distance_query
+from idfslam.mapping.mapper import Mapper
+from idfslam.mapping.updates import InBackground, InTurns
+from idfslam.slam.back_end import BackEnd, KeyframeMapping
+from idfslam.slam.finetuner import Finetuner, NoFinetuning
+from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
+from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.keyframe_hook import KeyframeHook
+from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
+from idfslam.slam.loop_closer import LoopCloser
+from idfslam.slam.polish import NoPolish, Polish
+from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
+from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.relocalisation_check import RelocalisationCheck
+from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.submap_merger import SubmapMerger
+from idfslam.tracking.tracker import Tracker
+
+Part = TypeVar("Part")
+
+
+class System:
+    """The parts of one system, each made when it is first asked for and shared by all that need it."""
+
+    def __init__(
+        self,
+        config: Config,
+        *,
+        front_end: "Callable[[System], FrontEnd] | None" = None,
+        back_end: "Callable[[System], BackEnd] | None" = None,
+        map: "Callable[[System], Mapper] | None" = None,
+    ) -> None:
+        """front_end, back_end, map: in place of those that the configuration names."""
+        self.config, self.device = config, resolve_device(config.device)
+        self._make_front_end = front_end or _named(FRONT_ENDS, "front_end", config.front_end)
+        self._make_back_end = back_end or _named(BACK_ENDS, "back_end", config.back_end)
+        self._make_map = map or _named(MAPS, "map_representation", config.map_representation)
+        self.generator = torch.Generator().manual_seed(config.seed)  # of what is drawn on the CPU while frames come
+        self.timer, self.motion = StageTimer(), MotionModel()
+        self.tracker, self.mapper = self._networks()
+        self.graph = KeyframeGraph(config.keyframes, verify=self.closes_loops)
+        self.frames, self.coverage = FramePoses(self.graph), Coverage(self.graph)
+        self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearnt)
+        self.features = KeyframeFeatures(self.tracker)
+        self.front_end = self._make_front_end(self)
+        self.back_end = self._make_back_end(self)
+
+    def _networks(self) -> tuple[Tracker, Mapper]:
+        """Their first weights come from torch's global generator, which is seeded for that and then put back."""
+        with seeded(self.config.seed):
+            tracker = Tracker(self.config.tracker, self.config.finetune, self.device, self.config.seed)
+            return tracker, self._make_map(self)
+
+    @property
+    def aligns(self) -> bool:
+        """Whether frames are aligned to the map."""
+        return self.config.front_end == "alignment"
+
+    @property
+    def closes_loops(self) -> bool:
+        return self.config.loops.enabled and self.aligns
+
+    @property
+    def relocalises(self) -> bool:
+        return self.config.loops.relocalise and self.aligns
+
+    @cached_property
+    def aligner(self) -> Aligner:
+        query = distance_query(self.mapper.published)
+        return Aligner(self.config.alignment, query, self.config.field.truncation, self.generator)
+
+    @cached_property
+    def registration(self) -> Registration:
+        return Registration(self.tracker, self.features, self.graph, self.timer)
+
+    @cached_property
+    def relocaliser(self) -> Relocaliser:
+        return Relocaliser(self.tracker, self.features, self.aligner, self.graph)
+
+    @cached_property
+    def relocalisation_check(self) -> RelocalisationCheck:
+        return RelocalisationCheck(self.aligner, self.graph, self.frames)
+
+    @cached_property
+    def recovery(self) -> Recovery:
+        if not self.relocalises:
+            return NoRecovery(self.graph, self.frames)
+        return Relocalisation(self.config.loops, self.relocaliser, self.relocalisation_check, self.graph, self.frames, self.timer)
+
+    @cached_property
+    def keyframe_selection(self) -> KeyframeSelection:
+        return KeyframeSelection(self.config.keyframes, self.graph, self.frames, lost_frames=not self.relocalises)
+
+    @cached_property
+    def keyframe_pose(self) -> KeyframePose:
+        if self.config.mapper.pose_optimisation:
+            return PoseOptimisation(self.mapper, self.graph, self.timer)
+        if not self.aligns:
+            return TrackedPose()
+        return KeyframeRegistration(self.config.alignment, self.relocaliser, self.aligner, self.graph, self.timer)
+
+    @cached_property
+    def hooks(self) -> list[KeyframeHook]:
+        c, hooks = self.config.loops, list[KeyframeHook]()
+        if self.relocalises:
+            hooks.append(self.relocalisation_check)
+        if self.closes_loops:
+            hooks.append(LoopCloser(c, self.relocaliser, self.graph))
+            hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
+        return hooks
+
+    @cached_property
+    def refinement(self) -> NoRefinement:
+        return KeyframeRefinement(self.config.alignment, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
+
+    @cached_property
+    def polish(self) -> NoPolish:
+        if not self.config.refine:
+            return NoPolish()
+        return Polish(self.config.mapper, self.graph, self.replay, self.relearn, self.refinement, self.mapper)
+
+    @cached_property
+    def finetuner(self) -> NoFinetuning:
+        if not self.config.finetune.enabled:
+            return NoFinetuning()
+        return Finetuner(self.tracker, self.features, self.mapper, self.graph, self.timer)
+
+
+def _neural_field(system: System) -> Mapper:
+    c = system.config
+    updates = InBackground() if c.mapper.beside else InTurns()
+    return Mapper(c.mapper, c.field, system.device, torch.Generator(system.device).manual_seed(c.seed), updates)
+
+
+def _alignment(system: System) -> FrontEnd:
+    return AlignmentToMap(system.aligner, system.registration, system.graph, system.frames, system.timer)
+
+
+def _registration(system: System) -> FrontEnd:
+    return system.registration
+
+
+def _keyframe_mapping(s: System) -> BackEnd:
+    parts = s.keyframe_pose, s.hooks, s.refinement, s.polish, s.finetuner, s.timer
+    return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.replay, s.relearn, s.mapper, s.features, *parts)
+
+
+FRONT_ENDS: dict[str, Callable[[System], FrontEnd]] = {"alignment": _alignment, "registration": _registration}
+MAPS: dict[str, Callable[[System], Mapper]] = {"neural_field": _neural_field}
+BACK_ENDS: dict[str, Callable[[System], BackEnd]] = {"keyframe_mapping": _keyframe_mapping}
+
+
+def _named(table: dict[str, Part], key: str, name: str) -> Part:
+    if name not in table:
+        raise ConfigError(f"{key} '{name}', expected one of {', '.join(table)}")
+    return table[name]

@@ -1,0 +1,124 @@
+"""The front end: a frame's pose from the keyframes and the map. Each front end is one class; `compose.py` names them.
+
+`Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map, and asks the neural tracker only where that is in
+doubt.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from idfslam.alignment.aligner import Aligner, Alignment
+from idfslam.frame import Status
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.tracked import Evidence, Source, Tracked
+from idfslam.storage.state import State, Stateful
+from idfslam.tracking.tracker import Tracker
+
+_BETTER = 1.05  # a later guess's score must be so many times the best one's to replace it. More: the predicted motion stands more often
+#                 where all guesses fit alike.
+
+
+class FrontEnd(Stateful, ABC):
+    """Tracks frames. A front end of one's own needs `track` alone."""
+
+    @abstractmethod
+    def track(self, view: Keyframe) -> Tracked:
+        """The pose of a view that stands at its predicted pose; the map has at least one keyframe."""
+
+    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
+        """Before the first frame of a run that starts in a saved map: what can be learnt from some of its keyframes."""
+
+    def accept(self, view: Keyframe, tracked: Tracked) -> None:
+        """Learns from the final pose of a view, which recovery may have changed; the view is still at its predicted pose."""
+
+
+class Registration(FrontEnd):
+    """The neural tracker against the last keyframe (Sec. V)."""
+
+    def __init__(self, tracker: Tracker, features: KeyframeFeatures, graph: KeyframeGraph, timer: StageTimer) -> None:
+        self.tracker, self.features, self.graph, self.timer = tracker, features, graph, timer
+
+    def track(self, view: Keyframe) -> Tracked:
+        with self.timer.stage("track"):
+            for reference in self.graph.tracking_references(view):
+                result = self.tracker.track(self.features.of(view), self.features.of(reference))
+                if result.status is not Status.LOST:
+                    return Tracked(reference.T_wk @ torch.from_numpy(result.T_kc), result.status, Source.REGISTERED)
+        return Tracked(view.T_wk, Status.LOST, Source.PREDICTED)
+
+
+class AlignmentToMap(FrontEnd):
+    """Alignment to the map from the predicted pose; where the result is doubtful, also from the registered and from the last pose."""
+
+    def __init__(self, aligner: Aligner, registration: Registration, graph: KeyframeGraph, frames: FramePoses, timer: StageTimer) -> None:
+        self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
+        self.evidence = Evidence()  # of the last frame that was aligned
+
+    def state(self) -> State:
+        """The evidence for the last pose."""
+        return {"evidence": vars(self.evidence).copy()}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self.evidence = Evidence(**state["evidence"])
+
+    def track(self, view: Keyframe) -> Tracked:
+        aligned, registered = self._best_alignment(view)
+        if aligned.status is not Status.LOST:
+            return Tracked.aligned(aligned)
+        evidence = replace(self.evidence, least_information=0.0)
+        if registered is not None:
+            return replace(registered, evidence=evidence)
+        return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
+
+    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
+        """The usual photometric error between keyframes, so that relocalisation can judge its first answer."""
+        errors = []
+        for keyframe in keyframes:
+            references = self.graph.older_references(keyframe, self.aligner.config.references)
+            errors += [self.aligner.compare(keyframe, other, keyframe.T_wk)[1] for other in references]
+            self.aligner.release(keyframe)
+        self.aligner.expect(errors)
+
+    def accept(self, view: Keyframe, tracked: Tracked) -> None:
+        self.evidence = tracked.evidence
+        if tracked.alignment is not None:
+            self.aligner.accept(tracked.alignment, view.T_wk)
+
+    def _best_alignment(self, view: Keyframe) -> tuple[Alignment, Tracked | None]:
+        """The best alignment of the guesses that were tried, and the registered pose where one was found on the way."""
+        references = self.graph.references(self.aligner.config.references)
+        best: Alignment | None = None
+        registered: Tracked | None = None
+        for guess, within in self._guesses():
+            T_guess = view.T_wk if guess is Source.PREDICTED else self._last_pose(view)
+            if guess is Source.REGISTERED:
+                answer = self.registration.track(view)
+                if answer.is_lost:
+                    continue
+                registered, T_guess = answer, answer.T_wc
+            with self.timer.stage("align"):
+                aligned = self.aligner.align(view, T_guess, references, within=within)
+            if best is None or aligned.score > _BETTER * best.score:
+                best = aligned
+            if not self.aligner.doubtful(best) and not self.aligner.unexpected(aligned, T_guess, within):
+                break
+        assert best is not None
+        return best, registered
+
+    def _guesses(self) -> list[tuple[Source | None, float | None]]:
+        """Poses to begin at, in their order, and how far off they may be [px]: predicted nearby, predicted, registered, the last pose."""
+        expected = self.aligner.expected
+        nearby: list[tuple[Source | None, float | None]] = [] if expected is None else [(Source.PREDICTED, expected)]
+        return [*nearby, (Source.PREDICTED, None), (Source.REGISTERED, None), (None, None)]
+
+    def _last_pose(self, view: Keyframe) -> Tensor:
+        return self.frames.T_wc(-1) if len(self.frames) else view.T_wk

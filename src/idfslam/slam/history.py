@@ -1,0 +1,38 @@
+"""The poses as they were reported while the camera moved, before later frames, loops and the polish improved them."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.frame import Frame, FrameResult, Status
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.storage.state import State, Stateful
+
+
+class History(Stateful):
+    """Reports each frame."""
+
+    def __init__(self, frames: FramePoses) -> None:
+        self.frames = frames
+        self._reported: list[NDArray[np.float64]] = []
+
+    def state(self) -> State:
+        """The poses."""
+        return {"reported": torch.from_numpy(self.poses())}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._reported = list(state["reported"].numpy())
+
+    def poses(self) -> NDArray[np.float64]:
+        """(N, 4, 4) camera-to-world poses as they were reported."""
+        return np.stack(self._reported) if self._reported else np.zeros((0, 4, 4))
+
+    def report(self, frame: Frame, status: Status, losses: dict[str, float], *, keyframe: bool) -> FrameResult:
+        """The result for the frame that was added last. In a submap of its own its place in the world is unknown: it counts as lost."""
+        if self.frames.submap(-1) == 0:
+            self._reported.append(self.frames.T_wc(-1).numpy())
+        else:
+            self._reported.append(self._reported[-1] if self._reported else np.eye(4))
+            status = Status.LOST
+        return FrameResult(frame.index, frame.timestamp, self._reported[-1], status, keyframe, losses)

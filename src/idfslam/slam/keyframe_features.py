@@ -1,0 +1,44 @@
+"""The tracker's features of keyframes, extracted once and kept with their images."""
+
+from collections.abc import Sequence
+from typing import overload
+
+from idfslam.graph.keyframe import Keyframe
+from idfslam.tracking.frame_features import Described
+from idfslam.tracking.tracker import Tracker
+
+
+class KeyframeFeatures:
+    """Extracts the features of a view when they are first asked for."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self.tracker = tracker
+
+    def of(self, view: Keyframe) -> Described:
+        """The features of a view."""
+        if view.features is None:
+            view.keep_features(self.tracker.describe(view.frame))
+        features: Described = view.features
+        return features
+
+    def of_all(self, keyframes: Sequence[Keyframe]) -> Sequence[Described]:
+        """The features of keyframes, extracted for those that are looked at."""
+        return _LazyFeatures(self, keyframes)
+
+
+class _LazyFeatures(Sequence[Described]):
+    def __init__(self, features: KeyframeFeatures, keyframes: Sequence[Keyframe]) -> None:
+        self._features, self._keyframes = features, keyframes
+
+    def __len__(self) -> int:
+        return len(self._keyframes)
+
+    @overload
+    def __getitem__(self, i: int) -> Described: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> Sequence[Described]: ...
+
+    def __getitem__(self, i: int | slice) -> Described | Sequence[Described]:
+        keyframes = self._keyframes[i]
+        return self._features.of(keyframes) if isinstance(keyframes, Keyframe) else _LazyFeatures(self._features, keyframes)

@@ -1,0 +1,73 @@
+"""How the pose of a new keyframe is refined before the map learns it: against the frozen map (Eq. 4), or by registration."""
+
+from abc import ABC, abstractmethod
+
+from idfslam.alignment.aligner import Aligner
+from idfslam.compute.devices import threads
+from idfslam.config import AlignmentConfig
+from idfslam.frame import Status
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.mapping.mapper import Mapper
+from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.tracked import Evidence
+
+_CERTAIN = 2.0  # times `hold_registered`: with this much information of its own a pose would follow a registered one by 6 % of the
+#                 difference at most, so the tracker is not asked. More: it is asked more often.
+
+
+class KeyframePose(ABC):
+    """Refines the pose of keyframes that are not the first of their submap."""
+
+    @abstractmethod
+    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+        """Moves the keyframe, which is not stored yet; returns losses by name. evidence: of its tracked pose."""
+
+
+class PoseOptimisation(KeyframePose):
+    """Eq. 4: by gradient descent through the renderer."""
+
+    def __init__(self, mapper: Mapper, graph: KeyframeGraph, timer: StageTimer) -> None:
+        self.mapper, self.graph, self.timer = mapper, graph, timer
+
+    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+        with self.timer.stage("pose"):
+            T_wk, losses = self.mapper.optimise_pose(keyframe)
+        self.graph.set_pose(keyframe, T_wk)
+        return losses
+
+
+class KeyframeRegistration(KeyframePose):
+    """By the neural tracker against the last keyframe: it is the most exact where the map is bare or noisy and images are few.
+
+    It counts only where the images of the two keyframes agree with it, and only in directions of which map and images know little.
+    """
+
+    def __init__(
+        self, config: AlignmentConfig, relocaliser: Relocaliser, aligner: Aligner, graph: KeyframeGraph, timer: StageTimer
+    ) -> None:
+        self.config, self.relocaliser, self.aligner, self.graph, self.timer = config, relocaliser, aligner, graph, timer
+
+    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+        with self.timer.stage("register"), threads(1.0):
+            self._register(keyframe, evidence.least_information)
+        return {}
+
+    def _register(self, keyframe: Keyframe, least_information: float) -> None:
+        last = self.graph.last_keyframe
+        if last is None or least_information >= _CERTAIN * self.config.hold_registered:
+            return
+        T_wc = self.relocaliser.registered(keyframe, last)
+        if T_wc is None or not self.relocaliser.images_agree(keyframe, last, T_wc):
+            return
+        aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.relocaliser.references), registered=True)
+        if aligned.status is not Status.LOST:
+            self.graph.set_pose(keyframe, aligned.T_wc)
+
+
+class TrackedPose(KeyframePose):
+    """The tracked pose stands."""
+
+    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+        return {}
