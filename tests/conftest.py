@@ -8,8 +8,9 @@ prepare_process()  # before torch or numba is imported
 from pathlib import Path
 
 import pytest
-from box_room import write_box_recording
 from hypothesis import settings
+
+from helpers.box_room import write_box_recording
 
 settings.register_profile("suite", deadline=None, derandomize=True, max_examples=50)  # timings vary on a shared machine
 settings.load_profile("suite")
@@ -24,6 +25,6 @@ def box_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def known_run(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result folder of a run on that recording whose poses are the true ones; not to be changed."""
-    from known_run import write_known_run
+    from helpers.known_run import write_known_run
 
     return write_known_run(tmp_path_factory.mktemp("results") / "known", box_recording)

@@ -7,8 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from helpers.three_walls import CAMERA, CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view, without_depth
 from idfslam.alignment.aligner import (
-    Aligner,
     Alignment,
     compiled_surface,
     damped_step,
@@ -18,47 +18,9 @@ from idfslam.alignment.aligner import (
     plain_surface,
 )
 from idfslam.alignment.normals import plain_smoothed, smoothed_normals
-from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
-from idfslam.frame import Frame, Status
+from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Keyframe
-from idfslam.mapping.fused import distance_query
 from idfslam.mapping.mapper import Mapper
-
-CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
-CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]
-WALL = torch.tensor([9.0, 9.0, 1.5], dtype=torch.float64)  # two of the walls out of sight
-CONFIG = AlignmentConfig(points=3000, image_height=120, image_levels=3, landmarks=1500)
-EYE = torch.eye(4, dtype=torch.float64)
-
-
-def pose(*increment: float) -> Tensor:
-    return se3.exp(torch.tensor(increment, dtype=torch.float64))
-
-
-def view(walls: Tensor, T_wc: Tensor, *, index: int = 0, paint: float = 0.2) -> Keyframe:
-    """Three walls seen from T_wc: a ray ends at the first that it meets."""
-    directions = CAMERA.rays(CAMERA.pixels()).double() @ T_wc[:3, :3].T
-    reach = torch.where(directions > 1e-6, (walls - T_wc[:3, 3]) / directions.clamp(min=1e-6), torch.inf)
-    depth = reach.amin(-1)
-    points = T_wc[:3, 3] + directions * depth[..., None]
-    colour = 0.5 + paint * torch.sin(9 * points) + paint * torch.sin(21 * points[..., [1, 2, 0]])
-    frame = Frame(index, 0.0, colour.float().numpy(), depth.float().numpy(), CAMERA)
-    return Keyframe(frame, T_wc, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
-
-
-def without_depth(keyframe: Keyframe) -> Keyframe:
-    return Keyframe(keyframe.frame, keyframe.T_wk, torch.zeros_like(keyframe.depth), keyframe.colour)
-
-
-def taught(walls: Tensor) -> Mapper:
-    """A map that has learnt the walls from three views."""
-    torch.manual_seed(0)
-    learner = Mapper(MapperConfig(), FieldConfig(table_log2=14), torch.device("cpu"), torch.Generator().manual_seed(0))
-    views = [view(walls, EYE), view(walls, pose(0.1, 0, 0, 0, 0.05, 0)), view(walls, pose(-0.1, 0.05, 0.1, 0.03, -0.05, 0))]
-    learner.optimise_map(views, 150)
-    return learner
 
 
 @pytest.fixture(scope="module")
@@ -69,16 +31,6 @@ def corner() -> Mapper:
 @pytest.fixture(scope="module")
 def wall() -> Mapper:
     return taught(WALL)
-
-
-def aligner(learner: Mapper, config: AlignmentConfig = CONFIG) -> Aligner:
-    return Aligner(config, distance_query(learner.field), learner.field.config.truncation, torch.Generator().manual_seed(0))
-
-
-def error(T: Tensor, truth: Tensor) -> tuple[float, float]:
-    """[m], [degrees]"""
-    difference = se3.inverse(truth) @ T
-    return float(difference[:3, 3].norm()), float(torch.rad2deg(se3.angle(difference)))
 
 
 @pytest.mark.parametrize("patch", [1, 7])

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from box_room import box_poses
 
+from helpers.box_room import box_poses
 from idfslam.cli import command_line
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.kitti import save_kitti

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from box_room import BOX_FRAMES
-from differences import differences
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
-from test_slam import small
 
+from helpers.box_room import BOX_FRAMES
+from helpers.differences import differences
+from helpers.small_config import small
 from idfslam.cli import command_line
 from idfslam.config import Config, dump
 from idfslam.datasets import open_recording

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from box_room import BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH
 
+from helpers.box_room import BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH
 from idfslam.cli import command_line
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder

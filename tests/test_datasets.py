@@ -1,7 +1,6 @@
 """Every layout, on small recordings written here: what is read, in which units, by which camera."""
 
 import json
-import os
 import threading
 import zlib
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings import (
+
+from helpers.recordings import (
     DEPTH,
     HEIGHT,
     WIDTH,
@@ -26,7 +26,7 @@ from recordings import (
     write_seven_scenes,
     write_tum,
 )
-
+from helpers.shared_data import shared_recording
 from idfslam.datasets import FORMATS, Prefetch, open_recording
 from idfslam.datasets.association import associate
 from idfslam.datasets.images import Undistortion
@@ -496,11 +496,7 @@ def test_an_existing_folder_called_synthetic_is_opened(tmp_path: Path, monkeypat
 
 
 def test_shared_recording_opens_as_documented() -> None:
-    root = Path(os.environ.get("IDFSLAM_DATA", Path(__file__).parents[2] / "shared"))
-    path = next((place for place in (root / "data/redkitchen", root / "redkitchen") if place.is_dir()), None)
-    if path is None:
-        pytest.skip(f"no recording redkitchen under {root}: set IDFSLAM_DATA")
-    recording = open_recording(path)
+    recording = open_recording(shared_recording("redkitchen"))
     assert len(recording) == 1000 and recording.camera == Camera(640, 480, 527.21, 527.21, 322.25, 238.73)
     assert recording.ground_truth is not None and np.isfinite(recording.ground_truth).all()
     path_length = np.linalg.norm(np.diff(recording.ground_truth[:, :3, 3], axis=0), axis=1).sum()

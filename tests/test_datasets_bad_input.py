@@ -9,7 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from recordings import (
+
+from helpers.recordings import (
     HEIGHT,
     WIDTH,
     colour_image,
@@ -23,7 +24,6 @@ from recordings import (
     write_seven_scenes,
     write_tum,
 )
-
 from idfslam.datasets import open_recording
 from idfslam.errors import FrameError, RecordingError
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from videos import kinect_calibration, shade, write_kinect, write_video
 
+from helpers.videos import kinect_calibration, shade, write_kinect, write_video
 from idfslam.datasets import open_recording
 from idfslam.datasets.readers.azure_kinect import read_calibration
 from idfslam.errors import RecordingError

@@ -9,10 +9,10 @@ import cv2
 import lzfse
 import numpy as np
 import pytest
-from phones import record3d_entries, write_record3d, write_stray
-from recordings import pose
-from videos import shade, write_video
 
+from helpers.phones import record3d_entries, write_record3d, write_stray
+from helpers.recordings import pose
+from helpers.videos import shade, write_video
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera

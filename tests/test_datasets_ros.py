@@ -10,8 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from recordings import HEIGHT, WIDTH, colour_image, depth_image, pose
-from ros_bags import (
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+from helpers.recordings import HEIGHT, WIDTH, colour_image, depth_image, pose
+from helpers.ros_bags import (
     COLOUR,
     DEPTH,
     INFO,
@@ -28,9 +31,6 @@ from ros_bags import (
     transform,
     write_bag,
 )
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
-
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError

@@ -6,9 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from recordings import depth_image, pose
-from videos import shade, write_video
 
+from helpers.recordings import depth_image, pose
+from helpers.videos import shade, write_video
 from idfslam.datasets import open_recording
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera

@@ -14,8 +14,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
-from recordings import write_folder, write_seven_scenes
 
+from helpers.recordings import write_folder, write_seven_scenes
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.downloads import catalogue as module

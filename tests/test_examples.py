@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from box_room import BOX_FRAMES, box_poses
 
+from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.geometry.trajectory import Trajectory, save_tum
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

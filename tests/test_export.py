@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from box_room import BOX, BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH, box_poses
-from known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from helpers.box_room import BOX, BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH, box_poses
+from helpers.known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from idfslam.cli import command_line
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.kitti import load_kitti, save_kitti

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known_run import known_log
 
+from helpers.known_run import known_log
 from idfslam.errors import ResultError
 from idfslam.frame import Status
 from idfslam.runs.frame_log import FrameLog

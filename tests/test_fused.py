@@ -207,7 +207,7 @@ def fingerprint() -> str:
 def test_code_fresh_from_the_compiler_gives_what_cached_code_gives(tmp_path: Path) -> None:
     """To the bit, or a run that is resumed in another process would end elsewhere."""
     command = [sys.executable, "-c", "import test_fused; print(test_fused.fingerprint())"]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     compiled, cached = (subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout for _ in range(2))
     assert any(tmp_path.rglob("*.nbc"))
     assert compiled == cached

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from box_room import BOX_FRAMES, box_poses
-from live_cameras import HandFed, PulledOut, SeeingSlam, SlowSlam, capture
 from rich.console import Console
 
+from helpers.box_room import BOX_FRAMES, box_poses
+from helpers.live_cameras import HandFed, PulledOut, SeeingSlam, SlowSlam, capture
 from idfslam.cli import command_line
 from idfslam.config import FAST, Config
 from idfslam.datasets import open_recording

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from recordings import colour_image
 
+from helpers.recordings import colour_image
 from idfslam.errors import CameraError, ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera

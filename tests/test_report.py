@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from box_room import BOX, box_poses
 
+from helpers.box_room import BOX, box_poses
 from idfslam.cli import command_line
 from idfslam.config import FAST
 from idfslam.report.level import from_above, level

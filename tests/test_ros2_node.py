@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_view
 
+from helpers.box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_view
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.trajectory import load_tum
 from idfslam.ros2 import node

@@ -8,7 +8,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from idfslam.config import FAST, Config
+from helpers.small_config import small
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame, FrameResult, Status
@@ -16,17 +16,6 @@ from idfslam.geometry import se3
 from idfslam.slam import Slam
 
 BLANK = (5, 6)  # frames that could not be read
-
-
-def small() -> Config:
-    """The default system with few samples."""
-    return replace(
-        FAST,
-        field=replace(FAST.field, table_log2=13),
-        mapper=replace(FAST.mapper, pixels=256, first_iterations=200, final_updates=2),
-        keyframes=replace(FAST.keyframes, translation=0.05, rotation=5.0, culling=False),
-        alignment=replace(FAST.alignment, points=1500, landmarks=1000, image_height=120, image_levels=2),
-    )
 
 
 def processed(recording: Path, *, blank: tuple[int, ...] = (), frames: int | None = None) -> tuple[Slam, list[FrameResult]]:

@@ -1,9 +1,7 @@
 """The tracker as a whole: a shifted view is found, evidence decides on LOST, finetuning changes the out-conv alone."""
 
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from helpers.shared_data import shared_recording
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.datasets import open_recording
 from idfslam.errors import DivergedError
@@ -283,10 +282,7 @@ def test_a_loss_that_is_not_finite_stops_the_run() -> None:
 
 
 def test_redkitchen_at_ten_frames_apart() -> None:
-    root = Path(os.environ.get("IDFSLAM_DATA", Path(__file__).parents[2] / "shared"))
-    if not (root / "data" / "redkitchen").exists():
-        pytest.skip(f"no recording redkitchen under {root}: set IDFSLAM_DATA")
-    recording = open_recording(root / "data" / "redkitchen")
+    recording = open_recording(shared_recording("redkitchen"))
     truth = recording.ground_truth
     assert truth is not None
     tracker = Tracker(TrackerConfig(), NO_FINETUNING)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from videos import shade, write_video
 
+from helpers.videos import shade, write_video
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import FrameError, RecordingError
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from box_room import BOX_FRAMES, box_poses
-from known_slam import DEGENERATE, LOST, KnownSlam
 
+from helpers.box_room import BOX_FRAMES, box_poses
+from helpers.known_slam import DEGENERATE, LOST, KnownSlam
+from helpers.rerun_viewer import NO_RERUN, viewer
 from idfslam.cli import command_line
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
@@ -24,13 +25,6 @@ from idfslam.geometry.camera import Camera
 from idfslam.runs import result_folder
 from idfslam.runs.runner import run
 from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
-
-NO_RERUN = "rerun is not installed: pip install 'idf-slam[viewer]'"
-
-
-def viewer() -> RerunViewer:
-    pytest.importorskip("rerun", reason=NO_RERUN)
-    return RerunViewer("file")
 
 
 def read(folder: Path) -> tuple[Counter[str], list[Any]]:

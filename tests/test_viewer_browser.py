@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known_slam import KnownSlam
 from numpy.typing import NDArray
 from PIL import Image
-from test_viewer import NO_RERUN, viewer
 
+from helpers.known_slam import KnownSlam
+from helpers.rerun_viewer import NO_RERUN, viewer
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.runs.runner import run

@@ -6,12 +6,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from recordings import HEIGHT, WIDTH, colour_image, depth_image
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
+
+from helpers.recordings import HEIGHT, WIDTH, colour_image, depth_image
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))

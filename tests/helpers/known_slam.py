@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from box_room import box_poses
 from numpy.typing import NDArray
 
+from helpers.box_room import box_poses
 from idfslam.config import Config
 from idfslam.frame import Frame, FrameResult, Status
 

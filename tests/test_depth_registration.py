@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings import write_folder
 
+from helpers.recordings import write_folder
 from idfslam.datasets import open_recording
 from idfslam.datasets.calibration import Calibration, DepthCamera
 from idfslam.datasets.depth_registration import Registration

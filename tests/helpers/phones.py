@@ -7,9 +7,10 @@ from pathlib import Path
 import cv2
 import lzfse
 import numpy as np
-from recordings import pose
 from scipy.spatial.transform import Rotation
-from videos import colour_frame, write_video
+
+from helpers.recordings import pose
+from helpers.videos import colour_frame, write_video
 
 FLIP_YZ = np.diag([1.0, -1, -1, 1])
 

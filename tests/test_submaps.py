@@ -31,9 +31,20 @@ def room() -> Selection:
     return Selection(SyntheticRoom(seed=0, frames=240, width=320, height=240), frames=80, stride=3)
 
 
+def frame(room: Selection, index: int, j: int) -> Frame:
+    """Frame j of the room, or darkness for -1, as frame `index` of the run."""
+    return replace(Frame.blank(0, 0.0, room.camera) if j < 0 else room[j], index=index, timestamp=index / 30)
+
+
 def shown(room: Selection, slam: Slam, order: Sequence[int], first: int = 0) -> list[FrameResult]:
-    blank = Frame.blank(0, 0.0, room.camera)
-    return [slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30)) for i, j in enumerate(order, start=first)]
+    return [slam.process(frame(room, i, j)) for i, j in enumerate(order, start=first)]
+
+
+def copied(slam: Slam, room: Selection) -> Slam:
+    """Another Slam in the same state, which a test may change."""
+    again = Slam(CONFIG)
+    again.restore(copy.deepcopy(slam.state()), lambda index: frame(room, index, ORDER[index]))
+    return again
 
 
 def truth(room: Selection, order: Sequence[int]) -> np.ndarray:
@@ -44,6 +55,7 @@ def truth(room: Selection, order: Sequence[int]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
+    """After the walk; not to be changed."""
     slam = Slam(CONFIG)
     return slam, shown(room, slam, ORDER)
 
@@ -63,9 +75,9 @@ def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]
     assert [i for i, status in enumerate(statuses) if status is Status.INTERPOLATED] == list(range(DARK[0], BEGUN))
 
 
-def test_the_map_follows(walked: tuple[Slam, list[FrameResult]]) -> None:
+def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     """Surfaces of the second piece lie on the room's walls, in the first one's world."""
-    slam, _ = walked
+    slam = copied(walked[0], room)
     views = slam.graph.views()
     assert len(views) > 10
     assert max(np.abs(view.T_wc[:3, 3]).max() for view in views) < 10
@@ -105,11 +117,11 @@ def test_without_pieces_it_stays_lost(room: Selection) -> None:
     assert all(k.index < len(FIRST) for k in slam.graph.keyframes)
 
 
-def test_a_run_that_goes_on_from_a_state_joins_alike(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+def test_a_run_that_goes_on_from_a_state_joins_alike(room: Selection) -> None:
     half = 30  # within the second piece
-    before, again = Slam(CONFIG), Slam(CONFIG)
+    before = Slam(CONFIG)
     shown(room, before, ORDER[:half])
-    again.restore(copy.deepcopy(before.state()), lambda index: replace(room[ORDER[index]], index=index, timestamp=index / 30))
+    again = copied(before, room)
     shown(room, again, ORDER[half:60], half)
     shown(room, before, ORDER[half:60], half)
     np.testing.assert_array_equal(again.trajectory(), before.trajectory())

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from box_room import BOX_FRAMES, box_poses
 from numpy.typing import NDArray
 from rich.console import Console
 
+from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.cli.tables import print_evaluation
 from idfslam.config import FAST, Config, load
 from idfslam.datasets import open_recording

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from box_room import BOX_FRAMES, box_poses
 
+from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.config import FAST, FieldConfig, MapperConfig
 from idfslam.datasets import open_recording
 from idfslam.evaluation.summary import plot_trajectory

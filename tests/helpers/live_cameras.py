@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from box_room import BOX_FRAMES, box_poses
 from numpy.typing import NDArray
 
+from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.errors import CameraError

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 import torch
-from test_alignment import CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view
 from torch import Tensor
 
+from helpers.three_walls import CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view
 from idfslam.config import FAST
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from box_room import BOX_FRAMES
-from live_cameras import HandFed, capture
-from recordings import write_folder
 
+from helpers.box_room import BOX_FRAMES
+from helpers.live_cameras import HandFed, capture
+from helpers.recordings import write_folder
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 import trimesh
-from box_room import BOX, write_box_recording
 
+from helpers.box_room import BOX, write_box_recording
 from idfslam.batch.recordings import Entry, listed
 from idfslam.benchmark import runs
 from idfslam.benchmark.open3d_baseline import measure, require_open3d

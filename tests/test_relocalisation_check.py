@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from test_keyframes import PAPER, at, keyframe
 
+from helpers.flat_wall import PAPER, at, keyframe
 from idfslam.config import FAST
 from idfslam.frame import Status
 from idfslam.geometry import se3

@@ -1,0 +1,1 @@
+"""What several test modules share: recordings that they write themselves, stand-ins, and known answers."""
