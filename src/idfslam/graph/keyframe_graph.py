@@ -148,8 +148,6 @@ class KeyframeGraph:
 
     def _cover(self, keyframe: Keyframe, scores: Tensor) -> int | None:
         """The linked stored keyframe that makes the new one superfluous: it sees the same, from hardly farther off; None if none does."""
-        if not self.config.culling:
-            return None
         near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
         covers = [i for i in keyframe.linked if float(scores[i]) > self.config.cull and i >= (self.trial or 0)]
         if self.config.cull_reach:
@@ -182,7 +180,7 @@ class KeyframeGraph:
 
     def _near(self, keyframe: Keyframe, ways: NDArray[np.float64]) -> set[int]:
         """Stored keyframes to which only a short way of measured relations leads from a chosen one; ways (K,) [m] from its anchor."""
-        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(ways <= self.config.linked_within).tolist()}
+        return {keyframe.anchor, *keyframe.linked, *np.flatnonzero(ways <= self.config.edge_length).tolist()}
 
     def link(self, keyframe: Keyframe, i: int) -> None:
         """The pose of a chosen keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
@@ -295,8 +293,7 @@ class KeyframeGraph:
         if not self.keyframes:
             return torch.zeros(0)
         T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
-        others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
-        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera, others).cpu()
+        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera).cpu()
 
     def cover(self, view: Keyframe) -> None:
         """Remember what a view that the map learnt from has seen: its depth, reduced, relative to a stored keyframe."""

@@ -44,7 +44,7 @@ class Mapper:
         self.config, self.device, self.generator, self.truncation = config, device, generator, field_config.truncation
         bf16 = resolve_precision(config.precision, device) is torch.bfloat16 and field_config.width >= 128
         self.field = Field(field_config, bf16=bf16).to(device)
-        self.published = copy_of(self.field) if config.beside else self.field
+        self.published = copy_of(self.field) if config.background else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
         self.beside = Beside()
@@ -52,14 +52,14 @@ class Mapper:
     def state(self) -> State:
         """The map, its optimiser and the generator. Gradients are no part of it: each step begins with none."""
         self.beside.wait()
-        published = {"published": dict(self.published.state_dict()), "beside": self.beside.state()} if self.config.beside else {}
+        published = {"published": dict(self.published.state_dict()), "beside": self.beside.state()} if self.config.background else {}
         own = {"field": dict(self.field.state_dict()), "optimiser": self.optimiser.state(), "generator": self.generator.get_state()}
         return own | published
 
     def restore(self, state: State) -> None:
         """What `state` told."""
         load_field(self.field, state["field"])
-        if self.config.beside:
+        if self.config.background:
             load_field(self.published, state["published"])
             self.beside.restore(state["beside"])
         self.optimiser.restore(state["optimiser"])
@@ -91,7 +91,7 @@ class Mapper:
         The keyframes' poses and images are those of now. What is published is so at the same calls on every machine, however long learning
         takes: results do not depend on it.
         """
-        if not self.config.beside:
+        if not self.config.background:
             self.optimiser.anneal = anneal
             return self.optimise_map(keyframes, iterations, grow=grow)
         losses = self.finish()

@@ -45,7 +45,7 @@ class LoopCloser:
                 changes = self.loops.offer(self.graph, Loop(i, keyframe.anchor, T_ab, keyframe.index))
                 for moved, change in zip(self.graph.keyframes, changes):
                     if change > _MOVED:
-                        moved.unlearnt = self.config.relearnt
+                        moved.unlearnt = self.config.relearn_updates
                 break
 
     def _candidates(self, keyframe: Keyframe, apart: list[int]) -> list[int]:

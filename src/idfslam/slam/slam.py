@@ -57,7 +57,7 @@ class Slam:
         self.mapper = Mapper(config.mapper, config.field, self.device, torch.Generator(self.device).manual_seed(config.seed))
         self.aligner = Aligner(config.alignment, distance_query(self.mapper.published), config.field.truncation, host)
         self.localiser = Localiser(self.tracker, self.aligner)
-        self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.alignment.enabled)
+        self.graph = KeyframeGraph(config.keyframes, host, verify=config.loops.enabled and config.front_end == "alignment")
         self.loop_closer = LoopCloser(config.loops, self.localiser, self.graph)
         self.piece_joiner = PieceJoiner(config.loops, self.localiser, self.graph)
         self.trial = Trial(self.aligner, self.graph)
@@ -98,7 +98,7 @@ class Slam:
 
     def process(self, frame: Frame) -> FrameResult:
         """Track a frame; then refine the map by it, if it is to be a keyframe, or else the tracker."""
-        with threads(0.5 if self.config.mapper.beside else 1.0):
+        with threads(0.5 if self.config.mapper.background else 1.0):
             return self._process(frame)
 
     def _process(self, frame: Frame) -> FrameResult:
@@ -233,7 +233,7 @@ class Slam:
             return Status.OK if current.has_depth else Status.LOST
         last, information = self._last_pose(current), None
         was_lost, found_before = self._lost, self.relocalisations
-        if self.config.alignment.enabled:
+        if self.config.front_end == "alignment":
             current.T_wk, status, information = self._align(current)
         else:
             current.T_wk, status = self._register(current)
@@ -243,7 +243,7 @@ class Slam:
         if status is Status.LOST or was_lost or self.relocalisations > found_before:
             self.motion.stop()  # from where it was last known to where it was found is not the motion of one frame
         else:
-            self.motion.update(last, current.T_wk, information, self.config.alignment.hold)
+            self.motion.update(last, current.T_wk, information, self.config.alignment.prior_information)
         return status
 
     def _register(self, current: Keyframe) -> tuple[Tensor, Status]:
@@ -311,7 +311,7 @@ class Slam:
             self._looked_for = 0
         elif self._relocalises and current.has_depth:
             self._looked_for += 1
-        return 0 < self.config.loops.piece_after <= self._looked_for
+        return 0 < self.config.loops.submap_after <= self._looked_for
 
     def _chosen(self, current: Keyframe, status: Status) -> bool:
         """Whether the frame is to be a keyframe: moved enough, or lost (Sec. III) unless it is looked for; never one without depth."""
@@ -328,7 +328,7 @@ class Slam:
         if self.config.mapper.pose_optimisation and not first:
             with self._timed("pose"):
                 losses |= self.mapper.optimise_pose(keyframe)
-        if self.config.alignment.enabled:
+        if self.config.front_end == "alignment":
             with self._timed("register"), threads(1.0):
                 self.adjustment.register(keyframe, self._least_information)
         stored = self.graph.promote(keyframe)
@@ -347,16 +347,16 @@ class Slam:
             with self._timed("map"), threads(1.0):
                 replayed = self.graph.replay(keyframe) if keyframe.anchor else []  # another piece begins: the map is to keep the others
                 return self.mapper.initialise([keyframe, *replayed])
-        return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.known, grow=stored)
+        return losses | self._optimise(keyframe, at_once=hurried or self._known < self.config.mapper.min_mapped_share, grow=stored)
 
     def _cut(self, keyframe: Keyframe) -> None:
         """Where the camera was found, it was not: what was mapped since goes on as a piece of its own, and the map forgets it there."""
         log.info("frame %d contradicts where the camera was found: mapping goes on in a piece of its own", keyframe.index)
         for other in self.graph.cut():
-            other.unlearnt = self.config.loops.relearnt
+            other.unlearnt = self.config.loops.relearn_updates
         for other in self.graph.keyframes:
             if other.piece == keyframe.piece:
-                other.unlearnt = self.config.loops.relearnt
+                other.unlearnt = self.config.loops.relearn_updates
         self.loop_closer.loops.forget_between(self.graph)
         self.piece_joiner.agreeing = []  # found where the camera was thought to be
         self._learn_moved(keyframe)
@@ -383,9 +383,9 @@ class Slam:
         self._updated_at = len(self.graph)
         replayed = self.graph.replay(current)
         with self._timed("refine"):
-            self.adjustment.refine(replayed[: self.config.alignment.refined])
+            self.adjustment.refine(replayed[: self.config.refinement.poses_per_update])
         window, iterations = [current, *replayed], self.config.mapper.iterations
-        if at_once or not self.config.mapper.beside:
+        if at_once or not self.config.mapper.background:
             with self._timed("map"), threads(1.0):
                 losses = self.mapper.optimise_map(window, iterations, grow=grow)
         else:
@@ -423,7 +423,7 @@ class Slam:
     @property
     def _relocalises(self) -> bool:
         """Whether a lost camera is looked for; otherwise frames are mapped where the last motion leads (Sec. III)."""
-        return self.config.loops.relocalise and self.config.alignment.enabled
+        return self.config.loops.relocalise and self.config.front_end == "alignment"
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -41,14 +41,14 @@ class PieceJoiner:
             return False
         same = bool(self.agreeing) and same_correction(self.graph, self.agreeing[-1], loop, self.config.confirmed_within)
         self.agreeing = [*self.agreeing, loop] if same else [loop]
-        if len(self.agreeing) < self.config.agreeing or self._span() < self.config.agreeing_span:
+        if len(self.agreeing) < self.config.merge_confirmations or self._span() < self.config.merge_span:
             return False
         self.agreeing = []
         self.joined += 1
         a, b = (self.graph.keyframes[i].index for i in (loop.a, loop.b))
         for moved, distance in zip(self.graph.keyframes, self.graph.join(loop.a, loop.b, loop.T_ab)):
             if distance > 0:
-                moved.unlearnt = self.config.relearnt
+                moved.unlearnt = self.config.relearn_updates
         log.info("pieces joined: frame %d was seen again at frame %d", a, b)
         return True
 
