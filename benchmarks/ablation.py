@@ -43,7 +43,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "full": {},
     "no active sampling": {"mapper": {"active_sampling": False}},
     "no replay": {"keyframes": {"replay": 0}},
-    "no culling": {"keyframes": {"culling": False}},
+    "no culling": {"keyframes": {"cull": 1.0}},
     "no pose optimisation": {"mapper": {"pose_optimisation": False}},
     "no 4x4 grid": {"tracker": {"grid": 1}},
     "no finetuning": {"finetune": {"enabled": False}},

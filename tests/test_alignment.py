@@ -176,7 +176,7 @@ def test_depth_alone_decides_in_a_corner(corner: Mapper) -> None:
 def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
     truth = pose(0.03, 0.02, 0.01, 0, 0, 0)
     guess = truth @ pose(0.015, -0.01, 0.01, 0, 0, 0)
-    config = replace(CONFIG, min_stiffness=3e-3)  # so few steps leave the map's wall a little wavy: the corner has 17e-3
+    config = replace(CONFIG, min_eigenvalue=3e-3)  # so few steps leave the map's wall a little wavy: the corner has 17e-3
     blind = aligner(wall, config).align(view(WALL, truth), guess, [])
     assert blind.status is Status.DEGENERATE
     assert float(blind.T_wc[2, 3] - truth[2, 3]) == pytest.approx(0, abs=0.003)  # across the wall

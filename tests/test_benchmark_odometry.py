@@ -18,9 +18,9 @@ from idfslam.slam import Slam
 
 SMALL = replace(
     FAST,
-    keyframes=replace(FAST.keyframes, translation=0.03, rotation=3.0, culling=False),
+    keyframes=replace(FAST.keyframes, translation=0.03, rotation=3.0, cull=1.0),
     mapper=replace(FAST.mapper, first_iterations=20, iterations=2),
-    finetune=replace(FAST.finetune, every=1, keyframes=3, guard=2),
+    finetune=replace(FAST.finetune, every=1, keyframes=3, validate_every=2),
 )
 
 

@@ -45,8 +45,8 @@ def busy() -> Config:
     return replace(
         small(),
         field=replace(small().field, table_log2=8, table_log2_max=13),
-        mapper=replace(small().mapper, pixels=128, step_pixels=512, first_iterations=20, iterations=4, every=3, final_updates=2),
-        keyframes=replace(small().keyframes, culling=True, cull=0.93),
+        mapper=replace(small().mapper, pixels=128, step_pixels=512, first_iterations=20, iterations=4, every=3),
+        keyframes=replace(small().keyframes, cull=0.93),
         loops=replace(small().loops, relocalise=False),  # or the camera, once lost, would not be found in so small a map
         finetune=replace(small().finetune, keyframes=2, every=1, pixels=32, learning_rate=1e-3),
     )

@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 import yaml
 
-from idfslam.config import FAST, PAPER, PRESETS, Config, check, dump, load, preset
+from idfslam.config import FAST, PAPER, PRESETS, PRETRAIN, Config, check, dump, load, preset
+from idfslam.config.fields import UserOption, bounds, field_types, is_user_option, meanings
+from idfslam.config.yaml_file import RENAMED
 from idfslam.errors import ConfigError
 
 PAPER_VALUES = {
@@ -33,12 +35,9 @@ PAPER_VALUES = {
     "mapper.active_sampling": True,
     "mapper.cells": 8,  # 8 x 8 grid
     "mapper.pose_optimisation": True,
-    "keyframes.culling": True,
-    "keyframes.occlusion": False,  # Eq. 5 tests the image's bounds alone
-    # Sec. V: 4 x 4 grid, finetuning; the frame's pose is the tracker's
+    # Sec. V: 4 x 4 grid, finetuning
     "tracker.grid": 4,
     "finetune.enabled": True,
-    "alignment.enabled": False,
 }
 
 
@@ -50,6 +49,11 @@ def value(config: Config, name: str) -> Any:
 @pytest.mark.parametrize("name", PAPER_VALUES)
 def test_paper_preset_holds_the_papers_value(name: str) -> None:
     assert value(PAPER, name) == PAPER_VALUES[name]
+
+
+def test_paper_preset_takes_the_trackers_pose() -> None:
+    assert PAPER.front_end == "registration"
+    assert not PAPER.refine
 
 
 def test_paper_preset_takes_144_samples_a_ray() -> None:
@@ -95,6 +99,8 @@ def test_what_a_run_adds_to_its_config_is_passed_over(tmp_path: Path) -> None:
         ("mapper: {pixels: true}", "'pixels' is True"),
         ("mapper: {precision: fp8}", "choose one of auto, fp32, bf16"),
         ("mapper: {pixels: 0}", "mapper.pixels is 0, expected at least 1"),
+        ("mapper: {redraw: 0}", "mapper.redraw is 0, expected at least 1"),
+        ("refinement: {seconds: 0}", "refinement.seconds is 0.0, expected more than 0"),
         ("mapper: {learning_rate: .nan}", "mapper.learning_rate is nan, expected a finite number"),
         ("mapper: {iterations: -1}", "mapper.iterations is -1"),
         ("field: {truncation: 0}", "field.truncation is 0.0, expected more than 0"),
@@ -117,3 +123,47 @@ def test_mistakes_in_a_file_get_one_clear_line(text: str, message: str, tmp_path
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no-such"):
         load(tmp_path / "no-such.yaml")
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(old: str, tmp_path: Path) -> None:
+    section, key = old.split(".")
+    path = tmp_path / "config.yaml"
+    path.write_text(f"{section}: {{{key}: 1}}\n")
+    with pytest.raises(ConfigError, match=f"unknown key '{old}'; its name is now '{RENAMED[old]}'"):
+        load(path)
+
+
+def test_renamed_keys_lead_to_keys_that_exist() -> None:
+    for old, new in RENAMED.items():
+        section, _, key = new.rpartition(".")
+        assert key in field_types(type(getattr(FAST, section) if section else FAST))
+        section, key = old.split(".")
+        assert key not in field_types(type(getattr(FAST, section)))
+
+
+def test_bounds_are_stated_by_the_fields() -> None:
+    mapper, mesh = field_types(type(FAST.mapper)), field_types(type(FAST.mesh))
+    assert [str(bound) for bound in bounds(mapper["pixels"])] == ["at least 1"]
+    assert [str(bound) for bound in bounds(mesh["resolution"])] == ["more than 0"]
+    assert bounds(mapper["every"]) == []
+    with pytest.raises(ConfigError, match=r"crop is \(96, 0\), expected at least 1"):
+        check(dataclasses.replace(PRETRAIN, crop=(96, 0)))
+
+
+def test_user_options_are_marked_on_the_fields() -> None:
+    assert is_user_option(field_types(Config)["seed"])
+    assert is_user_option(UserOption[bool])
+    assert not is_user_option(field_types(type(FAST.mapper))["pixels"])
+
+
+def test_every_field_has_a_meaning() -> None:
+    sections = [
+        PRETRAIN,
+        FAST,
+        *(getattr(FAST, f.name) for f in dataclasses.fields(FAST) if dataclasses.is_dataclass(getattr(FAST, f.name))),
+    ]
+    for section in sections:
+        names = {f.name for f in dataclasses.fields(section) if not dataclasses.is_dataclass(getattr(section, f.name))}
+        assert set(meanings(type(section))) == names
+        assert all(text.endswith(".") for text in meanings(type(section)).values())

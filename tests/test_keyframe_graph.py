@@ -61,7 +61,7 @@ def test_culling_and_covisibility_by_hand(x: float, stored: bool, connected: boo
 
 
 def test_without_culling_all_are_stored() -> None:
-    assert len(graph(KeyframeConfig(culling=False), places=(0.0, 0.0, 0.1)).keyframes) == 3
+    assert len(graph(KeyframeConfig(cull=1.0), places=(0.0, 0.0, 0.1)).keyframes) == 3
 
 
 def test_a_culled_frame_keeps_its_refined_pose() -> None:

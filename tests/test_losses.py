@@ -4,12 +4,7 @@ import pytest
 import torch
 
 from idfslam.geometry import se3
-from idfslam.mapping.losses import (
-    LossWeights,
-    geometric_residuals,
-    photometric_residuals,
-    rendering_losses,
-)
+from idfslam.mapping.losses import geometric_residuals, photometric_residuals, rendering_losses
 from idfslam.mapping.rendering import Rendered
 from idfslam.tracking.finetuning import correspondence_loss, depth_loss
 
@@ -28,8 +23,7 @@ def rendered() -> Rendered:
 
 
 def test_photometric_loss_eq_1() -> None:
-    torch.testing.assert_close(photometric_residuals(COLOUR, TARGET_COLOUR), torch.tensor([0.5, 0.25]))
-    torch.testing.assert_close(photometric_residuals(COLOUR, TARGET_COLOUR, squared=True), torch.tensor([0.25, 0.0625]))
+    torch.testing.assert_close(photometric_residuals(COLOUR, TARGET_COLOUR), torch.tensor([0.25, 0.0625]))
 
 
 def test_photometric_gradient_is_finite_where_colours_agree() -> None:
@@ -40,32 +34,30 @@ def test_photometric_gradient_is_finite_where_colours_agree() -> None:
 
 def test_geometric_loss_eq_2() -> None:
     free, near, share = geometric_residuals(SDF, DEPTHS, TARGET, TR)
-    torch.testing.assert_close(free, torch.tensor([0.3, 0]))  # (|0.9 - 1| + |0.5 - 1|) / 2, in units of tr
-    torch.testing.assert_close(near, torch.tensor([0.02, 0]))  # (|0.03 - 0.05| + |-0.07 + 0.05|) / 2 m
+    torch.testing.assert_close(free, torch.tensor([0.13, 0]))  # ((0.9 - 1)^2 + (0.5 - 1)^2) / 2, in units of tr
+    torch.testing.assert_close(near, torch.tensor([0.0004, 0]))  # ((0.03 - 0.05)^2 + (-0.07 + 0.05)^2) / 2 m^2
     assert float(share) == 0.5
-    free, near, _ = geometric_residuals(SDF, DEPTHS, TARGET, TR, squared=True)
-    torch.testing.assert_close(free, torch.tensor([0.13, 0]))  # (0.01 + 0.25) / 2
-    torch.testing.assert_close(near, torch.tensor([0.0004, 0]))
 
 
 def test_weighted_sum_eq_3() -> None:
-    # Means over |B| = 2 rays: L_fs 0.15, L_tr 0.01, L_p 0.375; 10 * 0.15 + 6000 * 0.01 + 0.1 * 0.375 = 61.5375.
-    losses = rendering_losses(rendered(), TARGET_COLOUR, TARGET, TR, LossWeights(balance=False))
-    assert float(losses.free_space) == pytest.approx(0.15)
-    assert float(losses.truncation) == pytest.approx(0.01, rel=1e-5)
-    assert float(losses.photometric) == pytest.approx(0.375)
-    assert float(losses.total) == pytest.approx(61.5375, rel=1e-5)
-    # The ray without depth costs 0.1 * 0.25.
-    torch.testing.assert_close(losses.per_ray, torch.tensor([123.05, 0.025]), atol=0, rtol=1e-5)
+    # Means over |B| = 2 rays: L_fs 0.065, L_tr 0.0002, L_p 0.15625. Half of the samples are free space: both classes are weighted by 1/2.
+    # 10 * 0.5 * 0.065 + 6000 * 0.5 * 0.0002 + 0.1 * 0.15625 = 0.940625.
+    losses = rendering_losses(rendered(), TARGET_COLOUR, TARGET, TR)
+    assert float(losses.free_space) == pytest.approx(0.065)
+    assert float(losses.truncation) == pytest.approx(0.0002, rel=1e-5)
+    assert float(losses.photometric) == pytest.approx(0.15625)
+    assert float(losses.total) == pytest.approx(0.940625, rel=1e-5)
+    # The first ray costs 5 * 0.13 + 3000 * 0.0004 + 0.1 * 0.25; the one without depth 0.1 * 0.0625.
+    torch.testing.assert_close(losses.per_ray, torch.tensor([1.875, 0.00625]), atol=0, rtol=1e-5)
 
 
 def test_class_balance() -> None:
     # Five samples: three in free space, two in the truncation region: free space is weighted by 2/5, truncation by 3/5.
     depths = torch.tensor([[0.5, 0.6, 0.7, 0.95, 1.05]])
-    sdf = torch.tensor([[0.0, 0, 0, 0.5, 0.5]])  # L_fs = 1, L_tr = (0 + 0.1) / 2
+    sdf = torch.tensor([[0.0, 0, 0, 0.5, 0.5]])  # L_fs = 1, L_tr = (0 + 0.1^2) / 2
     one = Rendered(torch.zeros(1, 3), torch.ones(1), sdf, depths, torch.full((1, 5), 0.2))
     losses = rendering_losses(one, torch.zeros(1, 3), torch.ones(1), TR)
-    assert float(losses.total) == pytest.approx(10 * 0.4 * 1 + 6000 * 0.6 * 0.05)
+    assert float(losses.total) == pytest.approx(10 * 0.4 * 1 + 6000 * 0.6 * 0.005)
 
 
 def test_perfect_prediction_costs_nothing() -> None:
@@ -77,7 +69,7 @@ def test_perfect_prediction_costs_nothing() -> None:
 
 def test_no_depth_anywhere_leaves_colour() -> None:
     losses = rendering_losses(rendered(), TARGET_COLOUR, torch.zeros(2), TR)
-    assert float(losses.total) == pytest.approx(0.0375)
+    assert float(losses.total) == pytest.approx(0.015625)  # 0.1 * (0.25 + 0.0625) / 2
 
 
 def test_depth_loss_eq_7() -> None:

@@ -143,7 +143,7 @@ def test_without_iterations_there_are_no_losses(taught: Mapper) -> None:
 
 def beside(**values: object) -> tuple[Mapper, list[Keyframe]]:
     """A map that learns beside, after its first frame."""
-    learner = mapper(replace(CONFIG, beside=True, **values))  # type: ignore[arg-type]
+    learner = mapper(replace(CONFIG, background=True, **values))  # type: ignore[arg-type]
     keyframes = [view(torch.eye(4, dtype=torch.float64)), view(pose(0.1, 0, 0, 0, 0, 0), index=1)]
     learner.optimise_map(keyframes[:1], 5)
     return learner, keyframes

@@ -65,15 +65,6 @@ def test_weights_sum_to_the_shares() -> None:
     torch.testing.assert_close(samples.colour.view(3, 4, 3)[:, 2], rays(1.0, 2.0, 3.0).colour)
 
 
-def test_certainty_counts_near_readings_for_more() -> None:
-    # Noise at 0.4 m is 1, at 1.4 m 2.5 times that: weights in that relation, their sum as before.
-    config = MapperConfig(samples=4, importance_samples=2, truncation_weight=10.0, certainty=1.0)
-    samples = SampleObjective(config, TRUNCATION).samples(rays(0.4, 1.4), generator())
-    near, far = samples.weight[: samples.near].view(2, 4).sum(1).tolist()
-    assert near / far == pytest.approx(2.5)
-    assert near + far == pytest.approx(10.0)
-
-
 class Constant(Field):
     """A T-SDF and a colour that are the same everywhere."""
 

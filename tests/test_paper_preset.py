@@ -27,13 +27,12 @@ def test_values_of_the_paper() -> None:
     assert (tracker.consensus, tracker.subsets, tracker.subset_share, tracker.refits) == ("random", 100, 0.05, 0)
     assert (tracker.mutual, tracker.plane_steps, tracker.min_agreement) == (False, 0, 0.0)
     assert (tracker.matches, tracker.grid, finetune.keyframes, finetune.learning_rate) == (200, 4, 10, 1e-4)
-    assert not keyframes.occlusion
-    assert not PAPER.alignment.enabled
+    assert PAPER.front_end == "registration"
 
 
 def test_losses_are_those_of_the_renderers_paper() -> None:
     weights = loss_weights(PAPER.mapper)
-    assert (weights.photometric, weights.free_space, weights.truncation, weights.squared) == (0.1, 10.0, 6000.0, True)
+    assert (weights.photometric, weights.free_space, weights.truncation) == (0.1, 10.0, 6000.0)
     assert RenderingObjective(PAPER.mapper, PAPER.field.truncation).march.sharpness == 1 / PAPER.field.truncation
 
 
@@ -53,7 +52,7 @@ def reduced() -> Config:
         PAPER,
         field=field,
         mapper=replace(PAPER.mapper, pose_learning_rate=0.001, **sizes),  # so small a map is too coarse for steps of 5 mm
-        keyframes=replace(PAPER.keyframes, translation=0.03, rotation=3.0, culling=False),
+        keyframes=replace(PAPER.keyframes, translation=0.03, rotation=3.0, cull=1.0),
         tracker=replace(PAPER.tracker, query_stride=4, target_stride=2),
         finetune=replace(PAPER.finetune, keyframes=2, pixels=64),
     )

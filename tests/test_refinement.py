@@ -15,7 +15,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
 from idfslam.slam.refinement import BundleAdjustment
 
-UNCULLED = replace(FAST.keyframes, culling=False)
+UNCULLED = replace(FAST.keyframes, cull=1.0)
 SLID = pose(0.03, -0.02, 0, 0, 0, 0)
 
 

@@ -103,7 +103,9 @@ def wait_for(condition: Any) -> None:
 
 
 def test_frames_come_out_as_poses_and_a_result_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "values.yaml").write_text("{device: cpu, mapper: {first_iterations: 60, final_updates: 1}, mesh: {resolution: 0.1}}")
+    (tmp_path / "values.yaml").write_text(
+        "{device: cpu, mapper: {first_iterations: 60}, refinement: {updates: 1}, mesh: {resolution: 0.1}}"
+    )
     node = Node({"out": str(tmp_path / "out"), "config": str(tmp_path / "values.yaml"), "colour_topic": "/mine", "slop": 0.05})
 
     def spin(spun: Node) -> None:

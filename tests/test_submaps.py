@@ -19,7 +19,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.submaps import brought_together, far_from
 from idfslam.slam import Slam
 
-CONFIG = replace(FAST, loops=replace(FAST.loops, piece_after=2))
+CONFIG = replace(FAST, loops=replace(FAST.loops, submap_after=2))
 FIRST, BACK = range(8), range(75, 1, -1)  # of the room's frames: a corner of it, and from the other side back to that corner
 DARK = range(8, 11)
 BEGUN = 12  # the second frame with depth for which it was looked for in vain
@@ -111,7 +111,7 @@ def test_a_piece_that_meets_no_other_is_left_out(room: Selection) -> None:
 
 
 def test_without_pieces_it_stays_lost(room: Selection) -> None:
-    slam = Slam(replace(CONFIG, loops=replace(CONFIG.loops, piece_after=0)))
+    slam = Slam(replace(CONFIG, loops=replace(CONFIG.loops, submap_after=0)))
     results = shown(room, slam, [*FIRST, -1, *range(75, 65, -1)])
     assert [r.status for r in results[len(FIRST) :]] == [Status.LOST] * 11
     assert all(k.index < len(FIRST) for k in slam.graph.keyframes)

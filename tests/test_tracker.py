@@ -211,8 +211,8 @@ def test_the_guard_undoes_a_harmful_rate() -> None:
     # At a thousand times the rate the out-conv forgets what it knew; examined at every step, the guarded one is as good as it was.
     poses = [pose(0.05 * i, 0.03 * i, 0.04 * i, 0.02 * i, 0.03 * i, 0.05 * i) for i in range(4)]
     right, undone = {}, {}
-    for guard in (0, 1):
-        tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=0.3, guard=guard))
+    for every in (0, 1):
+        tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=0.3, validate_every=every))
         keyframes = [tracker.describe(view(T)) for T in poses]
 
         def held_out_matches(tracker: Tracker = tracker, keyframes: list[Described] = keyframes) -> int:
@@ -221,7 +221,7 @@ def test_the_guard_undoes_a_harmful_rate() -> None:
         before = held_out_matches()
         for _ in range(6):
             tracker.finetune(keyframes, torch.stack(poses).numpy(), wall)
-        right[guard], undone[guard] = held_out_matches() / before, tracker.guard.undone
+        right[every], undone[every] = held_out_matches() / before, tracker.guard.undone
     assert right[1] >= 0.95
     assert undone[1] >= 1
     assert right[0] < 0.7

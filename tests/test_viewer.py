@@ -126,7 +126,8 @@ def test_a_viewer_changes_nothing(box_recording: Path, tmp_path: Path) -> None:
     small = replace(
         FAST,
         field=replace(FAST.field, table_log2=13),
-        mapper=replace(FAST.mapper, pixels=256, first_iterations=60, final_updates=2),
+        mapper=replace(FAST.mapper, pixels=256, first_iterations=60),
+        refinement=replace(FAST.refinement, updates=2),
         mesh=replace(FAST.mesh, resolution=0.1),
     )
     shown = viewer()

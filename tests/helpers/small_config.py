@@ -10,7 +10,8 @@ def small() -> Config:
     return replace(
         FAST,
         field=replace(FAST.field, table_log2=13),
-        mapper=replace(FAST.mapper, pixels=256, first_iterations=200, final_updates=2),
-        keyframes=replace(FAST.keyframes, translation=0.05, rotation=5.0, culling=False),
+        refinement=replace(FAST.refinement, updates=2),
+        mapper=replace(FAST.mapper, pixels=256, first_iterations=200),
+        keyframes=replace(FAST.keyframes, translation=0.05, rotation=5.0, cull=1.0),
         alignment=replace(FAST.alignment, points=1500, landmarks=1000, image_height=120, image_levels=2),
     )

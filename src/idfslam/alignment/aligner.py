@@ -128,7 +128,7 @@ class Aligner(Stateful):
         is as good as the answer, and comes from the neural tracker: directions that map and images know little of are held to it more
         firmly than to another guess.
         """
-        hold = self.config.hold_registered if registered else self.config.hold
+        hold = self.config.registration_prior_information if registered else self.config.prior_information
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
@@ -274,7 +274,7 @@ class Aligner(Stateful):
         status = Status.OK
         if system.overlap < self.config.min_overlap or system.rmse > self.config.max_rmse:
             status = Status.LOST
-        elif stiffness < self.config.min_stiffness:
+        elif stiffness < self.config.min_eigenvalue:
             status = Status.DEGENERATE
         believed = of_depth if brightness > self.doubtful_brightness else information  # images that do not fit know nothing of the motion
         return Alignment(

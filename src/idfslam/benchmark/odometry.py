@@ -40,11 +40,11 @@ def odometry(config: Config, *, finetune: bool, grid: int) -> Config:
     first, each = (config.mapper.first_iterations, config.mapper.iterations) if finetune else (0, 0)
     return replace(
         config,
+        front_end="registration",
         tracker=replace(config.tracker, grid=grid),
         finetune=replace(config.finetune, enabled=finetune),
-        front_end="registration",
         loops=replace(config.loops, enabled=False, relocalise=False),
-        mapper=replace(config.mapper, pose_optimisation=False, every=0, final_updates=0, first_iterations=first, iterations=each),
+        mapper=replace(config.mapper, pose_optimisation=False, every=0, first_iterations=first, iterations=each),
     )
 
 

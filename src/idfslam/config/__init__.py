@@ -11,6 +11,7 @@ from idfslam.config.sections import (
     MapperConfig,
     MeshConfig,
     PretrainConfig,
+    RefinementConfig,
     TrackerConfig,
 )
 from idfslam.config.yaml_file import RUN_SECTIONS, check, dump, load, preset, read_yaml, update
@@ -30,6 +31,7 @@ __all__ = [
     "MapperConfig",
     "MeshConfig",
     "PretrainConfig",
+    "RefinementConfig",
     "TrackerConfig",
     "check",
     "dump",

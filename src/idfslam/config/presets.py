@@ -1,4 +1,4 @@
-"""The presets: `paper` holds the values of Sec. VI-A, `fast` (the default) those that people use."""
+"""The presets: `paper` holds the values of Sec. VI-A; `fast`, the default, is the system for use."""
 
 from idfslam.config.sections import (
     Config,
@@ -24,13 +24,12 @@ PAPER = Config(
         step_pixels=0,
         samples=128,
         importance_samples=16,
-        sharpness=10.0,  # 1 / tr: what the published code of [25] makes of its formula; with 1 free space outweighs the surface
-        squared=True,
+        sharpness=10.0,  # 1 / tr, as in the published code of [25]; with 1, free space outweighs the surface
         photometric_weight=0.1,
         free_space_weight=10.0,
         truncation_weight=6000.0,
         every=0,
-        beside=False,
+        background=False,
         redraw=1,
         pose_optimisation=True,
         learning_rate=0.005,
@@ -55,7 +54,7 @@ PAPER = Config(
         min_inlier_share=0.2,
         min_agreement=0.0,
     ),
-    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, guard=0),
+    finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, validate_every=0),
     loops=LoopConfig(enabled=False, relocalise=False),
 )
 

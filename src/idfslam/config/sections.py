@@ -1,276 +1,296 @@
-"""Every value of the system with its unit and meaning, one section a component."""
+"""Every value of the system with its unit, effect and source; one section a component.
+
+`UserOption` marks the values that `--help` shows. Sections and equations are those of the paper; a source that is a page of docs/ holds the
+measurement. A value without a source is a choice that was made once and for which no measurement is kept.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from idfslam.config.fields import AtLeast, Count, Positive, UserOption
 
 
 @dataclass(frozen=True)
 class FieldConfig:
-    """The implicit map: one network of T-SDF and colour."""
+    """The neural map: one field that gives signed distance (T-SDF) and colour at any point."""
 
     encoding: Literal["positional", "grid"] = "grid"
-    """How a position [m] becomes features: NeRF's frequencies, or a multi-resolution feature grid."""
-    truncation: float = 0.06
-    """Truncation distance tr [m] (Sec. VI-A)."""
+    """Encoding of a position. `positional` uses sines and cosines, as NeRF and the paper do; `grid` uses a hashed multi-resolution feature
+    grid."""
+    truncation: Positive = 0.06
+    """Truncation distance tr of the T-SDF [m]. Larger values tolerate more noise in depth and blur thin objects (Sec. VI-A: 0.10)."""
     position_frequencies: int = 8
-    """Frequencies of the positional encoding of a position."""
+    """Frequencies of the positional encoding of a position. More frequencies allow finer detail; only for the encoding `positional`."""
     direction_frequencies: int = 0
-    """Frequencies of the positional encoding of a view direction; 0: colour does not depend on it."""
-    layers: int = 1
-    """Hidden layers of the trunk (Sec. IV: 8)."""
-    width: int = 32
+    """Frequencies of the encoding of the viewing direction. With 0, colour does not depend on the direction (paper preset: 4)."""
+    layers: Count = 1
+    """Hidden layers of the network's trunk (Sec. IV-A: 8). With the feature grid one layer is as accurate as two (docs/performance.md)."""
+    width: Count = 32
     """Width of the trunk (Sec. IV: 256)."""
     skip: int = 0
-    """The layer at which the encoded position is fed in again; 0: nowhere."""
+    """Trunk layer that receives the encoded position a second time, as in NeRF; 0: none."""
     colour_width: int = 32
-    """Width of the colour head's hidden layer."""
-    levels: int = 6
-    """Levels of the feature grid."""
-    features: int = 2
-    """Features a level of the grid."""
-    coarsest: float = 0.48
-    """Edge of the coarsest level's cells [m]."""
-    finest: float = 0.04
-    """Edge of the finest level's cells [m]."""
+    """Width of the hidden layer of the colour head."""
+    levels: Count = 6
+    """Resolution levels of the feature grid. With eight, a frame takes 7 % more time and is tracked no better (docs/performance.md)."""
+    features: Count = 2
+    """Features that each level stores at a grid vertex."""
+    coarsest: Positive = 0.48
+    """Cell edge of the coarsest level [m]. With 0.64, redkitchen has 3.36 cm instead of 3.27 (docs/performance.md)."""
+    finest: Positive = 0.04
+    """Cell edge of the finest level [m]. Smaller cells resolve more detail and follow more noise: with cells of 2, 4 and 6 cm the noisy
+    kitchen had an accuracy of 1.81, 1.42 and 2.18 cm (docs/results.md)."""
     table_log2: int = 15
-    """Entries of a level's table at the start, as a power of two; tables double as the scene grows."""
+    """Size of each level's hash table at the start of a run, as a power of two. Tables double as the scene grows."""
     table_log2_max: int = 18
-    """Up to here a table doubles; past it entries are shared."""
+    """Largest size of a hash table, as a power of two. Beyond it, distant places share entries."""
     table_load: float = 0.8
-    """Share of a level's entries in use beyond which it does."""
+    """Share of a level's entries in use above which the tables double, in [0, 1]."""
 
 
 @dataclass(frozen=True)
 class MapperConfig:
-    """How the map and the keyframe poses are optimised (Sec. IV)."""
+    """Optimisation of the map, and in the paper preset of the keyframes' poses (Sec. IV)."""
 
     supervision: Literal["rendering", "samples"] = "samples"
-    """Volume rendering (Eqs. 1-3), or T-SDF and colour of the samples themselves."""
-    pixels: int = 512
-    """B: pixels an image and step (Sec. VI-A: 1024)."""
+    """`rendering` renders rays and compares colour and depth (Eqs. 1-3). `samples` compares distance and colour at the samples themselves,
+    which needs far fewer samples a ray."""
+    pixels: Count = 512
+    """B: pixels drawn from each image for a step (Sec. VI-A: 1024). Used where `step_pixels` is 0, and by the pose optimisation."""
     step_pixels: int = 1024
-    """Pixels of a step over all its keyframes, so that steps cost the same however many they are; 0: B of each, as in the paper."""
-    samples: int = 6
-    """Stratified samples a ray."""
+    """Pixels of a step, divided among its images, so that a step costs the same however many images there are. With 0, each image
+    contributes `pixels`, as in the paper."""
+    samples: Count = 6
+    """Stratified samples a ray (`rendering`), or samples within the truncation distance of the surface (`samples`). 4 with 2 importance
+    samples gives a sixth more frames/s; the surface of bookstore then has 0.99 cm instead of 0.91 (docs/performance.md)."""
     importance_samples: int = 3
-    """Further samples around the rendered surface."""
-    sharpness: float = 10.0
-    """Sharpness of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr)."""
-    squared: bool = True
-    """Squared residuals in Eqs. 1 and 2, as in the loss that the paper refers to; off: the printed norms (rendering supervision)."""
+    """Further samples around the rendered surface (`rendering`), or in the free space before it (`samples`)."""
+    sharpness: Positive = 10.0
+    """Sharpness s of the rendering weights sigmoid(s D/tr) sigmoid(-s D/tr), with D the signed distance. Larger values concentrate the
+    weight at the surface. 10 is 1/tr of the paper preset, as in the published code of [25]; with 1, free space outweighs the surface."""
     photometric_weight: float = 2.0
-    """w_p of Eq. 3."""
+    """w_p: weight of the colour loss (Eq. 3)."""
     free_space_weight: float = 0.2
-    """w_fs of Eq. 2."""
+    """w_fs: weight of the free-space loss (Eq. 2)."""
     truncation_weight: float = 10.0
-    """w_tr of Eq. 2."""
-    beside: bool = True
-    """Learn beside the frames that follow, on a core of its own; they are aligned to the map of the update before. Off: in turns."""
-    known: float = 0.95
-    """A keyframe of whose depth the map knows a smaller share is learnt before the next frame all the same, and one soon after the last."""
-    redraw: int = 10
-    """Steps for which pixels are drawn at once; 1: the losses of each step decide on the pixels of the next, as in the paper."""
+    """w_tr: weight of the loss near the surface (Eq. 2)."""
+    background: bool = True
+    """Optimise the map in a thread of its own while the next frames are tracked; they are aligned to the map of the update before. When
+    off, tracking waits for each map update. Two such threads on two cores ran 1.9 times as fast as one (docs/design.md)."""
+    min_mapped_share: float = 0.95
+    """If the map explains less than this share of a new keyframe's depth, the map is updated before the next frame instead of in the
+    background. Higher values let tracking wait more often. Without such updates the fast walk dining_fast had 1.21 cm instead of 1.04
+    (docs/design.md); no effect where `background` is off."""
+    redraw: Count = 10
+    """Steps between two drawings of pixels. With 1, the losses of each step decide on the pixels of the next, as in the paper; larger
+    values are faster."""
     active_sampling: bool = True
-    """Choose pixels by the loss of their 8 x 8 image cell."""
-    cells: int = 8
-    """Cells a side for active sampling."""
+    """Draw more pixels where the loss is high, by cells of the image (Sec. IV-B). When off, pixels are drawn uniformly."""
+    cells: Count = 8
+    """Cells of the image along each side for active sampling (Sec. IV-B: 8)."""
     learning_rate: float = 0.01
-    """Adam's rate for the map."""
+    """Learning rate of Adam for the network (Sec. VI-A: 0.005)."""
     first_iterations: int = 100
-    """Steps on the first frame."""
+    """Optimisation steps on the first frame, before the second is tracked."""
     iterations: int = 10
-    """Steps a map update."""
+    """Optimisation steps of a map update. With eight, redkitchen has 3.46 cm instead of 3.27 (docs/performance.md)."""
     pose_optimisation: bool = False
-    """Refine the poses of keyframes against the map (Eq. 4)."""
+    """Optimise the pose of each new keyframe by rendering it from the map (Eq. 4), as in the paper."""
     pose_iterations: int = 50
     """Steps of the pose optimisation."""
     pose_learning_rate: float = 0.005
-    """Adam's first rate for the pose."""
+    """Learning rate of Adam for the pose at the first step (Sec. VI-A)."""
     pose_decay: float = 0.7
-    """The pose's rate is multiplied by this ..."""
-    pose_decay_every: int = 10
-    """... every so many steps."""
+    """Factor by which the pose's learning rate is multiplied every `pose_decay_every` steps (Sec. VI-A)."""
+    pose_decay_every: Count = 10
+    """Steps between two reductions of the pose's learning rate (Sec. VI-A)."""
     table_rate: float = 0.01
-    """Adam's rate for the feature grid."""
+    """Learning rate of Adam for the feature grid."""
     free_margin: float = 0.6
-    """In free space the T-SDF, in units of tr, should be no less (samples supervision)."""
-    final_updates: int = 20
-    """Map updates after the last frame, at least (--refine) ..."""
-    final_keyframes: int = 8
-    """... on so many keyframes each, half of which are aligned anew; ..."""
-    final_rounds: float = 2.0
-    """... as many of them as it takes to align each keyframe so often, ..."""
-    final_seconds: float = 60.0
-    """... and not for longer than this [s]."""
-    certainty: float = 0.0
-    """Power of a reading's relative certainty by which it counts (samples supervision); 0: all alike."""
+    """Least T-SDF that is asked for in free space, in units of tr (`samples`). The loss is zero above it, because another surface may be
+    nearer than the one that the ray meets."""
     every: int = 4
-    """A map update on every so many frames, keyframe or not; 0: on keyframes alone, as in the paper."""
+    """The map is updated again after this many frames, whether or not one of them is a keyframe. With 0, only keyframes update it, as in
+    the paper. With 5, redkitchen has 3.5 cm instead of 3.27 (docs/performance.md)."""
     gradient_clip: float = 0.0
-    """Largest norm of the map's gradient; 0: not clipped."""
+    """Largest norm of the gradient of the map's weights; a longer gradient is scaled down to it. 0: no limit."""
     warm_up: int = 0
-    """Steps over which the learning rate rises to its value."""
+    """Steps over which the learning rate rises from zero to its value."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
-    """Arithmetic of the matrix products; auto: bf16 where the machine is good at it."""
+    """Arithmetic of the map's matrix products. `auto` takes bf16 where the hardware is faster with it."""
 
 
 @dataclass(frozen=True)
 class KeyframeConfig:
-    """When a frame is kept, and which of the kept ones are replayed (Sec. IV-C)."""
+    """Choice of keyframes, and of those that each map update replays (Sec. IV-C)."""
 
-    translation: float = 0.15
-    """Motion since the last keyframe [m] that asks for a new one."""
+    translation: UserOption[float] = 0.15
+    """Distance from the last keyframe [m] above which a frame becomes a keyframe. Smaller values keep more keyframes: better coverage,
+    more memory and time."""
     rotation: float = 12.0
-    """Rotation since the last keyframe [degrees] that asks for a new one."""
+    """Rotation from the last keyframe [degrees] above which a frame becomes a keyframe."""
     in_view: float = 0.4
-    """Smaller share of the reference keyframes' landmarks in view: a new one is asked for too (alignment to the map) ..."""
+    """If a smaller share of the reference keyframes' landmarks is in view, the frame becomes a keyframe before the images lose their hold
+    on the pose. Higher values keep more keyframes; only for the front end `alignment`."""
     in_view_every: int = 3
-    """... unless the last is no more than so many frames old: on a bare wall a new one helps no better."""
-    culling: bool = True
-    """Drop a new keyframe that a stored one covers."""
+    """`in_view` asks for a keyframe only if the last one is more than this many frames old. On a bare wall every frame would be one."""
     cull: float = 0.92
-    """sigma_cull: covisibility above which a new keyframe is dropped ..."""
+    """sigma_cull: a new keyframe is dropped if its covisibility with a stored one is higher. Lower values keep fewer keyframes; 1 keeps
+    all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/results.md)."""
     cull_reach: float = 0.4
-    """... unless it stands farther from the other than this share of its median depth, from where it shows more; 0: always (paper)."""
-    linked_within: float = 4.0
-    """Way [m] over links up to which covisible keyframes count as measured against each other."""
+    """A stored keyframe can replace a new one only within this distance of it, as a share of the new one's median depth, because from
+    farther off readings are coarser and noisier. Without the limit (0, as in the paper) the noisy kitchen's accuracy is 1.42 cm instead
+    of 0.84 (docs/results.md)."""
+    edge_length: float = 4.0
+    """Two covisible keyframes count as measured against each other if a path of pose-graph edges of at most this length [m] joins them.
+    Beyond it the overlap is tested for a loop instead. Larger values hide more drift: without a limit, two long edges around a block hid
+    8 cm of it (docs/design.md)."""
     covisible: float = 0.3
-    """sigma_covis: covisibility above which two keyframes are connected."""
+    """sigma_covis: covisibility above which two keyframes are connected (Sec. VI-A)."""
     shared: float = 0.6
-    """Covisibility above which an earlier keyframe serves as a second reference for alignment."""
+    """Covisibility with the last keyframe above which an earlier keyframe serves as a second reference of the alignment."""
     in_memory: int = 64
-    """Keyframes whose images and features are held in memory; those of the others lie in a temporary file."""
-    occlusion: bool = False
-    """Count a pixel as covisible only if the other keyframe's depth agrees (Eq. 5 tests bounds alone)."""
+    """Keyframes whose images and features stay in memory, about 5 MB each at 640x480. Those of the others lie in a temporary file."""
     reference: Literal["last", "covisible"] = "last"
-    """The keyframe that the tracker registers a frame against: the last chosen, or the stored one that has most of it in view."""
+    """Keyframe that the tracker registers a frame with: the last one, or the stored one with the highest covisibility. With `covisible`
+    the tracker alone has 0.80 cm instead of 1.35 on dining_fast and hardly a difference on redkitchen (docs/results.md)."""
     replay: int = 2
-    """N_rep: stored keyframes, not connected to the newest, that each step trains on too."""
+    """N_rep: stored keyframes, not connected with the newest, that each map update trains on too (Sec. VI-A: 10)."""
     replay_connected: int = 2
-    """Keyframes connected to the newest that each step trains on too (not in the paper: 0)."""
+    """Keyframes connected with the newest that each map update trains on too. The paper replays none (0)."""
 
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """The neural tracker (Sec. V)."""
+    """The neural tracker: features, matches and registration of a frame with a keyframe (Sec. V)."""
 
-    height: int = 120
-    """Rows of the images that features are computed on; the width follows the camera."""
-    matches: int = 200
-    """K: correspondences kept, the best by ratio weight."""
-    grid: int = 4
-    """At most K / grid^2 correspondences from a cell of a grid x grid image; 1: no limit."""
-    query_stride: int = 4
-    """Every so many rows and columns a pixel asks for its nearest neighbours; 1: all of them."""
-    target_stride: int = 2
-    """Every so many rows and columns a pixel may be the answer; 1: all of them."""
+    height: Count = 120
+    """Rows of the image that features are computed on; its width follows from the camera. More rows cost proportionally more time."""
+    matches: Count = 200
+    """K: correspondences that are kept, those with the best ratio weights (Sec. VI-A)."""
+    grid: Count = 4
+    """The image is divided into grid x grid cells, and a cell contributes at most K / grid^2 correspondences (Sec. V: 4). 1: no limit."""
+    query_stride: Count = 4
+    """Matches are searched for every so many rows and columns of the frame. 1 (all pixels) is the paper's; larger values are faster."""
+    target_stride: Count = 2
+    """Matches are searched among every so many rows and columns of the keyframe. 1 (all pixels) is the paper's."""
     mutual: bool = True
-    """Keep a match only if its answer, asked back, returns; off: the matches of both directions together, as in the paper."""
-    consensus: Literal["random", "compatible"] = "compatible"
-    """Which subsets the robust Procrustes tries: random ones, as in the paper, or matches that keep each other's distances (SC2-PCR)."""
-    subsets: int = 100
-    """Subsets tried by the robust Procrustes."""
+    """Keep a match only if each pixel is the other's nearest neighbour. When off, the matches of both directions are used together, as
+    in the paper."""
+    consensus: Literal["random", "spatial_consistency"] = "spatial_consistency"
+    """Subsets of correspondences that the robust Procrustes fits. `random` draws them, as the paper does. `spatial_consistency` takes
+    matches that keep each other's distances (SC2-PCR); it costs the same (3 ms) and is at least as exact (docs/model-card.md)."""
+    subsets: Count = 100
+    """Subsets that the robust Procrustes fits."""
     subset_share: float = 0.05
-    """Share of the correspondences in a subset."""
+    """Share of the correspondences in each subset, in (0, 1]."""
     truncation: float = 0.1
-    """A correspondence's residual counts no more than this [m] in choosing the best subset; 0: no such limit."""
+    """Largest residual of a correspondence [m] in the comparison of subsets; larger ones count as this much, so that outliers do not
+    decide. 0: no limit, as in the paper."""
     refits: int = 3
-    """Rounds of Procrustes on all inliers after the best subset."""
-    inlier_distance: float = 0.05
-    """A correspondence this close [m] after alignment is an inlier."""
+    """Rounds of Procrustes on the inliers, after the best subset is chosen. The paper has none (0)."""
+    inlier_distance: Positive = 0.05
+    """Distance between the points of a correspondence after registration [m] below which it is an inlier."""
     plane_steps: int = 5
-    """Gauss-Newton steps that then bring the depth images together, point to plane, held by the inliers; 0: none, as in the paper."""
+    """Gauss-Newton steps of point-to-plane ICP on the two depth images after the registration, with the inliers as a prior. They make
+    the pose several times as exact for 8 ms (docs/model-card.md); the paper has none (0)."""
     min_inliers: int = 12
-    """Fewer inliers: lost."""
+    """Registrations with fewer inliers are lost."""
     min_inlier_share: float = 0.05
-    """Smaller share of inliers among the correspondences: lost."""
+    """Registrations with a smaller share of inliers among the correspondences are lost."""
     min_agreement: float = 0.93
-    """Smaller share of the overlapping depth pixels that agree at the pose: lost; 0: depth is not asked."""
+    """Registrations at which a smaller share of the overlapping depth pixels agree are lost. At 0.93 none of 450 pairs was accepted wrongly
+    and 24 right ones were refused (docs/model-card.md). 0: depth is not tested, as in the paper."""
     min_extent: float = 0.05
-    """Inliers that spread less than this [m] across their main direction: lost."""
+    """Registrations whose inliers spread less than this [m] across their main direction are lost: the rotation about it is open."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
-    """Arithmetic of the feature extractor; auto: bf16 where the machine is good at it."""
-    weights: Path | None = None
-    """Weights of the feature extractor; none given: those shipped with the package."""
+    """Arithmetic of the feature extractor. `auto` takes bf16 where the hardware is faster with it (AVX512-BF16: 57 instead of 136 ms a
+    frame, docs/performance.md)."""
+    weights: UserOption[Path | None] = None
+    """File of feature extractor weights, as `idf-slam pretrain` writes them; none given: those shipped with the package."""
 
 
 @dataclass(frozen=True)
 class FinetuneConfig:
-    """Online finetuning of the tracker's out-conv (Sec. V-B, Eqs. 6-8)."""
+    """Online finetuning of the feature extractor's last convolution (Sec. V-B, Eqs. 6-8)."""
 
-    enabled: bool = True
-    """Finetune on frames that are neither keyframes nor learnt by the map."""
+    enabled: UserOption[bool] = True
+    """Finetune the tracker during the run, on frames that neither become keyframes nor update the map."""
     every: int = 20
-    """One step after every so many registrations (the paper: after each); where the tracker is not asked, it need not learn."""
+    """Registrations between two steps of finetuning; the paper takes a step after each (1). Frames that the tracker does not register do
+    not count. A step takes about 50 ms (docs/performance.md)."""
     keyframes: int = 10
-    """N_kf: keyframes that must be stored before it starts."""
+    """N_kf: keyframes that must be stored before finetuning starts (Sec. VI-A)."""
     learning_rate: float = 1e-4
-    """Adam's rate."""
+    """Learning rate of Adam (Sec. VI-A)."""
     photometric_weight: float = 0.1
-    """w_p of Eq. 6."""
+    """w_p: weight of the colour loss (Eq. 6)."""
     depth_weight: float = 1.0
-    """w_d of Eq. 6."""
+    """w_d: weight of the depth loss (Eq. 6)."""
     correspondence_weight: float = 0.1
-    """w_r of Eq. 6."""
-    pixels: int = 256
-    """Pixels rendered for Eqs. 1 and 7."""
-    guard: int = 5
-    """Every so many steps the weights are tried on held-out pairs of keyframes; 0: never, as in the paper."""
-    held_out: int = 4
-    """Pairs of keyframes of such a trial: neighbours but one, which are never trained on."""
+    """w_r: weight of the correspondence loss (Eq. 6)."""
+    pixels: Count = 256
+    """Pixels that a step renders for the colour and depth losses (Eqs. 1 and 7)."""
+    validate_every: int = 5
+    """Steps between two validations of the finetuned weights on pairs of keyframes that no step trains on; 0: never, as in the paper. A
+    validation takes 75 ms (docs/model-card.md)."""
+    validation_pairs: Count = 4
+    """Pairs of keyframes in a validation. They are two keyframes apart; training pairs are neighbours."""
     margin: float = 0.05
-    """A share of right matches lost there beyond which the steps since the best weights are undone."""
+    """If the weights find fewer correct matches than the best weights so far, by more than this share, the best are restored and the
+    learning rate is halved."""
 
 
 @dataclass(frozen=True)
 class PretrainConfig:
-    """How the feature extractor is pretrained, without poses (Sec. V; UnsupervisedR&R [31])."""
+    """Self-supervised pretraining of the feature extractor, without poses (Sec. V; UnsupervisedR&R [31])."""
 
-    steps: int = 2400
-    """Steps of the optimiser."""
-    batch: int = 1
-    """Pairs a step, over all processes ([31]: 8); each goes through the network by itself, so memory does not grow with them."""
-    seed: int = 0
+    steps: UserOption[Count] = 2400
+    """Optimisation steps."""
+    batch: UserOption[Count] = 1
+    """Pairs of frames a step, over all processes ([31]: 8). Pairs pass through the network one by one, so memory does not grow."""
+    seed: UserOption[int] = 0
     """Seed of every random choice."""
-    height: int = 120
+    height: UserOption[Count] = 120
     """Rows that the frames are reduced to."""
-    crop: tuple[int, int] = (96, 128)
+    crop: UserOption[Annotated[tuple[int, int], AtLeast(1)]] = (96, 128)
     """Rows and columns of the random crop that a step trains on."""
-    gap: int = 40
-    """Frames of a pair lie at most this far apart ([31]: 20)."""
+    gap: UserOption[Count] = 40
+    """Largest distance between the frames of a pair, in frames ([31]: 20). Larger gaps are harder and teach wider baselines."""
     ramp: float = 0.33
-    """Share of the steps over which distance and augmentation grow to their values; 0: at once, for weights that know something."""
-    learning_rate: float = 1e-3
-    """Adam's first rate, falling to zero along a half cosine ([31]: 1e-4, constant)."""
+    """Share of the steps over which gap and augmentation grow to their values. 0 (full from the first step) suits trained weights."""
+    learning_rate: UserOption[float] = 1e-3
+    """Learning rate of Adam at the first step; it falls to zero along a half cosine ([31]: 1e-4, constant)."""
     weight_decay: float = 1e-6
-    """Adam's weight decay [31]."""
+    """Weight decay of Adam ([31])."""
     colour_weight: float = 0.0
-    """Weight of the rendered colour's L1 ([31]: 1). In short runs the losses of [31] hold the contrastive one back (docs/model-card.md)."""
+    """Weight of the L1 loss of the rendered colour ([31]: 1). In short runs the losses of [31] slow the contrastive loss down
+    (docs/model-card.md)."""
     depth_weight: float = 0.0
-    """Weight of the rendered depth's L1 ([31]: 1)."""
+    """Weight of the L1 loss of the rendered depth ([31]: 1)."""
     correspondence_weight: float = 0.0
-    """Weight of the matched points' distance ([31]: 0.1)."""
+    """Weight of the distance between matched points ([31]: 0.1)."""
     contrastive_weight: float = 1.0
-    """Weight of the contrastive loss (not in [31])."""
-    temperature: float = 0.07
-    """Of the contrastive loss."""
-    queries: int = 256
-    """Pixels of each image that ask for their partner in the contrastive loss."""
-    augmentation: float = 0.5
-    """Strength of the changes of exposure, colour, noise, sharpness and of the holes in depth; 0: none."""
-    matches: int = 400
-    """K of the registration."""
-    subsets: int = 10
-    """Random subsets of 20 % that the rendered pose is the best of [31]."""
+    """Weight of the contrastive loss, which [31] does not have."""
+    temperature: Positive = 0.07
+    """Temperature of the contrastive loss. Lower values push harder against the most similar wrong pixels."""
+    queries: Count = 256
+    """Pixels of each image that the contrastive loss takes as queries."""
+    augmentation: UserOption[float] = 0.5
+    """Strength of the random changes of exposure, colour, noise and sharpness, and of the holes in depth; 0: none."""
+    matches: Count = 400
+    """K: correspondences of the registration."""
+    subsets: Count = 10
+    """Random subsets of 20 % of the correspondences; the pose of the best one is rendered ([31])."""
     inliers: float = 0.2
-    """Share of the matches that a pose must explain before its correspondences are learnt."""
+    """Share of the correspondences that a pose must explain before its overlap is learnt from."""
     agreement: float = 0.85
-    """Share of overlapping depth pixels that it must explain too."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the network learns; auto: a GPU when there is one."""
+    """Share of the overlapping depth pixels that must agree at a pose before its overlap is learnt from."""
+    device: UserOption[Literal["auto", "cpu", "cuda"]] = "auto"
+    """Device that the network is trained on. `auto` takes a GPU if there is one."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
-    """Arithmetic of the network's matrix products; auto: bf16 where the machine is good at it."""
+    """Arithmetic of the network's matrix products. `auto` takes bf16 where the hardware is faster with it."""
 
     @property
     def rendered(self) -> bool:
@@ -280,123 +300,150 @@ class PretrainConfig:
 
 @dataclass(frozen=True)
 class AlignmentConfig:
-    """Second-order alignment of every frame to the map (not in the paper)."""
+    """Gauss-Newton alignment of every frame to the map and to keyframe images (not in the paper); for the front end `alignment`."""
 
-    points: int = 3000
-    """Depth points of a frame that are aligned."""
-    iterations: int = 12
+    points: Count = 3000
+    """Depth points of a frame that are aligned to the map. More points cost proportionally more time."""
+    iterations: Count = 12
     """Largest number of Gauss-Newton steps."""
     depth_noise: float = 0.0015
-    """Noise of a depth reading at the sensor's best [m]; the images count against depth by it."""
+    """Standard deviation of a depth reading at the sensor's best range [m]. Larger values give the images more weight against depth. With
+    0.001 and 0.0022, redkitchen has 3.57 and 3.53 cm, no better than with 0.0015 (docs/results.md)."""
     colour_noise: float = 0.01
-    """Least noise of brightness, in [0, 1]; a frame's own, when larger, is measured."""
+    """Least standard deviation of brightness, which lies in [0, 1]. The noise of a frame is measured, and used where it is larger."""
     robust: float = 0.01
-    """Scale of the robust weights at the sensor's best [m]; it widens with the noise of depth ..."""
+    """Scale of the robust weights of depth residuals at the sensor's best range [m]; it grows with the noise of depth. Larger values let
+    outliers count more."""
     robust_widest: float = 4.0
-    """... up to so many times."""
+    """Largest factor by which noise widens the scale `robust`."""
     colour_robust: float = 3.0
-    """Scale of the robust weights of brightness, in units of its noise."""
+    """Scale of the robust weights of brightness residuals, in standard deviations of brightness."""
     landmarks: int = 3600
-    """Pixels of a keyframe whose brightness is compared, at most."""
+    """Largest number of pixels of a keyframe whose brightness is compared. More of them cost proportionally more time."""
     min_landmarks: int = 100
-    """With fewer of a keyframe's landmarks in view its image says nothing: a handful on one edge fits in many wrong places."""
+    """A keyframe with fewer landmarks in view is not used: a few landmarks on one edge fit in many wrong places."""
     image_height: int = 480
-    """Rows of the finest image that brightness is compared in."""
-    image_levels: int = 4
-    """Images that brightness is compared in, each half the size of the one before; the coarsest comes first."""
-    level_reach: float = 1.5
-    """How far off a guess may be on an image [px of that image]; what is known to be nearer begins on a finer one."""
-    steps_a_level: int = 2
-    """Steps on each but the finest, which has the rest."""
+    """Rows of the finest image whose brightness is compared. With 120, 240 and 480 rows the pose noise was 0.33, 0.13 and 0.03 cm
+    (docs/results.md)."""
+    image_levels: Count = 4
+    """Levels of the image pyramid, each half the size of the one before. The alignment begins on the coarsest. More levels tolerate worse
+    initial poses."""
+    level_reach: Positive = 1.5
+    """Error of the initial pose [px] that one level of the pyramid can correct. Where recent predictions were more exact, the alignment
+    begins on a finer level, which halves its steps in a slow walk (docs/design.md)."""
+    steps_a_level: Count = 2
+    """Steps on each level except the finest, which takes all others."""
     references: int = 2
-    """Keyframes whose images a frame is held against: the last, and the earliest that sees most of the same; 0: depth alone."""
-    hold: float = 8e-3
-    """Information, per unit weight of depth, below which a direction is held to the guess (a bare wall leaves three open)."""
-    hold_registered: float = 0.1
-    """The same for a keyframe that the neural tracker has registered with the last one: held to that; 0: it is not asked."""
+    """Keyframes whose images a frame is compared with: the last one, and the earliest that shares most of the view. 0: depth alone."""
+    prior_information: float = 8e-3
+    """Information per unit weight of depth below which a direction stays at the initial pose, because nothing measures it: a bare wall
+    leaves three directions open. Larger values trust the predicted motion more (solution remapping, docs/design.md)."""
+    registration_prior_information: float = 0.1
+    """The same for a new keyframe that the tracker has registered with the last one: directions with less information stay at the
+    registered pose. With 0, keyframes are not registered; bookstore then had 3.45 cm instead of 1.28 (docs/design.md)."""
     converged: float = 3e-4
-    """Steps below this [m, rad] end the iteration."""
-    refined: int = 1
-    """Replayed keyframes whose pose is aligned anew at each map update, in turns with the map: bundle adjustment."""
-    refine_reach: float = 0.02
-    """A keyframe that would move farther than this [m] at once stays where it is: that is no refinement."""
+    """Gauss-Newton ends when a step is shorter than this [m, rad]. Smaller values take more steps."""
     min_points: int = 100
-    """Fewer points with depth: lost."""
+    """Frames with fewer depth points are lost."""
     min_overlap: float = 0.3
-    """Smaller share of points that fall where the map is known: lost."""
+    """Alignments are lost if a smaller share of the points falls where the map has a surface."""
     max_rmse: float = 0.02
-    """Wider distances to the map [m]: lost; unmapped space can seem mapped where entries of a table are shared."""
+    """Alignments with a larger RMS distance to the map [m] are lost. Space that was never mapped can seem mapped where entries of a hash
+    table are shared."""
     doubtful_overlap: float = 0.6
-    """Smaller overlap: the neural tracker is asked for a second guess."""
+    """Alignments with a smaller overlap are doubtful: the tracker's pose and the last pose are tried as well."""
     doubtful_brightness: float = 1.5
-    """Colours that fit so many times worse than lately: the same."""
-    min_stiffness: float = 1e-3
-    """Less information of depth in some direction, per point: degenerate."""
+    """Alignments are also doubtful if brightness differs this many times as much as in recent frames."""
+    min_eigenvalue: float = 1e-3
+    """Least eigenvalue of the information matrix of depth, per unit weight. Frames below it are marked as degenerate."""
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """Refinement of keyframe poses against the map, with each map update and after the last frame (not in the paper)."""
+
+    updates: int = 20
+    """Least number of map updates after the last frame (only with `--refine`)."""
+    keyframes: int = 8
+    """Keyframes in each of these updates, drawn at random. The map is trained on all of them, and half of them are aligned anew."""
+    rounds: float = 2.0
+    """How often each keyframe is aligned anew after the last frame, on average; long runs get more updates accordingly."""
+    seconds: UserOption[Positive] = 60.0
+    """Time limit of the refinement after the last frame [s]. A run that reaches it is not repeatable bit by bit."""
+    poses_per_update: int = 1
+    """Replayed keyframes that are aligned anew with each map update during the run. Each costs one short alignment (docs/design.md)."""
+    max_shift: float = 0.02
+    """A keyframe that would move farther than this [m] in one refinement keeps its pose: so large a step is a wrong alignment."""
 
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """Loops closed and lost cameras found again (not in the paper, whose stated limits these are)."""
+    """Loop closure, relocalisation and submaps (not in the paper, which names their lack as its limit); for the front end `alignment`."""
 
-    enabled: bool = True
-    """Look for places seen before, and correct all poses where one shows drift (alignment to the map)."""
+    enabled: UserOption[bool] = True
+    """Detect places seen before and correct the drift of all poses by a pose graph."""
     relocalise: bool = True
-    """Look for a lost camera among all keyframes; off: frames are mapped where the last motion leads, as in the paper."""
+    """Search for a lost camera among all keyframes. When off, lost frames are mapped at the predicted pose, as in the paper."""
     tries: int = 3
-    """Keyframes that a new keyframe is compared with in search of a loop ..."""
+    """Stored keyframes that a new keyframe is registered with in search of a loop. More tries find more loops and cost more time."""
     relocalisation_tries: int = 4
-    """... and a lost frame, or a keyframe of another piece."""
-    piece_after: int = 30
-    """Frames with depth for which a lost camera is looked for, before mapping goes on in a piece of its own; 0: it never does."""
-    agreeing: int = 3
-    """Keyframes in a row that must say the same of where two pieces lie before they become one ..."""
-    agreeing_span: float = 0.3
-    """... the last so far [m] from the first, or turned as much 2 m ahead: places that look alike do so for a while."""
+    """Stored keyframes that a lost frame is registered with, or a keyframe of another submap. The five most similar
+    ones contain an overlapping one in 82 to 84 % of cases (docs/design.md)."""
+    submap_after: int = 30
+    """Frames with depth for which a lost camera is searched for before a new submap is started; 0: no submap is ever started."""
+    merge_confirmations: int = 3
+    """Consecutive keyframes that must agree on the relative pose of two submaps before these are merged. Higher values reject more places
+    that merely look alike."""
+    merge_span: float = 0.3
+    """Distance between the first and the last of these keyframes [m], at least. A rotation counts by the motion of a point 2 m ahead.
+    Places that look alike do so over short distances."""
     slack: float = 0.15
-    """A loop may correct this [m] ..."""
+    """Largest correction of a loop [m], apart from `drift`. Larger corrections are taken for places that look alike."""
     drift: float = 0.03
-    """... and so much a metre of the way round it; more is another place that looks alike."""
+    """Further correction allowed for each metre of path around the loop [m/m]."""
     turn_slack: float = 3.0
-    """The same for its turn [degrees] ..."""
+    """Largest correction of a loop's rotation [degrees], apart from `turn_drift`."""
     turn_drift: float = 0.3
-    """... [degrees] a metre."""
+    """Further correction of the rotation allowed for each metre of path around the loop [degrees/m]."""
     confirmed_within: float = 1.0
-    """A second loop, from no farther than this [m], must ask for the same correction."""
-    relearnt: int = 6
-    """Map updates that replay a keyframe which a loop has moved, instead of a random one, until the map has followed."""
+    """A loop is closed only when a second one, at most this far away [m], requires the same correction."""
+    relearn_updates: int = 6
+    """Map updates that replay each keyframe that a loop or a merge has moved, so that the map follows its new pose."""
 
 
 @dataclass(frozen=True)
 class MeshConfig:
-    """Extraction of the surface."""
+    """Extraction of the mesh from the map."""
 
-    resolution: float = 0.02
-    """Edge of the marching-cubes cells [m]."""
+    resolution: UserOption[Positive] = 0.02
+    """Cell edge of marching cubes [m]. Half the value gives about four times the triangles."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """All of it."""
+    """All values of a run."""
 
-    preset: Literal["fast", "paper"] = "fast"
-    """The preset that these values came from."""
-    seed: int = 0
+    preset: UserOption[Literal["fast", "paper"]] = "fast"
+    """Set of values to start from: `fast` for use, `paper` for the values of the paper (Sec. VI-A). Other options change single values."""
+    seed: UserOption[int] = 0
     """Seed of every random choice."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the networks run; auto: a GPU when there is one."""
+    device: UserOption[Literal["auto", "cpu", "cuda"]] = "auto"
+    """Device that the networks run on. `auto` takes a GPU if there is one."""
     front_end: str = "alignment"
-    """Tracks frames: "alignment" to the map, helped by the neural tracker where in doubt; "registration" by the tracker alone (paper)."""
+    """The part that tracks frames. `alignment` aligns every frame to the map and uses the neural tracker where the result is in doubt.
+    `registration` uses the neural tracker alone, as in the paper."""
     map_representation: str = "neural_field"
-    """The map: "neural_field", one network of T-SDF and colour."""
+    """The part that is the map. `neural_field` is one network of T-SDF and colour, as in the paper."""
     back_end: str = "keyframe_mapping"
-    """What keyframes do: "keyframe_mapping", the map learns from them and from replayed ones."""
-    refine: bool = True
-    """After the last frame, polish all keyframes' poses and the map together (mapper.final_...)."""
+    """The part that maps. `keyframe_mapping` trains the map on each keyframe and on replayed ones, as in the paper."""
+    refine: UserOption[bool] = True
+    """Refine all keyframe poses and the map together after the last frame."""
     field: FieldConfig = FieldConfig()
     mapper: MapperConfig = MapperConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     tracker: TrackerConfig = TrackerConfig()
     finetune: FinetuneConfig = FinetuneConfig()
     alignment: AlignmentConfig = AlignmentConfig()
+    refinement: RefinementConfig = RefinementConfig()
     loops: LoopConfig = LoopConfig()
     mesh: MeshConfig = MeshConfig()

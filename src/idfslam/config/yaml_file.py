@@ -7,28 +7,40 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 
+from idfslam.config.fields import bounds, field_types
 from idfslam.config.presets import PRESETS
 from idfslam.config.sections import Config, PretrainConfig
 from idfslam.errors import ConfigError
 
-Checked = TypeVar("Checked", Config, PretrainConfig)
+AnyConfig = TypeVar("AnyConfig", Config, PretrainConfig)
 
-RUN_SECTIONS = ("recording", "versions")  # what a run's config.yaml tells beside the values: no part of a Config
-_AT_LEAST_ONE = {
-    *("field.layers", "field.width", "field.levels", "field.features", "mapper.pixels", "mapper.samples", "mapper.cells"),
-    *("tracker.height", "tracker.matches", "tracker.grid", "tracker.subsets", "alignment.points", "alignment.iterations"),
-    *("finetune.pixels", "finetune.held_out"),
-    *("steps", "batch", "height", "crop", "gap", "matches", "subsets", "queries"),  # of a PretrainConfig
+RUN_SECTIONS = ("recording", "versions")  # sections of a run's config.yaml that are no part of a Config
+RENAMED = {
+    "mapper.beside": "mapper.background",
+    "mapper.known": "mapper.min_mapped_share",
+    "mapper.final_updates": "refinement.updates",
+    "mapper.final_keyframes": "refinement.keyframes",
+    "mapper.final_rounds": "refinement.rounds",
+    "mapper.final_seconds": "refinement.seconds",
+    "keyframes.linked_within": "keyframes.edge_length",
+    "finetune.guard": "finetune.validate_every",
+    "finetune.held_out": "finetune.validation_pairs",
+    "alignment.enabled": "front_end",
+    "alignment.hold": "alignment.prior_information",
+    "alignment.hold_registered": "alignment.registration_prior_information",
+    "alignment.min_stiffness": "alignment.min_eigenvalue",
+    "alignment.refined": "refinement.poses_per_update",
+    "alignment.refine_reach": "refinement.max_shift",
+    "loops.piece_after": "loops.submap_after",
+    "loops.agreeing": "loops.merge_confirmations",
+    "loops.agreeing_span": "loops.merge_span",
+    "loops.relearnt": "loops.relearn_updates",
 }
-_ABOVE_ZERO = {
-    *("field.truncation", "field.coarsest", "field.finest", "mapper.sharpness", "mesh.resolution", "tracker.inlier_distance"),
-    "temperature",
-    "mapper.final_seconds",
-}
+"""Keys of earlier versions, which are refused with their new names."""
 
 
 def dump(config: Any) -> dict[str, Any]:
-    """Plain values, ready for YAML."""
+    """The values as YAML can hold them: tuples become lists, paths text."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -42,9 +54,9 @@ def dump(config: Any) -> dict[str, Any]:
 
 
 def load(path: Path, *, base: str | None = None) -> Config:
-    """A config from YAML: the file's values over those of the preset `base`; without one, over the preset that the file names.
+    """A config from a YAML file, whose values replace those of a preset: of `base`, or without one of the preset that the file names.
 
-    Raises ConfigError for a file that is no YAML mapping, for unknown sections, keys or presets, and for values that cannot be.
+    Raises ConfigError for a file that is no YAML mapping, for unknown sections, keys or presets, and for values that are not allowed.
     """
     values = {key: value for key, value in read_yaml(path).items() if key not in RUN_SECTIONS}
     if base is not None:
@@ -73,56 +85,67 @@ def preset(name: str) -> Config:
     return PRESETS[name]
 
 
-def update(config: Any, values: dict[str, Any], where: Path | str) -> Any:
-    """`config` with nested `values` in place; raises ConfigError for a key it does not have or a value of another type."""
-    hints = get_type_hints(type(config))
+def update(config: Any, values: dict[str, Any], where: Path | str, *, section: str = "") -> Any:
+    """`config` with nested `values` in place of its own; `section` is its name within a larger config, with a dot behind it.
+
+    Raises ConfigError for a key that it does not have, naming the key's new name if there is one, and for a value of another type.
+    """
+    types = get_type_hints(type(config))
     changes: dict[str, Any] = {}
     for key, value in values.items():
-        if key not in hints:
-            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(hints)}")
+        name = f"{section}{key}"
+        if name in RENAMED:
+            raise ConfigError(f"{where}: unknown key '{name}'; its name is now '{RENAMED[name]}'")
+        if key not in types:
+            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(types)}")
         old = getattr(config, key)
         if not is_dataclass(old):
-            changes[key] = _read(value, hints[key], old, f"{where}: '{key}'")
+            changes[key] = _converted(value, types[key], old, f"{where}: '{key}'")
         elif isinstance(value, dict):
-            changes[key] = update(old, value, where)
+            changes[key] = update(old, value, where, section=f"{name}.")
         else:
             raise ConfigError(f"{where}: '{key}' is {value!r}, expected a section of {', '.join(get_type_hints(type(old)))}")
     return replace(config, **changes)
 
 
-def _read(value: Any, hint: Any, old: Any, name: str) -> Any:
-    """A value from YAML as the type `hint` asks for it."""
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise ConfigError(f"{name} is {value!r}; choose one of {', '.join(map(str, get_args(hint)))}")
+def _converted(value: Any, field_type: Any, old: Any, name: str) -> Any:
+    """A value from YAML as its field's type. Raises ConfigError, naming `old` as an example, where it is of another type."""
+    if get_origin(field_type) is Literal:
+        if value not in get_args(field_type):
+            raise ConfigError(f"{name} is {value!r}; choose one of {', '.join(map(str, get_args(field_type)))}")
         return value
-    if Path in get_args(hint):
+    if Path in get_args(field_type):
         if value is not None and not isinstance(value, str):
             raise ConfigError(f"{name} is {value!r}, expected a path")
         return Path(value) if value else None
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is float and numeric:
+    if field_type is float and numeric:
         return float(value)
-    if get_origin(hint) is tuple and isinstance(value, list) and all(isinstance(v, int | float) for v in value):
+    if get_origin(field_type) is tuple and isinstance(value, list) and all(isinstance(v, int | float) for v in value):
         return tuple(float(v) for v in value)
-    if type(value) is not hint:
+    if type(value) is not field_type:
         raise ConfigError(f"{name} is {value!r}, expected a value like {old!r}")
     return value
 
 
-def check(config: Checked) -> Checked:
-    """The same config, if its numbers can be: finite, none negative, counts at least 1 where nothing works without.
+def check(config: AnyConfig) -> AnyConfig:
+    """The same config, if its numbers are allowed: finite, at least 0, and within the bounds of their fields.
 
-    Raises ConfigError for the first that cannot.
+    Raises ConfigError for the first that is not.
     """
-    for section, values in asdict(config).items():
-        for key, value in values.items() if isinstance(values, dict) else [("", values)]:
-            name = f"{section}.{key}" if key else section
-            numbers = value if isinstance(value, tuple) else (value,)
-            if any(isinstance(v, int | float) and (not math.isfinite(v) or v < 0) for v in numbers):
-                raise ConfigError(f"{name} is {value}, expected a finite number of at least 0")
-            if name in _AT_LEAST_ONE and min(numbers) < 1:
-                raise ConfigError(f"{name} is {value}, expected at least 1")
-            if name in _ABOVE_ZERO and value <= 0:
-                raise ConfigError(f"{name} is {value}, expected more than 0")
+    _check_section(config, "")
     return config
+
+
+def _check_section(section: Any, prefix: str) -> None:
+    for key, field_type in field_types(type(section)).items():
+        value, name = getattr(section, key), f"{prefix}{key}"
+        if is_dataclass(value):
+            _check_section(value, f"{name}.")
+            continue
+        numbers = [v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, int | float)]
+        if any(not math.isfinite(v) or v < 0 for v in numbers):
+            raise ConfigError(f"{name} is {value}, expected a finite number of at least 0")
+        for bound in bounds(field_type):
+            if not all(bound.allows(v) for v in numbers):
+                raise ConfigError(f"{name} is {value}, expected {bound}")

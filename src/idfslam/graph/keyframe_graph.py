@@ -105,15 +105,14 @@ class KeyframeGraph:
         covering = [i for i in keyframe.edges if float(scores[i]) > self.config.cull and i >= (self.unverified_from or 0)]
         if self.config.cull_reach:
             covering = [i for i in covering if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
-        return max(covering, key=lambda i: float(scores[i]), default=None) if self.config.culling else None
+        return max(covering, key=lambda i: float(scores[i]), default=None)
 
     def _covisibility(self, keyframe: Keyframe) -> Tensor:
         """Eq. 5 against all stored keyframes: (K,)."""
         if not self.keyframes:
             return torch.zeros(0)
         T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
-        others = torch.stack([k.depth for k in self.keyframes]) if self.config.occlusion else None
-        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera, others).cpu()
+        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera).cpu()
 
     def _shared(self, a: Keyframe, b: Keyframe) -> float:
         """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
@@ -131,7 +130,7 @@ class KeyframeGraph:
 
     def _near(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> set[int]:
         """Stored keyframes at a short path of edges from a keyframe; lengths (K,) [m] from its host."""
-        return {keyframe.host, *keyframe.edges, *np.flatnonzero(lengths <= self.config.linked_within).tolist()}
+        return {keyframe.host, *keyframe.edges, *np.flatnonzero(lengths <= self.config.edge_length).tolist()}
 
     def beyond(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> list[int]:
         """Stored keyframes that no short path of edges connects with a keyframe; lengths (K,) [m] from its host."""

@@ -131,7 +131,7 @@ class Learnt:
 
 def learns_in_steps(field: Field, config: MapperConfig) -> bool:
     """Whether `learn_steps` knows how this map learns."""
-    return config.supervision == "samples" and not config.certainty and not config.gradient_clip and fusable(field)
+    return config.supervision == "samples" and not config.gradient_clip and fusable(field)
 
 
 def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, config: MapperConfig, generator: torch.Generator) -> Learnt:

@@ -3,19 +3,17 @@
 Units. The field's T-SDF is in units of the truncation distance tr. Free-space residuals T_s - tr stay in that unit (target 1); truncation
 residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the paper leaves unnamed and which are the defaults here.
 
-The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them.
-`LossWeights.squared` chooses; the printed form is its default, squared that of a run (`mapper.squared`). `LossWeights.balance` multiplies
-the free-space and the truncation loss each by the other class's share of the samples, as the published code of [25] does; it is in neither
-paper's equations.
+Form. The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them, and
+so do these. As in the published code of [25], the free-space and the truncation loss are each multiplied by the other class's share of the
+samples, which is in neither paper's equations.
 
 Measured (400 steps of an MLP of 3 x 128 on a room with a ball in it, 48 samples a ray, sharpness 10, one seed), error of the first zero
-crossing, median and mean: printed norms with balance 119, 124 cm, since balance leaves free space too little weight against 6000 and false
-surfaces stay before the camera; printed without balance 0.1, 2.8 cm; squared with balance 0.3, 0.6 cm; squared without 0.4, 0.6 cm.
+crossing, median and mean: squared with balance 0.3, 0.6 cm; squared without 0.4, 0.6 cm; printed norms without balance 0.1, 2.8 cm; printed
+norms with balance 119, 124 cm, since balance leaves free space too little weight against 6000, and false surfaces stay before the camera.
 """
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from idfslam.mapping.rendering import Rendered
@@ -23,13 +21,11 @@ from idfslam.mapping.rendering import Rendered
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of Eqs. 2 and 3 and the form of their residuals."""
+    """Weights of Eqs. 2 and 3."""
 
     photometric: float = 0.1  # w_p
     free_space: float = 10.0  # w_fs, on units of tr
     truncation: float = 6000.0  # w_tr, on metres
-    squared: bool = False  # squared norms, as in [25]
-    balance: bool = True  # class balance, as in the code of [25]
 
 
 @dataclass(frozen=True)
@@ -38,21 +34,19 @@ class Losses:
 
     total: Tensor  # () Eq. 3
     photometric: Tensor  # () Eq. 1
-    free_space: Tensor  # () Eq. 2 [tr]
-    truncation: Tensor  # () Eq. 2 [m]
+    free_space: Tensor  # () Eq. 2 [tr^2]
+    truncation: Tensor  # () Eq. 2 [m^2]
     per_ray: Tensor  # (B,) detached; their mean is `total`
 
 
-def photometric_residuals(colour: Tensor, target: Tensor, *, squared: bool = False) -> Tensor:
-    """The terms of Eq. 1: norms (B,) of the differences between colours (B, 3)."""
+def photometric_residuals(colour: Tensor, target: Tensor) -> Tensor:
+    """The terms of Eq. 1: squared norms (B,) of the differences between colours (B, 3)."""
     difference = colour - target
-    return (difference * difference).sum(-1) if squared else torch.linalg.vector_norm(difference, dim=-1)
+    return (difference * difference).sum(-1)
 
 
-def geometric_residuals(
-    sdf: Tensor, depths: Tensor, target_depth: Tensor, truncation: float, *, squared: bool = False
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr], truncation (B,) [m]; and S^fs's share of all.
+def geometric_residuals(sdf: Tensor, depths: Tensor, target_depth: Tensor, truncation: float) -> tuple[Tensor, Tensor, Tensor]:
+    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr^2], truncation (B,) [m^2]; and S^fs's share of all.
 
     sdf (B, S) [tr], depths (B, S) [m], target_depth (B,) [m]. S^fs: samples before the near end of the truncation region, where T should be
     tr. S^tr: samples within tr of the measured depth, where T should be the measured minus the sample's depth. A ray without a sample in a
@@ -64,16 +58,14 @@ def geometric_residuals(
     near = (measured & (distance.abs() <= truncation)).to(sdf.dtype)
     free_residual = (sdf - 1) * free
     near_residual = (sdf * truncation - distance) * near
-    power = torch.square if squared else torch.abs
-    free_mean = power(free_residual).sum(1) / free.sum(1).clamp(min=1)
-    near_mean = power(near_residual).sum(1) / near.sum(1).clamp(min=1)
+    free_mean = free_residual.square().sum(1) / free.sum(1).clamp(min=1)
+    near_mean = near_residual.square().sum(1) / near.sum(1).clamp(min=1)
     return free_mean, near_mean, free.sum() / (free.sum() + near.sum()).clamp(min=1)
 
 
 def _weighted(photometric: Tensor, free_space: Tensor, truncation: Tensor, free_share: Tensor, weights: LossWeights) -> Losses:
     """Eq. 3 from per-ray terms (B,)."""
-    free_balance, near_balance = (1 - free_share, free_share) if weights.balance else (1.0, 1.0)
-    geometric = weights.free_space * free_balance * free_space + weights.truncation * near_balance * truncation
+    geometric = weights.free_space * (1 - free_share) * free_space + weights.truncation * free_share * truncation
     per_ray = geometric + weights.photometric * photometric
     return Losses(per_ray.mean(), photometric.mean(), free_space.mean(), truncation.mean(), per_ray.detach())
 
@@ -83,6 +75,6 @@ def rendering_losses(
 ) -> Losses:
     """Eqs. 1-3 of B rendered rays against colours (B, 3) and depths (B,) [m], 0 = no reading; such a ray counts by its colour alone."""
     weights = weights or LossWeights()
-    photometric = photometric_residuals(rendered.colour, target_colour, squared=weights.squared)
-    free_space, near, free_share = geometric_residuals(rendered.sdf, rendered.depths, target_depth, truncation, squared=weights.squared)
+    photometric = photometric_residuals(rendered.colour, target_colour)
+    free_space, near, free_share = geometric_residuals(rendered.sdf, rendered.depths, target_depth, truncation)
     return _weighted(photometric, free_space, near, free_share, weights)

@@ -16,7 +16,6 @@ from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.ray_samples import RaySamples, compiled_placed, placed, uniform
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render
-from idfslam.sensing.depth_noise import noise_ratio
 
 
 class Objective(Protocol):
@@ -33,7 +32,7 @@ class Objective(Protocol):
 
 def loss_weights(config: MapperConfig) -> LossWeights:
     """The weights of Eqs. 2 and 3 as configured."""
-    return LossWeights(config.photometric_weight, config.free_space_weight, config.truncation_weight, squared=config.squared)
+    return LossWeights(config.photometric_weight, config.free_space_weight, config.truncation_weight)
 
 
 class RenderingObjective:
@@ -102,9 +101,6 @@ class SampleObjective:
         near, free = chance.numel(), free_chance.numel()
         weight = like.new_full((near + free,), c.free_space_weight / max(free, 1))
         weight[:near] = c.truncation_weight / near
-        if c.certainty:
-            certainty = noise_ratio(rays.depth) ** -c.certainty
-            weight[:near] *= (certainty / certainty.mean().clamp(min=1e-6)).repeat_interleave(c.samples)
         colour = rays.colour[:, None].expand(-1, c.samples, 3).reshape(-1, 3)
         return RaySamples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 

@@ -113,7 +113,7 @@ class KeyframeMapping(BackEnd):
         if last is None:
             return self._initialise(keyframe)
         camera_ahead_of_map = keyframe.index - last.index <= _CLOSE_KEYFRAMES * self.config.mapper.every
-        unmapped = tracked.evidence.mapped_share < self.config.mapper.known
+        unmapped = tracked.evidence.mapped_share < self.config.mapper.min_mapped_share
         return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, grow=stored)
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
@@ -161,7 +161,7 @@ class KeyframeMapping(BackEnd):
         self._updated_at = len(self.frames)
         replayed, iterations = self._replayed(view), self.config.mapper.iterations
         with self.timer.stage("refine"):
-            self.refinement.refine(replayed[: self.config.alignment.refined])
+            self.refinement.refine(replayed[: self.config.refinement.poses_per_update])
         window = [view, *replayed]
         if at_once:
             with self.timer.stage("map"), threads(1.0):

@@ -63,7 +63,7 @@ class System:
         self.tracker, self.mapper = self._networks()
         self.graph = KeyframeGraph(config.keyframes, verify=self.closes_loops)
         self.frames, self.coverage = FramePoses(self.graph), Coverage(self.graph)
-        self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearnt)
+        self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
         self.front_end = self._make_front_end(self)
         self.back_end = self._make_back_end(self)
@@ -134,13 +134,14 @@ class System:
 
     @cached_property
     def refinement(self) -> NoRefinement:
-        return KeyframeRefinement(self.config.alignment, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
+        return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
 
     @cached_property
     def polish(self) -> NoPolish:
         if not self.config.refine:
             return NoPolish()
-        return Polish(self.config.mapper, self.graph, self.replay, self.relearn, self.refinement, self.mapper)
+        parts = self.graph, self.replay, self.relearn, self.refinement, self.mapper
+        return Polish(self.config.refinement, self.config.mapper.iterations, *parts)
 
     @cached_property
     def finetuner(self) -> NoFinetuning:
@@ -151,7 +152,7 @@ class System:
 
 def _neural_field(system: System) -> Mapper:
     c = system.config
-    updates = InBackground() if c.mapper.beside else InTurns()
+    updates = InBackground() if c.mapper.background else InTurns()
     return Mapper(c.mapper, c.field, system.device, torch.Generator(system.device).manual_seed(c.seed), updates)
 
 

@@ -13,8 +13,8 @@ from idfslam.slam.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence
 
-_CERTAIN = 2.0  # times `hold_registered`: with this much information of its own a pose would follow a registered one by 6 % of the
-#                 difference at most, so the tracker is not asked. More: it is asked more often.
+_CERTAIN = 2.0  # times `registration_prior_information`: with this much information of its own a pose would follow a registered one by
+#                 6 % of the difference at most, so the tracker is not asked. More: it is asked more often
 
 
 class KeyframePose(ABC):
@@ -56,7 +56,7 @@ class KeyframeRegistration(KeyframePose):
 
     def _register(self, keyframe: Keyframe, least_information: float) -> None:
         last = self.graph.last_keyframe
-        if last is None or least_information >= _CERTAIN * self.config.hold_registered:
+        if last is None or least_information >= _CERTAIN * self.config.registration_prior_information:
             return
         T_wc = self.relocaliser.registered(keyframe, last)
         if T_wc is None or not self.relocaliser.images_agree(keyframe, last, T_wc):

@@ -3,7 +3,7 @@
 import math
 from time import perf_counter
 
-from idfslam.config import MapperConfig
+from idfslam.config import RefinementConfig
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
@@ -14,38 +14,38 @@ from idfslam.slam.relearn_queue import RelearnQueue
 class NoPolish:
     """The map stays as it is after the last frame, as in the paper."""
 
-    def run(self) -> bool:
-        """Whether there was anything to do."""
-        return False
+    def run(self) -> None:
+        """Called once, after the last frame."""
 
 
 class Polish(NoPolish):
     """Refines random keyframes, then updates the map on them, within a budget of time."""
 
     def __init__(
-        self, config: MapperConfig, graph: KeyframeGraph, replay: Replay, relearn: RelearnQueue, refinement: NoRefinement, mapper: Mapper
+        self,
+        config: RefinementConfig,
+        steps: int,
+        graph: KeyframeGraph,
+        replay: Replay,
+        relearn: RelearnQueue,
+        refinement: NoRefinement,
+        mapper: Mapper,
     ) -> None:
-        self.config, self.graph, self.replay, self.relearn, self.refinement, self.mapper = (
-            config,
-            graph,
-            replay,
-            relearn,
-            refinement,
-            mapper,
-        )
+        """steps: of each map update."""
+        self.config, self.steps, self.graph, self.replay = config, steps, graph, replay
+        self.relearn, self.refinement, self.mapper = relearn, refinement, mapper
 
-    def run(self) -> bool:
+    def run(self) -> None:
         c, start = self.config, perf_counter()
-        refined = max(1, c.final_keyframes // 2)
-        updates = max(c.final_updates, math.ceil(c.final_rounds * len(self.graph.keyframes) / refined))
+        refined = max(1, c.keyframes // 2)
+        updates = max(c.updates, math.ceil(c.rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
-            spent = (perf_counter() - start) / c.final_seconds
+            spent = (perf_counter() - start) / c.seconds
             done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
             if done >= 1:
                 break
-            keyframes = self.replay.sample(c.final_keyframes)
+            keyframes = self.replay.sample(c.keyframes)
             self.refinement.refine(keyframes[:refined])
             self.relearn.trained(keyframes)
-            self.mapper.start_update(keyframes, c.iterations, anneal=1 - done)
+            self.mapper.start_update(keyframes, self.steps, anneal=1 - done)
         self.mapper.finish()
-        return True

@@ -92,7 +92,7 @@ class Relocalisation(Recovery):
             lost = tracked if self.mode is Mode.TRACKING else tracked.lost(view.T_wk)
             tracked = self._relocalised(view) or lost
         self._searched = self._searched + view.has_depth if tracked.is_lost else 0
-        return self._new_submap(view, tracked) if 0 < self.config.piece_after <= self._searched else tracked
+        return self._new_submap(view, tracked) if 0 < self.config.submap_after <= self._searched else tracked
 
     def close_gap(self, index: int, mode: Mode) -> None:
         found_again = mode is Mode.LOST and self.mode is Mode.TRACKING

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from idfslam.alignment.aligner import Aligner
 from idfslam.alignment.motion import change_between, moved
-from idfslam.config import AlignmentConfig
+from idfslam.config import RefinementConfig
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
@@ -24,7 +24,7 @@ class NoRefinement:
 class KeyframeRefinement(NoRefinement):
     """Aligns keyframes to the map and to the images of older keyframes."""
 
-    def __init__(self, config: AlignmentConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: Aligner) -> None:
+    def __init__(self, config: RefinementConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: Aligner) -> None:
         self.config, self.graph, self.relearn, self.aligner = config, graph, relearn, aligner
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
@@ -36,10 +36,10 @@ class KeyframeRefinement(NoRefinement):
                 self._refine(keyframe)
 
     def _refine(self, keyframe: Keyframe) -> None:
-        references = self.graph.older_references(keyframe, self.config.references)
+        references = self.graph.older_references(keyframe, self.aligner.config.references)
         aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
         change = change_between(keyframe.T_wk, aligned.T_wc)
-        small = float(change[:3].norm()) < self.config.refine_reach
+        small = float(change[:3].norm()) < self.config.max_shift
         if aligned.status is Status.OK and small and not self.aligner.doubtful(aligned):
             # half way: the map has learnt this place from the present pose, in part
             self.graph.set_pose(keyframe, moved(keyframe.T_wk, change / 2))

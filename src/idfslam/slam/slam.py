@@ -75,7 +75,7 @@ class Slam:
         self.front_end.accept(view, tracked)
         if mode is Mode.TRACKING and tracked.continues_motion:
             information = None if tracked.alignment is None else tracked.alignment.information
-            self.motion.update(T_last, tracked.T_wc, information, self.config.alignment.hold)
+            self.motion.update(T_last, tracked.T_wc, information, self.config.alignment.prior_information)
         else:  # the way from where the camera was last seen is not the motion of one frame
             self.motion.stop()
         return tracked

@@ -49,7 +49,7 @@ class SubmapMerger(KeyframeHook):
             return Moved()
         agrees = bool(self.agreeing) and same_correction(self.graph, self.agreeing[-1], loop, self.config.confirmed_within)
         self.agreeing = [*self.agreeing, loop] if agrees else [loop]
-        if len(self.agreeing) < self.config.agreeing or self._span() < self.config.agreeing_span:
+        if len(self.agreeing) < self.config.merge_confirmations or self._span() < self.config.merge_span:
             return Moved()
         return self._merge(loop)
 

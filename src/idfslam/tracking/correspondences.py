@@ -34,7 +34,7 @@ def estimate_pose(found: Correspondences, config: TrackerConfig, generator: torc
     if len(found) < max(3, config.min_inliers):
         return None
     subsets, share = config.subsets, config.subset_share
-    if config.consensus == "compatible":
+    if config.consensus == "spatial_consistency":
         tried = compatible_subsets(found.frame, found.keyframe, subsets=subsets, share=share, tolerance=config.inlier_distance)
     else:
         tried = random_subsets(len(found), subsets=subsets, share=share, generator=generator)

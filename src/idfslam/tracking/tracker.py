@@ -154,13 +154,13 @@ class Tracker(Stateful):
         )
         numbers = finetune_step(self.optimiser, losses, config)
         self._steps += 1
-        if config.guard and self._steps % config.guard == 0:
+        if config.validate_every and self._steps % config.validate_every == 0:
             self._examine(keyframes, torch.as_tensor(T_wk))
         return numbers
 
     def _examine(self, keyframes: Sequence[Described], T_wk: Tensor) -> None:
         """The weights on held-out pairs of keyframes; the steps since the best are undone if they do worse."""
-        pairs = held_out(keyframes, T_wk, self.finetuning.held_out, self.generator)
+        pairs = held_out(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
         seen = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in pairs]
         if seen:
             self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in seen))

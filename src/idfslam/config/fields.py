@@ -1,0 +1,76 @@
+"""What the type of a configuration field says beyond its plain type: which numbers are allowed, and whether users set it.
+
+`pixels: Count = 512` must be at least 1. `resolution: UserOption[Positive] = 0.02` must be more than 0 and is shown by `--help`; a field
+without `UserOption` is shown by `--help-all` alone. Every number must be finite and at least 0. The docstring below a field is its help.
+"""
+
+import ast
+import inspect
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class AtLeast:
+    """A lower bound that is allowed itself."""
+
+    least: float
+
+    def allows(self, value: float) -> bool:
+        """Whether a number is within the bound."""
+        return value >= self.least
+
+    def __str__(self) -> str:
+        return f"at least {self.least:g}"
+
+
+@dataclass(frozen=True)
+class MoreThan:
+    """A lower bound that is not allowed itself."""
+
+    limit: float
+
+    def allows(self, value: float) -> bool:
+        """Whether a number is within the bound."""
+        return value > self.limit
+
+    def __str__(self) -> str:
+        return f"more than {self.limit:g}"
+
+
+class _ForUsers:
+    """Marks a field that `--help` shows."""
+
+
+Count = Annotated[int, AtLeast(1)]
+Positive = Annotated[float, MoreThan(0)]
+UserOption = Annotated[T, _ForUsers()]
+
+
+def field_types(section: type) -> dict[str, Any]:
+    """The type of each field of a section, with what it says beyond the plain type."""
+    return get_type_hints(section, include_extras=True)
+
+
+def bounds(field_type: Any) -> list[AtLeast | MoreThan]:
+    """The bounds that a field's type states."""
+    return [extra for extra in getattr(field_type, "__metadata__", ()) if isinstance(extra, AtLeast | MoreThan)]
+
+
+def is_user_option(field_type: Any) -> bool:
+    """Whether `--help` shows the field."""
+    return any(isinstance(extra, _ForUsers) for extra in getattr(field_type, "__metadata__", ()))
+
+
+def meanings(section: type) -> dict[str, str]:
+    """The docstring below each field of a section, in one line; fields without one, such as nested sections, are left out."""
+    (definition,) = ast.parse(inspect.getsource(section)).body
+    assert isinstance(definition, ast.ClassDef)
+    texts = {}
+    for field, text in zip(definition.body, definition.body[1:]):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+            assert isinstance(text.value, ast.Constant)
+            texts[field.target.id] = " ".join(str(text.value.value).split())
+    return texts
