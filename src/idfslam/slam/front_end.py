@@ -76,7 +76,7 @@ class AlignmentToMap(FrontEnd):
             return Tracked.aligned(aligned)
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:
-            return replace(registered, evidence=evidence)
+            return replace(registered, evidence=evidence, confident=False)  # it does not lie on the map
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
 
     def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:

@@ -100,10 +100,10 @@ class Relocalisation(Recovery):
             log.info("found again at frame %d; %d frames before it are interpolated", index, self.frames.interpolate_gaps())
 
     def _trusts(self, tracked: Tracked) -> bool:
-        """Whether the front end's answer stands: an alignment to the map, and a convincing one where the camera was lost."""
-        if tracked.alignment is None:
-            return False
-        return self.mode is Mode.TRACKING or self.relocaliser.convincing(tracked.alignment)
+        """Whether the front end's answer stands; where the camera was lost, only a convincing alignment to the map does."""
+        if self.mode is Mode.TRACKING:
+            return not tracked.is_lost and tracked.confident
+        return tracked.alignment is not None and self.relocaliser.convincing(tracked.alignment)
 
     def _relocalised(self, view: Keyframe) -> Tracked | None:
         """The view's pose by the keyframes that look most like it; None if none is convincing."""

@@ -39,6 +39,7 @@ class Tracked:
     source: Source
     evidence: Evidence = field(default_factory=Evidence)
     alignment: Alignment | None = None  # to the map, where the pose comes from one
+    confident: bool = True  # False: better than none, but a lost camera may be looked for instead
 
     @classmethod
     def first(cls, T_wc: Tensor, *, has_depth: bool) -> "Tracked":
