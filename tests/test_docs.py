@@ -43,7 +43,7 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
 
 def test_every_command_is_there_without_the_configuration(reference: ModuleType) -> None:
     text = reference.commands()
-    files = {path.stem.replace("_", "-") for path in (ROOT / "src/idfslam/commands").glob("*.py")} - {"--init--", "command"}
+    files = {path.stem.replace("_", "-") for path in (ROOT / "src/idfslam/cli/commands").glob("*.py")} - {"--init--", "command"}
     assert set(re.findall(r"## idf-slam ([\w-]+)", text)) == files
     assert "--retries INT" in text
     assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
