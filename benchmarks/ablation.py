@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from idfslam.cli.command_line import prepare_process
+from idfslam.compute.process import prepare_process
 
 prepare_process()
 

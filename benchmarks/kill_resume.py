@@ -8,9 +8,9 @@ spent. Processes are forked from one that has imported everything, so that death
 """
 
 # ruff: noqa: E402
-from idfslam.cli import command_line
+from idfslam.compute.process import prepare_process
 
-command_line.prepare_process()  # before torch or numba is imported
+prepare_process()  # before torch or numba is imported
 
 import argparse
 import json
@@ -28,6 +28,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 import idfslam.runs.runner  # noqa: F401 (imported here for all processes)
+from idfslam.cli import command_line
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.runs import result_folder

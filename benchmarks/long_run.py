@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.cli.command_line import prepare_process
+from idfslam.compute.process import prepare_process
 
 prepare_process()
 

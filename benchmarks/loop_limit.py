@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from idfslam.cli.command_line import prepare_process
+from idfslam.compute.process import prepare_process
 
 prepare_process()
 

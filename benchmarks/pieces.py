@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from idfslam.cli.command_line import prepare_process
+from idfslam.compute.process import prepare_process
 
 prepare_process()
 

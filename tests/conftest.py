@@ -1,7 +1,7 @@
 """Settings that hold for every test, and a small recording that many of them run on."""
 
 # ruff: noqa: E402
-from idfslam.cli.command_line import prepare_process
+from idfslam.compute.process import prepare_process
 
 prepare_process()  # before torch or numba is imported
 

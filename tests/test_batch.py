@@ -119,6 +119,7 @@ def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch
     assert cores() >= 1
 
 
+@pytest.mark.slow
 def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} frames=99 out=too-many\n")
     flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--mapper.final-updates", "1", "--mesh.resolution", "0.1"]
@@ -168,6 +169,7 @@ def children_with(word: str) -> list[psutil.Process]:
     return found
 
 
+@pytest.mark.slow
 def test_a_process_killed_in_the_middle_is_run_again(box_recording: Path, tmp_path: Path) -> None:
     killer = kill_once(lambda: children_with("idfslam.cli run"))
     with LocalExecutor(2, retries=1) as executor:
@@ -198,6 +200,7 @@ def main(arguments):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed: pip install 'idf-slam[cluster]'")
 def test_a_stop_on_ray_lets_runs_write_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "slow_run.py").write_text(SLOW)
@@ -215,6 +218,7 @@ def test_a_stop_on_ray_lets_runs_write_their_results(tmp_path: Path, monkeypatch
     assert (tmp_path / "results").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed: pip install 'idf-slam[cluster]'")
 def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import ray

@@ -120,6 +120,7 @@ def test_flags() -> None:
     )
 
 
+@pytest.mark.slow
 def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording, out = write_box_recording(tmp_path / "box"), tmp_path / "out"
     trimesh.creation.box(2 * BOX).export(recording / "gt_mesh.ply")
@@ -138,6 +139,7 @@ def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (out / "bench.md").read_text() == markdown(report)
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_ends_with_1_and_the_report(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         command_line.main(["bench", f"{box_recording}@99", "--seeds", "1", "--out", str(tmp_path)])

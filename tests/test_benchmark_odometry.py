@@ -38,6 +38,7 @@ def test_the_tracker_alone_has_no_map(box_recording: Path) -> None:
     assert np.linalg.norm(slam.trajectory()[:, :3, 3] - relative[:, :3, 3], axis=-1).max() < 0.01
 
 
+@pytest.mark.slow
 def test_four_rows_and_as_many_seeds_as_there_is_chance(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = bench_odometry([str(box_recording)], SMALL, seeds=2, folder=tmp_path / "out")
     rows = [(row["finetuning"], row["grid"], [run["seed"] for run in row["runs"]]) for row in found["rows"]]
@@ -52,6 +53,7 @@ def test_four_rows_and_as_many_seeds_as_there_is_chance(box_recording: Path, tmp
     assert "| box | finetuned | grid 1 | 2 of 2 |" in markdown(found)
 
 
+@pytest.mark.slow
 def test_the_command(box_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["bench-odometry", f"{box_recording}@4", "--seeds", "1", "--json"])
     assert len(json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]) == 4

@@ -291,6 +291,7 @@ def same(folder: Path, other: Path) -> bool:
     return all((folder / name).read_bytes() == (other / name).read_bytes() for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("every", "resumed_at"), [(4, [8]), (0, [])])
 def test_resume(box_recording: Path, whole: Path, tmp_path: Path, every: int, resumed_at: list[int]) -> None:
     died(box_recording, tmp_path, every)
@@ -304,12 +305,14 @@ def test_resume(box_recording: Path, whole: Path, tmp_path: Path, every: int, re
     assert [replace(line, ms=0.0) for line in lines] == [replace(line, ms=0.0) for line in others]
 
 
+@pytest.mark.slow
 def test_a_run_that_is_over_says_so(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert resume(whole) is None
     command_line.main(["run", "--resume", str(whole)])
     assert "the run is over, nothing to resume" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_ctrl_c_can_be_gone_on_from(box_recording: Path, whole: Path, tmp_path: Path) -> None:
     class Interrupted(Slam):
         def process(self, frame: Frame) -> FrameResult:
@@ -325,6 +328,7 @@ def test_ctrl_c_can_be_gone_on_from(box_recording: Path, whole: Path, tmp_path: 
     assert (metrics["interrupted"], metrics["resumed_at"]) == (False, [7])
 
 
+@pytest.mark.slow
 def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
     died(box_recording, tmp_path)
     values = yaml.safe_load((tmp_path / result_folder.CONFIG).read_text())
@@ -336,6 +340,7 @@ def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
     assert (tmp_path / result_folder.CHECKPOINT).read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     died(box_recording, tmp_path)
     died(box_recording, tmp_path, every=0)
@@ -343,6 +348,7 @@ def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path,
     assert [p.name for p in tmp_path.iterdir()] == [result_folder.CONFIG]
 
 
+@pytest.mark.slow
 def test_a_recording_that_goes_away(box_recording: Path, whole: Path, tmp_path: Path) -> None:
     recording = shutil.copytree(box_recording, tmp_path / "here")
 
@@ -362,6 +368,7 @@ def test_a_recording_that_goes_away(box_recording: Path, whole: Path, tmp_path: 
     assert (folder / result_folder.TRAJECTORY).read_bytes() == (whole / result_folder.TRAJECTORY).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_full_disk_at_the_end(box_recording: Path, whole: Path, tmp_path: Path) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -379,6 +386,7 @@ def test_a_full_disk_at_the_end(box_recording: Path, whole: Path, tmp_path: Path
     assert same(tmp_path, whole)
 
 
+@pytest.mark.slow
 def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
     """Kill -9 at whatever happens to go on, after a checkpoint each time; all in processes of their own, as people have it."""
     values = tmp_path / "values.yaml"

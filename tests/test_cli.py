@@ -1,5 +1,6 @@
 """The command line: what it takes, what wins over what, and how it ends on mistakes."""
 
+import os
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ import pytest
 
 from idfslam.cli import command_line
 from idfslam.cli.commands.run import CameraFlags, TopicFlags
+from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PAPER
 
 
@@ -27,7 +29,7 @@ def error_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 1)
 
 def test_help_is_quick_and_imports_nothing_heavy() -> None:
     script = (
-        "import sys; from idfslam import cli\n"
+        "import sys; from idfslam.cli import command_line\n"
         "try: command_line.main(['run', '--help'])\n"
         "except SystemExit: pass\n"
         "sys.exit(bool({'torch', 'numba', 'cv2', 'matplotlib', 'scipy'} & set(sys.modules)))"
@@ -124,5 +126,5 @@ def test_output_that_nobody_reads_on_is_no_crash() -> None:
 
 def test_threads_that_the_user_chose_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
-    command_line.prepare_process()
-    assert command_line.os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+    prepare_process()
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"

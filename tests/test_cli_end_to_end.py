@@ -13,6 +13,8 @@ from idfslam.cli import command_line
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 
+pytestmark = pytest.mark.slow
+
 
 def command(*arguments: str | Path) -> None:
     command_line.main([str(argument) for argument in arguments])

@@ -5,6 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 BESIDE = """
 from idfslam.config import FAST
 from idfslam.demo.compile_ahead import compiled, compiling_beside

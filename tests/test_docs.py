@@ -43,13 +43,14 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
 
 def test_every_command_is_there_without_the_configuration(reference: ModuleType) -> None:
     text = reference.commands()
-    files = {path.stem.replace("_", "-") for path in (ROOT / "src/idfslam/commands").glob("*.py")} - {"--init--", "command"}
+    files = {path.stem.replace("_", "-") for path in (ROOT / "src/idfslam/cli/commands").glob("*.py")} - {"--init--", "command"}
     assert set(re.findall(r"## idf-slam ([\w-]+)", text)) == files
     assert "--retries INT" in text
     assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
     assert "╭" not in text
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT / "src")}

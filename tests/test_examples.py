@@ -10,6 +10,8 @@ import pytest
 from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.geometry.trajectory import Trajectory, save_tum
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 

@@ -204,6 +204,7 @@ def fingerprint() -> str:
     return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in numbers)).hexdigest()
 
 
+@pytest.mark.slow
 def test_code_fresh_from_the_compiler_gives_what_cached_code_gives(tmp_path: Path) -> None:
     """To the bit, or a run that is resumed in another process would end elsewhere."""
     command = [sys.executable, "-c", "import test_fused; print(test_fused.fingerprint())"]

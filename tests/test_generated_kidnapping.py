@@ -120,6 +120,7 @@ def test_recordings_too_short() -> None:
 # ----- by name
 
 
+@pytest.mark.slow
 def test_run_and_evaluation_by_name(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A relative path behind kidnap: is found again from another folder; black frames have poses in the result and none in the truth."""
     monkeypatch.chdir(box_recording.parent)

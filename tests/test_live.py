@@ -213,6 +213,7 @@ def test_progress_without_a_total(box_recording: Path, tmp_path: Path) -> None:
     assert "3/?" in shown
 
 
+@pytest.mark.slow
 def test_a_replay_through_the_command_line(
     box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

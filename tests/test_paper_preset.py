@@ -68,12 +68,14 @@ def processed(box_recording: Path) -> tuple[Slam, list[FrameResult], np.ndarray]
     return slam, results, np.linalg.norm(slam.trajectory()[:, :3, 3] - truth[:, :3, 3], axis=-1)
 
 
+@pytest.mark.slow
 def test_it_follows_the_camera(processed: tuple[Slam, list[FrameResult], np.ndarray]) -> None:
     _, results, errors = processed
     assert not [r.index for r in results if r.status.value == "lost"]
     assert errors.max() < 0.06, errors
 
 
+@pytest.mark.slow
 def test_each_frame_refines_map_or_tracker(processed: tuple[Slam, list[FrameResult], np.ndarray]) -> None:
     slam, results, _ = processed
     assert results[0].keyframe
@@ -90,6 +92,7 @@ def test_each_frame_refines_map_or_tracker(processed: tuple[Slam, list[FrameResu
     assert len(slam.graph.keyframes) == stored >= 3
 
 
+@pytest.mark.slow
 def test_two_runs_give_one_result(box_recording: Path) -> None:
     recording, config = open_recording(box_recording, frames=4), reduced()
     config = replace(config, keyframes=replace(config.keyframes, translation=0.01))

@@ -97,6 +97,7 @@ def test_an_interrupted_run_resumes_to_the_same_weights(box_recording: Path, unb
     assert same(outputs.weights, unbroken)
 
 
+@pytest.mark.slow
 def test_two_processes_learn_what_one_does(box_recording: Path, tmp_path: Path) -> None:
     # A batch of two: one process after another, or two at once. Only the order of sums and the batch norms' statistics differ.
     flags = ["--steps", "2", "--batch", "2", "--height", "24", "--crop", "24", "32", "--gap", "3", "--queries", "16", "--matches", "100"]

@@ -12,6 +12,8 @@ from idfslam.geometry.trajectory import load_tum
 from idfslam.mapping.saved_map import load_map
 from idfslam.runs.prior_map import load_prior
 
+pytestmark = pytest.mark.slow
+
 FAST_RUN = ["--mapper.first-iterations", "60", "--mapper.final-updates", "4"]
 
 

@@ -14,6 +14,8 @@ from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.slam import Slam
 
+pytestmark = pytest.mark.slow
+
 DARK = range(40, 44)
 ORDER = [*range(40), *(-1 for _ in DARK), *range(2, 12)]  # half a tour, darkness, and near the start again
 

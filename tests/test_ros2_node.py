@@ -13,8 +13,7 @@ import pytest
 from helpers.box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_view
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.trajectory import load_tum
-from idfslam.ros2 import node
-from idfslam.ros2.node import SlamNode, colour_of, depth_of, frame_of, load_ros, pose_in_map
+from idfslam.ros2.node import SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map
 
 
 class Message(SimpleNamespace):
@@ -115,7 +114,7 @@ def test_frames_come_out_as_poses_and_a_result_folder(monkeypatch: pytest.Monkey
         raise KeyboardInterrupt
 
     seen = install(monkeypatch, node, spin)
-    node.main([])
+    main([])
     assert seen["topics"] == ["/mine", "/camera/aligned_depth_to_color/image_raw", "/camera/color/camera_info"]
     assert seen["slop"] == 0.05
     poses = box_poses()[:4]
@@ -209,6 +208,6 @@ def test_without_ros_one_line_is_told(capsys: pytest.CaptureFixture[str], monkey
     with pytest.raises(ConfigError, match="no ROS 2 in this Python"):
         load_ros()
     with pytest.raises(SystemExit) as caught:
-        node.main([])
+        main([])
     assert caught.value.code == 1
     assert capsys.readouterr().err.startswith("error: no ROS 2 in this Python")

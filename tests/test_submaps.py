@@ -60,6 +60,7 @@ def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
     return slam, shown(room, slam, ORDER)
 
 
+@pytest.mark.slow
 def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     slam, results = walked
     assert slam.figures()["pieces_joined"] == 1
@@ -75,6 +76,7 @@ def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]
     assert [i for i, status in enumerate(statuses) if status is Status.INTERPOLATED] == list(range(DARK[0], BEGUN))
 
 
+@pytest.mark.slow
 def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     """Surfaces of the second piece lie on the room's walls, in the first one's world."""
     slam = copied(walked[0], room)
@@ -90,6 +92,7 @@ def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection
     assert float(distance.abs().median()) < 0.01
 
 
+@pytest.mark.slow
 def test_what_is_told_meanwhile_is_where_it_was_last(walked: tuple[Slam, list[FrameResult]]) -> None:
     _, results = walked
     last, *apart = (r.T_wc for r in results if r.status is Status.LOST)
@@ -98,6 +101,7 @@ def test_what_is_told_meanwhile_is_where_it_was_last(walked: tuple[Slam, list[Fr
         np.testing.assert_allclose(T_wc, last, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_piece_that_meets_no_other_is_left_out(room: Selection) -> None:
     slam = Slam(CONFIG)
     shown(room, slam, [*FIRST, -1, *range(75, 60, -1)])
@@ -110,6 +114,7 @@ def test_a_piece_that_meets_no_other_is_left_out(room: Selection) -> None:
     assert np.abs(slam.mesh(0.05).vertices).max() < 10
 
 
+@pytest.mark.slow
 def test_without_pieces_it_stays_lost(room: Selection) -> None:
     slam = Slam(replace(CONFIG, loops=replace(CONFIG.loops, submap_after=0)))
     results = shown(room, slam, [*FIRST, -1, *range(75, 65, -1)])
@@ -117,6 +122,7 @@ def test_without_pieces_it_stays_lost(room: Selection) -> None:
     assert all(k.index < len(FIRST) for k in slam.graph.keyframes)
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_from_a_state_joins_alike(room: Selection) -> None:
     half = 30  # within the second piece
     before = Slam(CONFIG)

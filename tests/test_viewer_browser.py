@@ -21,6 +21,8 @@ from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.runs.runner import run
 
+pytestmark = pytest.mark.slow
+
 _SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a GPU
 _PATIENCE = 180  # [s] until all is drawn: without a GPU a picture takes a second or more
 WIDTH, HEIGHT = 1000, 700

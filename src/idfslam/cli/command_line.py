@@ -1,9 +1,4 @@
-"""The command line: parses, then calls. What is heavy is imported inside the commands, so that --help is quick.
-
-Threads: the numerical libraries use one thread a core, at most 8 (the networks are small), and idle threads sleep instead of spinning:
-beside another job spinning costs most of the speed. OMP_NUM_THREADS, NUMBA_NUM_THREADS, OMP_WAIT_POLICY and GOMP_SPINCOUNT, where set,
-win. OpenCV runs on one thread.
-"""
+"""The command line: parses, then calls. What is heavy is imported inside the commands, so that --help is quick."""
 
 import argparse
 import os
@@ -33,7 +28,7 @@ from idfslam.cli.commands.render import Render
 from idfslam.cli.commands.report import Report
 from idfslam.cli.commands.run import Run
 from idfslam.cli.commands.view import View
-from idfslam.compute.host import default_threads
+from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
 
@@ -85,21 +80,6 @@ def _with_viewer(arguments: Sequence[str]) -> list[str]:
     places = ("none", "auto", "window", "web", "file")
     bare = [i for i, word in enumerate(arguments) if word == "--viewer" and arguments[i + 1 : i + 2] not in [[place] for place in places]]
     return [word for i, argument in enumerate(arguments) for word in ((argument, "auto") if i in bare else (argument,))]
-
-
-def prepare_process() -> None:
-    """Threads and their waiting, to be called before torch or numba is imported; see the head of this file."""
-    threads = str(default_threads())
-    for name, value in {
-        "OMP_WAIT_POLICY": "PASSIVE",
-        "GOMP_SPINCOUNT": "0",
-        "OMP_NUM_THREADS": threads,
-        "NUMBA_NUM_THREADS": threads,
-    }.items():
-        os.environ.setdefault(name, value)
-    import cv2
-
-    cv2.setNumThreads(1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

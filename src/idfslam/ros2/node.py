@@ -257,7 +257,7 @@ def load_ros() -> SimpleNamespace:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Spins until Ctrl-C or the end of ROS, then writes the results; exits with 1 and one line on the user's mistakes."""
-    from idfslam.cli.command_line import prepare_process
+    from idfslam.compute.process import prepare_process
 
     prepare_process()
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
