@@ -12,7 +12,7 @@ from idfslam.geometry.trajectory import load_tum
 from idfslam.mapping.saved_map import load_map
 from idfslam.runs.prior_map import load_prior
 
-FAST_RUN = ["--mapper.first-iterations", "60", "--mapper.final-updates", "4"]
+FAST_RUN = ["--mapper.first-iterations", "60", "--refinement.updates", "4"]
 
 
 @pytest.fixture(scope="module")
