@@ -1,6 +1,5 @@
 """The pages that are generated when the site is built: every configuration value, and every command's --help."""
 
-import ast
 import inspect
 import io
 import os
@@ -13,11 +12,14 @@ from unittest.mock import patch
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from idfslam import config
 from idfslam.cli import command_line
-from idfslam.config import FAST, PAPER, PRETRAIN
+from idfslam.cli.command_line import hides_values
+from idfslam.cli.user_options import HELP_ALL
+from idfslam.config import FAST, PAPER, PRETRAIN, PretrainConfig
+from idfslam.config.fields import field_types, is_user_option, meanings
 
 _WIDTH = 96  # columns of the help texts
+_MARK = "★"  # of values that users set
 _SECTIONS = tuple(f.name for f in fields(FAST) if is_dataclass(getattr(FAST, f.name)))
 
 
@@ -32,50 +34,40 @@ def configuration() -> str:
     """Every value: its flag, the two presets, what it means."""
     parts = [
         "# Configuration",
-        "Every value is a flag of `demo`, `run`, `batch`, `bench` and `bench-pairs` (`--mapper.pixels 256`, `--mapper.no-active-sampling`) "
-        "and a key of a YAML file for `--config` (a run's `config.yaml` is one). Flags win over the file, and it over `--preset`. "
-        "`paper` holds the values of the paper's Sec. VI-A; where its column is empty, both presets agree.",
+        "Every value is a flag of `demo`, `run`, `batch` and the `bench` commands (`--mapper.pixels 256`, `--mapper.no-active-sampling`) "
+        "and a key of a YAML file for `--config` (a run's `config.yaml` is one). Flags replace the values of the file, and these replace "
+        "those of `--preset`. `paper` holds the values of the paper's Sec. VI-A; where its column is empty, both presets agree.",
+        f"Values that users set are marked {_MARK}: `--help` shows them alone, and `--help-all` shows every value.",
         "## The run as a whole",
         _table("", FAST, PAPER),
     ]
     for section in _SECTIONS:
         values = getattr(FAST, section)
         parts += [f"## {section}", str(inspect.getdoc(type(values))), _table(f"{section}.", values, getattr(PAPER, section))]
-    parts += ["## Flags of pretrain", str(inspect.getdoc(config.PretrainConfig)), _table("", PRETRAIN, PRETRAIN)]
+    parts += ["## Flags of pretrain", str(inspect.getdoc(PretrainConfig)), _table("", PRETRAIN, PRETRAIN)]
     return "\n\n".join(parts) + "\n"
 
 
 def _table(prefix: str, fast: Any, paper: Any) -> str:
     two = paper is not fast
     rows = ["| value | default |" + (" paper |" if two else "") + " meaning |", "|---|---|" + ("---|" if two else "") + "---|"]
-    for name, meaning in help_of(type(fast)).items():
+    types = field_types(type(fast))
+    for name, meaning in meanings(type(fast)).items():
         ours, theirs = getattr(fast, name), getattr(paper, name)
-        cells = [f"`{prefix}{name}`", f"`{ours}`", *([f"`{theirs}`" if theirs != ours else ""] if two else []), meaning.replace("|", "\\|")]
+        flag = f"`{prefix}{name}`" + (f" {_MARK}" if is_user_option(types[name]) else "")
+        cells = [flag, f"`{ours}`", *([f"`{theirs}`" if theirs != ours else ""] if two else []), meaning.replace("|", "\\|")]
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows)
 
 
-def help_of(kind: type) -> dict[str, str]:
-    """What stands below each value of a config dataclass; its sections are left out."""
-    (definition,) = ast.parse(inspect.getsource(kind)).body
-    assert isinstance(definition, ast.ClassDef)
-    found = {}
-    for field, text in zip(definition.body, definition.body[1:]):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            assert isinstance(text.value, ast.Constant)
-            found[field.target.id] = " ".join(str(text.value.value).split())
-    return found
-
-
 def commands() -> str:
-    """Every command's --help, without the configuration's values, which have a page of their own."""
+    """Every command's --help, without the sections of the configuration, which has a page of its own."""
     overview = _help()
     parts = ["# Command line", _block(overview)]
     for name in re.findall(r"• ([\w-]+)", overview):
-        text, has_values = _without_values(_help(name))
-        parts += [f"## idf-slam {name}", _block(text)]
-        if has_values:
-            parts.append("And every value of the [configuration](configuration.md) as `--SECTION.NAME`.")
+        parts += [f"## idf-slam {name}", _block(_without_sections(_help(name)))]
+        if hides_values(name):
+            parts.append("And every value of the [configuration](configuration.md).")
     return "\n\n".join(parts) + "\n"
 
 
@@ -95,11 +87,10 @@ def _help(*arguments: str) -> str:
     return said.getvalue()
 
 
-def _without_values(text: str) -> tuple[str, bool]:
-    """The help without the boxes of configuration sections, and whether there were any."""
-    boxes = re.split(r"(?m)^(?=╭─ )", text)
-    kept = [box for box in boxes if not re.match(rf"╭─ ({'|'.join(_SECTIONS)}) options", box)]
-    return "".join(kept), len(kept) < len(boxes)
+def _without_sections(text: str) -> str:
+    """The help without the boxes of configuration sections, and without its last line, which names --help-all."""
+    boxes = re.split(r"(?m)^(?=╭─ )", "".join(line for line in text.splitlines(keepends=True) if HELP_ALL not in line))
+    return "".join(box for box in boxes if not re.match(rf"╭─ ({'|'.join(_SECTIONS)}) options", box))
 
 
 def _block(text: str) -> str:

@@ -21,7 +21,7 @@ from idfslam.compute.host import cores, default_threads
 from idfslam.config import FAST
 from idfslam.errors import ConfigError, RecordingError, ResultError
 
-QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--mapper.final-updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
+QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--refinement.updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
 
 
 def items(recording: Path, count: int = 3) -> list[Item]:
@@ -122,7 +122,7 @@ def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.slow
 def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} frames=99 out=too-many\n")
-    flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--mapper.final-updates", "1", "--mesh.resolution", "0.1"]
+    flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--refinement.updates", "1", "--mesh.resolution", "0.1"]
     with pytest.raises(SystemExit) as caught:
         command_line.main(["batch", str(tmp_path / "list.txt"), *flags])
     assert caught.value.code == 1

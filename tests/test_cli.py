@@ -1,17 +1,19 @@
 """The command line: what it takes, what wins over what, and how it ends on mistakes."""
 
 import os
+import re
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from idfslam.cli import command_line
-from idfslam.cli.commands.run import CameraFlags, TopicFlags
+from idfslam.cli.commands.run import CameraFlags, OutputFlags, RecordingFlags, TopicFlags, ViewerFlags
 from idfslam.compute.process import prepare_process
-from idfslam.config import FAST, PAPER
+from idfslam.config import FAST, PAPER, PRETRAIN, Config, PretrainConfig
 
 
 def run_values(*arguments: str) -> command_line.Run:
@@ -40,8 +42,59 @@ def test_help_is_quick_and_imports_nothing_heavy() -> None:
         done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
         seconds.append(time.perf_counter() - start)
         assert done.returncode == 0, "a heavy package is imported before it is needed"
-        assert "--mapper.pixels" in done.stdout
+        assert "--mesh.resolution" in done.stdout
     assert min(seconds) < 1
+
+
+def options_in_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str) -> set[str]:
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as caught:
+        command_line.main(list(arguments))
+    assert not caught.value.code
+    return set(re.findall(r"(?m)^[│ ] (--\w[\w.-]*)", capsys.readouterr().out))
+
+
+VALUES_IN_HELP = {
+    *("--preset", "--seed", "--device", "--refine", "--config", "--keyframes.translation", "--tracker.weights"),
+    *("--finetune.enabled", "--loops.enabled", "--mesh.resolution"),
+}
+
+
+def test_help_of_run_shows_thirty_options(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = options_in_help(capsys, monkeypatch, "run", "--help")
+    camera = {f"--camera.{name}" for name in ("fx", "fy", "cx", "cy", "depth-scale")}
+    topics = {f"--topics.{name}" for name in ("colour", "depth", "camera-info", "poses")}
+    recording = {"--start", "--frames", "--stride", "--format", "--map"}
+    others = {"--out", "--report", "--viewer", "--port", "--checkpoint-every", "--resume"}
+    assert shown == VALUES_IN_HELP | camera | topics | recording | others
+    assert len(shown) == 30
+
+
+@pytest.mark.parametrize("command", ["demo", "batch", "bench", "bench-pairs", "bench-odometry", "doctor", "pretrain"])
+def test_help_of_other_commands_shows_no_more(command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = options_in_help(capsys, monkeypatch, command, "--help")
+    assert len(shown) <= 20
+    assert command == "pretrain" or shown >= VALUES_IN_HELP
+
+
+@pytest.mark.parametrize(("command", "values"), [("run", FAST), ("pretrain", PRETRAIN)])
+def test_help_all_shows_every_value(
+    command: str, values: Config | PretrainConfig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {key for key, value in asdict(values).items() if not isinstance(value, dict)}
+    names |= {f"{section}.{key}" for section, inner in asdict(values).items() if isinstance(inner, dict) for key in inner}
+    shown = options_in_help(capsys, monkeypatch, command, "--help-all")
+    assert shown >= {f"--{name.replace('_', '-')}" for name in names}
+
+
+def test_help_ends_with_the_way_to_all_options(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = {}
+    for words in ("run --help", "run --help-all", "eval --help", "--help"):
+        with pytest.raises(SystemExit):
+            command_line.main(words.split())
+        ends[words] = capsys.readouterr().out.splitlines()[-1]
+    assert "All: idf-slam run --help-all" in ends.pop("run --help")
+    assert not any("--help-all" in line for line in ends.values())
 
 
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
@@ -64,7 +117,8 @@ def test_preset_with_an_equals_sign() -> None:
 def test_flags_of_run() -> None:
     flags = "--start 3 --frames 20 --stride 2 --device cpu --seed 9 --format tum --out there --camera.fx 500 --camera.depth-scale 5000"
     command = run_values(*flags.split(), "--mapper.no-active-sampling", "--field.encoding", "positional")
-    assert (command.start, command.frames, command.stride, command.format, command.out) == (3, 20, 2, "tum", Path("there"))
+    assert command.recording == RecordingFlags(start=3, frames=20, stride=2, format="tum")
+    assert command.output == OutputFlags(out=Path("there"))
     assert (command.values.device, command.values.seed) == ("cpu", 9)
     assert command.camera == CameraFlags(fx=500, depth_scale=5000)
     topics = run_values("--topics.colour", "/a", "--topics.depth", "/b", "--topics.camera-info", "/c", "--topics.poses", "/d").topics
@@ -82,6 +136,17 @@ def test_flags_of_the_other_commands() -> None:
     )
     assert command_line.parse(["mesh", "dir", "--resolution", "0.01"]) == command_line.Mesh(Path("dir"), 0.01)
     assert command_line.parse(["render", "dir", "--frames", "1", "5"]) == command_line.Render(Path("dir"), (1, 5))
+
+
+def test_the_viewers_place_may_be_left_out() -> None:
+    assert run_values("--viewer").live_view.viewer == "auto"
+    assert run_values("--viewer", "--port", "99").live_view == ViewerFlags("auto", 99)
+    assert run_values("--viewer", "web").live_view.viewer == "web"
+
+
+def test_resume_takes_no_other_options(capsys: pytest.CaptureFixture[str]) -> None:
+    message = error_of(capsys, *["run", "--resume", "there", "--frames", "20", "--mapper.pixels", "64", "--checkpoint-every", "9"], code=2)
+    assert "leave out all else (found frames, pixels)" in message
 
 
 @pytest.mark.parametrize(

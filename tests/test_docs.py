@@ -38,7 +38,16 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
     assert set(rows) == names
     assert all(len(line.rstrip(" |").rsplit("|", 1)[1]) > 3 for line in rows.values())
     assert rows["field.width"] == "| `field.width` | `32` | `256` | Width of the trunk (Sec. IV: 256). |"
-    assert rows["tracker.grid"].startswith("| `tracker.grid` | `4` |  | At most K / grid^2")
+    assert rows["tracker.grid"].startswith("| `tracker.grid` | `4` |  | The image is divided into grid x grid cells")
+    assert rows["mesh.resolution"].startswith("| `mesh.resolution` ★ | `0.02` | Cell edge of marching cubes [m].")
+    assert {name for name, row in rows.items() if " ★ |" in row} == USER_OPTIONS
+
+
+USER_OPTIONS = {
+    *("preset", "seed", "device", "refine", "keyframes.translation", "tracker.weights", "finetune.enabled"),
+    *("loops.enabled", "mesh.resolution"),
+    *("steps", "batch", "height", "crop", "gap", "learning_rate", "augmentation"),  # of pretrain
+}
 
 
 def test_every_command_is_there_without_the_configuration(reference: ModuleType) -> None:
@@ -47,6 +56,8 @@ def test_every_command_is_there_without_the_configuration(reference: ModuleType)
     assert set(re.findall(r"## idf-slam ([\w-]+)", text)) == files
     assert "--retries INT" in text
     assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
+    assert "--help-all" not in text
+    assert text.count("configuration.md") == 8
     assert "╭" not in text
 
 
@@ -57,4 +68,6 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr) == (0, "")
     assert "mapper.sharpness" in (tmp_path / "reference/configuration/index.html").read_text(encoding="utf-8")
-    assert "Track a frame; then refine the map by it" in (tmp_path / "reference/api/index.html").read_text(encoding="utf-8")
+    assert "One frame: track it; then map it if it becomes a keyframe" in (tmp_path / "reference/api/index.html").read_text(
+        encoding="utf-8"
+    )

@@ -230,7 +230,7 @@ def test_a_replay_through_the_command_line(
             "cpu",
             "--mesh.resolution",
             "0.1",
-            "--mapper.final-updates",
+            "--refinement.updates",
             "0",
         ]
     )

@@ -14,7 +14,7 @@ from idfslam.runs.prior_map import load_prior
 
 pytestmark = pytest.mark.slow
 
-FAST_RUN = ["--mapper.first-iterations", "60", "--mapper.final-updates", "4"]
+FAST_RUN = ["--mapper.first-iterations", "60", "--refinement.updates", "4"]
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def test_lost_or_contradicted_by_the_images_it_counts_for_nothing(graph: Keyfram
 
 @pytest.mark.parametrize(("known", "asked"), [(0.19, True), (0.21, False)])
 def test_the_tracker_is_asked_only_where_it_can_add_something(graph: KeyframeGraph, wall: Mapper, known: float, asked: bool) -> None:
-    # Twice `hold_registered`, 0.1: from there on a pose follows its registration by less than a sixteenth of the way.
+    # Twice `registration_prior_information`, 0.1: from there on a pose follows its registration by less than a sixteenth of the way.
     keyframe = view(WALL, EYE, index=1, paint=0.0)
     adjustment(graph, wall, Registration(SLID)).register(keyframe, known)
     assert (error(keyframe.T_wk, SLID)[0] < 0.005) is asked

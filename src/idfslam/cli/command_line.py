@@ -4,8 +4,11 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import MISSING, fields
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import tyro
 from tyro.conf import DisallowNone, subcommand
@@ -26,8 +29,9 @@ from idfslam.cli.commands.pretrain import Pretrain
 from idfslam.cli.commands.record import Record
 from idfslam.cli.commands.render import Render
 from idfslam.cli.commands.report import Report
-from idfslam.cli.commands.run import Run
+from idfslam.cli.commands.run import Run, ViewerPlace
 from idfslam.cli.commands.view import View
+from idfslam.cli.user_options import HELP, HELP_ALL, parser_rules
 from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
@@ -38,31 +42,56 @@ if TYPE_CHECKING:
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
+COMMANDS: dict[str, type] = {
+    "demo": Demo,
+    "run": Run,
+    "record": Record,
+    "eval": Eval,
+    "mesh": Mesh,
+    "export": Export,
+    "render": Render,
+    "batch": Batch,
+    "report": Report,
+    "view": View,
+    "bench": Bench,
+    "bench-pairs": BenchPairs,
+    "bench-odometry": BenchOdometry,
+    "pretrain": Pretrain,
+    "download": Download,
+    "doctor": Doctor,
+}
+
+
 def parse(arguments: Sequence[str]) -> Command:
-    """The command with its flags. Raises ConfigError for a config file that cannot be used; exits with 2 on wrong usage."""
+    """The command with its flags. Exits with 0 after --help and with 2 on wrong usage.
+
+    Raises ConfigError for a config file that cannot be used.
+    """
     arguments = _with_viewer(arguments)
     values = _starting_values(arguments)
-    commands: Any = (
-        Annotated[Demo, subcommand("demo", default=Demo(values))]
-        | Annotated[Run, subcommand("run", default=Run(values=values))]
-        | Annotated[Record, subcommand("record")]
-        | Annotated[Eval, subcommand("eval")]
-        | Annotated[Mesh, subcommand("mesh")]
-        | Annotated[Export, subcommand("export")]
-        | Annotated[Render, subcommand("render")]
-        | Annotated[Batch, subcommand("batch", default=Batch(tyro.MISSING, values))]
-        | Annotated[Report, subcommand("report")]
-        | Annotated[View, subcommand("view")]
-        | Annotated[Bench, subcommand("bench", default=Bench(tyro.MISSING, values))]
-        | Annotated[BenchPairs, subcommand("bench-pairs", default=BenchPairs(tyro.MISSING, values))]
-        | Annotated[BenchOdometry, subcommand("bench-odometry", default=BenchOdometry(tyro.MISSING, values))]
-        | Annotated[Pretrain, subcommand("pretrain")]
-        | Annotated[Download, subcommand("download")]
-        | Annotated[Doctor, subcommand("doctor", default=Doctor(values))]
-    )
+    commands: Any = reduce(or_, (_subcommand(name, command, values) for name, command in COMMANDS.items()))
     description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
-    command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=list(arguments), config=(DisallowNone,))
+    rules, args = parser_rules(arguments), [HELP[-1] if word == HELP_ALL else word for word in arguments]
+    try:
+        command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=args, config=(DisallowNone,), registry=rules)
+    except SystemExit as end:
+        if not end.code and HELP_ALL not in arguments and hides_values(arguments[0]):
+            print(f"These are the options that users set. All: idf-slam {arguments[0]} {HELP_ALL}, or the docs' page Configuration.")
+        raise
     return command
+
+
+def _subcommand(name: str, command: type, values: Config) -> Any:
+    """A command as tyro takes it; where it takes a configuration, its flags start from `values`."""
+    if get_type_hints(command).get("values") is not Config:
+        return Annotated[command, subcommand(name)]
+    required = {f.name: tyro.MISSING for f in fields(command) if f.default is MISSING and f.default_factory is MISSING}
+    return Annotated[command, subcommand(name, default=command(values=values, **required))]
+
+
+def hides_values(name: str) -> bool:
+    """Whether the command of this name has flags that only --help-all shows: values of a configuration."""
+    return name in COMMANDS and "values" in get_type_hints(COMMANDS[name])
 
 
 def _starting_values(arguments: Sequence[str]) -> Config:
@@ -77,8 +106,7 @@ def _starting_values(arguments: Sequence[str]) -> Config:
 
 def _with_viewer(arguments: Sequence[str]) -> list[str]:
     """`--viewer` with no place behind it is `--viewer auto`."""
-    places = ("none", "auto", "window", "web", "file")
-    bare = [i for i, word in enumerate(arguments) if word == "--viewer" and arguments[i + 1 : i + 2] not in [[place] for place in places]]
+    bare = [i for i, word in enumerate(arguments) if word == "--viewer" and not set(arguments[i + 1 : i + 2]) & set(get_args(ViewerPlace))]
     return [word for i, argument in enumerate(arguments) for word in ((argument, "auto") if i in bare else (argument,))]
 
 

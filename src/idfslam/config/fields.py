@@ -6,7 +6,9 @@ without `UserOption` is shown by `--help-all` alone. Every number must be finite
 
 import ast
 import inspect
+import sys
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 T = TypeVar("T")
@@ -66,11 +68,18 @@ def is_user_option(field_type: Any) -> bool:
 
 def meanings(section: type) -> dict[str, str]:
     """The docstring below each field of a section, in one line; fields without one, such as nested sections, are left out."""
-    (definition,) = ast.parse(inspect.getsource(section)).body
-    assert isinstance(definition, ast.ClassDef)
-    texts = {}
-    for field, text in zip(definition.body, definition.body[1:]):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            assert isinstance(text.value, ast.Constant)
-            texts[field.target.id] = " ".join(str(text.value.value).split())
+    return _docstrings(section.__module__)[section.__name__]
+
+
+@cache
+def _docstrings(module: str) -> dict[str, dict[str, str]]:
+    """The docstrings below the fields of each class of a module, by the names of class and field."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    texts: dict[str, dict[str, str]] = {}
+    for definition in (node for node in tree.body if isinstance(node, ast.ClassDef)):
+        texts[definition.name] = {}
+        for field, text in zip(definition.body, definition.body[1:]):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+                assert isinstance(text.value, ast.Constant)
+                texts[definition.name][field.target.id] = " ".join(str(text.value.value).split())
     return texts

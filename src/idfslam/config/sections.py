@@ -368,7 +368,7 @@ class RefinementConfig:
     """Keyframes in each of these updates, drawn at random. The map is trained on all of them, and half of them are aligned anew."""
     rounds: float = 2.0
     """How often each keyframe is aligned anew after the last frame, on average; long runs get more updates accordingly."""
-    seconds: UserOption[Positive] = 60.0
+    seconds: Positive = 60.0
     """Time limit of the refinement after the last frame [s]. A run that reaches it is not repeatable bit by bit."""
     poses_per_update: int = 1
     """Replayed keyframes that are aligned anew with each map update during the run. Each costs one short alignment (docs/design.md)."""

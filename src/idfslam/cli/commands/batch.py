@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from idfslam.cli.commands.command import Values, output
+from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -19,21 +19,20 @@ class Batch:
     """SLAM on many recordings, several at once, on this machine or a Ray cluster: a result folder each, and a table of all."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings (or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES), or lists of such: .txt, a recording a line with what `run`
-    takes behind it (`/data/office frames=500 camera.fx=525`), or .yaml."""
+    """Recordings (or synthetic[:SEED][:kinect]; PATH@FRAMES takes the first FRAMES), or lists of recordings. A list is a .yaml file, or a
+    .txt file with a recording on each line, followed by options of `run` (`/data/office frames=500 camera.fx=525`)."""
     values: Values = FAST
     out: Path = Path("results/batch")
-    """Where a folder for each recording goes, and batch.json."""
+    """Folder of the results: a folder for each recording, and batch.json."""
     workers: int | None = None
-    """How many runs at once; none given: one a core, as far as memory goes. Each run gets its share of the cores."""
+    """Runs at the same time; none given: one per core, as far as memory allows. The runs share the cores equally."""
     cluster: str | None = None
-    """Run on Ray: `auto` (the cluster that this machine is in, or its own cores) or an address; none given: processes of this machine."""
+    """Address of a Ray cluster; `auto`: the cluster of this machine, or its own cores. None given: processes of this machine."""
     gpus: float = 0.0
-    """GPUs of the cluster that each run gets; a fraction: several runs share one."""
+    """GPUs of the cluster for each run; with a fraction, several runs share a GPU."""
     retries: int = 2
-    """How often a run whose process was killed is started again."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    """Restarts of a run whose process was killed."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from idfslam.cli.commands.command import Values, output
+from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -19,24 +19,23 @@ class Bench:
     """SLAM on a list of recordings with several seeds each: mean and spread of errors, speed, memory and stage times."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings as `run` takes them; PATH@FRAMES: the first FRAMES. gt_mesh.ply in one is its true surface."""
+    """Recordings as `run` takes them; PATH@FRAMES takes the first FRAMES. A gt_mesh.ply in the recording is its true surface."""
     values: Values = FAST
     seeds: int = 3
-    """How many seeds, from --seed on."""
+    """Number of seeds; the first is --seed."""
     frames: int | None = None
-    """How many frames of each; none given: all of a recording, one tour of a generated one."""
+    """Number of frames of each recording; none given: all, or one tour of a generated recording."""
     against: Literal["open3d"] | None = None
-    """A baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
+    """Baseline that is measured on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
     out: Path = Path("results/bench")
-    """Where results, bench.json and bench.md go."""
+    """Folder of the results, with bench.json and bench.md."""
     mesh: bool = True
-    """Whether the surface is evaluated where the true one is known."""
+    """Evaluate the mesh where the true surface is known."""
     workers: int = 1
-    """Seeds of a recording that run at once; more than one disturb each other's speed."""
+    """Seeds of a recording that run at the same time; with more than one, the measured speed is lower."""
     cluster: str | None = None
-    """Run on Ray: `auto` or the address of a cluster; none given: on this machine."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    """Address of a Ray cluster, or `auto`; none given: this machine."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from idfslam.cli.commands.command import Values
+from idfslam.cli.commands.command import ConfigFile, Values
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -19,16 +19,15 @@ class BenchOdometry:
     """The tracker alone, frame to keyframe: with and without finetuning, with and without the grid that spreads matches."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES: the first FRAMES."""
+    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES takes the first FRAMES."""
     values: Values = FAST
     seeds: int = 3
-    """How many seeds, from --seed on, where anything is random."""
+    """Number of seeds, where anything is random; the first is --seed."""
     json: bool = False
-    """One line of JSON instead of the table, the last of the output."""
+    """Print one line of JSON as the last line, instead of the table."""
     out: Path | None = None
-    """A folder for odometry.json and odometry.md."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    """Folder for odometry.json and odometry.md; none given: none are written."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

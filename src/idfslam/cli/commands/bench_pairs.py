@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from idfslam.cli.commands.command import Values
+from idfslam.cli.commands.command import ConfigFile, Values
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -19,22 +19,21 @@ class BenchPairs:
     """Relative poses of frames some frames apart: the tracker against SIFT, ORB, ICP, GICP and untrained features."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings with ground truth, as `run` takes them; PATH@FRAMES: the first FRAMES."""
+    """Recordings with ground truth, as `run` takes them; PATH@FRAMES takes the first FRAMES."""
     values: Values = FAST
     gap: tuple[int, ...] = (5, 10, 20, 40)
-    """How many frames apart; several give a block of rows each."""
+    """Distance between the frames of a pair, in frames; each one gives a block of rows."""
     pairs: int = 100
-    """Pairs of each recording and gap, spread over it."""
+    """Pairs for each recording and gap, spread over the recording."""
     weights: tuple[Path, ...] = ()
-    """Further weights of `idf-slam pretrain`, a row each."""
+    """Files of further weights, as `idf-slam pretrain` writes them; each one gives a row."""
     baselines: bool = True
-    """Whether untrained features, SIFT, ORB, ICP and GICP are measured beside."""
+    """Measure untrained features, SIFT, ORB, ICP and GICP as well."""
     json: bool = False
-    """One line of JSON instead of the table, the last of the output."""
+    """Print one line of JSON as the last line, instead of the table."""
     out: Path | None = None
-    """A folder for pairs.json, pairs.md and pictures of matches."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    """Folder for pairs.json, pairs.md and pictures of matches; none given: none are written."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

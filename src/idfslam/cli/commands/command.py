@@ -1,5 +1,6 @@
 """What every command of the command line has."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol
 
 from tyro.conf import arg
@@ -10,6 +11,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
+ConfigFile = Annotated[
+    Path | None,
+    arg(help="YAML file of values, such as a run's config.yaml. Its values replace those of the preset; flags replace both."),
+]
 
 
 class Command(Protocol):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from idfslam.cli.commands.command import Values, output
+from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -17,15 +17,14 @@ class Demo:
 
     values: Values = FAST
     out: Path = Path("results/demo")
-    """The result folder."""
+    """Result folder."""
     frames: int = 240
-    """Frames of the walk through the room."""
+    """Number of frames of the walk through the room."""
     room: int = 0
-    """Which room: any number makes one."""
+    """Seed of the generated room."""
     report: bool = True
-    """Whether report.html and its pictures are made at the end."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it."""
+    """Write report.html with its pictures at the end."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

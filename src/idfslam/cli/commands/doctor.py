@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from idfslam.cli.commands.command import Values, output
+from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -18,11 +18,10 @@ class Doctor:
 
     values: Values = FAST
     out: Path = Path("results")
-    """Where results would go."""
+    """Folder that results would be written to."""
     json: bool = False
-    """All of it as JSON."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
+    """Print JSON instead of the table."""
+    config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

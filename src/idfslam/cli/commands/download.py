@@ -17,11 +17,11 @@ class Download:
     """A public sequence (TUM RGB-D, 7-Scenes, ICL-NUIM, Replica) from where its authors publish it; goes on where it was cut off."""
 
     name: Positional[str] = ""
-    """Which one, such as tum-fr1-desk; --list shows all."""
+    """Name of the sequence, such as tum-fr1-desk; --list shows all names."""
     out: Path = Path("data")
-    """The folder of downloads; the sequence becomes a folder in it."""
+    """Folder of downloads; the sequence becomes a folder in it."""
     listing: Annotated[bool, arg(name="list")] = False
-    """All names, with their sizes and terms."""
+    """Show all names, with their sizes and terms."""
 
     def __call__(self, console: "Console") -> None:
         from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn

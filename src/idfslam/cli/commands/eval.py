@@ -17,13 +17,13 @@ class Eval:
     """Errors of a run's trajectory and mesh against ground truth: a table, evaluation.json and pictures."""
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     gt: Path | None = None
     """True trajectory in TUM format, camera-to-world; none given: the recording's own."""
     gt_mesh: Path | None = None
-    """True mesh [m], in the frame of the true trajectory; none given: a generated recording's own, else the mesh is not evaluated."""
+    """True mesh [m], in the frame of the true trajectory; none given: that of a generated recording, or none is evaluated."""
     protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] = "seen"
-    """What counts as surface."""
+    """Protocol of the mesh evaluation: which part of the true surface counts, and how it is sampled."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.cli.tables import print_evaluation

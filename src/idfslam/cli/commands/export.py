@@ -21,19 +21,19 @@ class Export:
     """
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     to: tuple[Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"], ...]
-    """One format or several."""
+    """One or more formats."""
     resolution: float = 0.02
-    """Cells of meshes and grids, spacing of points [m]."""
+    """Cell edge of meshes and grids, and spacing of points [m]."""
     images: int | None = None
-    """How many frames give images and points, spread over the run; none given: the keyframes."""
+    """Number of frames whose images and points are exported, spread over the run; none given: the keyframes."""
     texture: Literal["images", "map"] | None = None
-    """OBJ and GLB with a texture from the recording's images, or from the map's colours; none given: vertex colours."""
+    """Texture of OBJ and GLB, from the images of the recording or the colours of the map; none given: vertex colours."""
     recording: Path | None = None
-    """Where the recording lies now, if it has been moved since the run."""
+    """New path of the recording, if it was moved after the run."""
     out: Path | None = None
-    """Where the files go; none given: export/ in the result folder."""
+    """Folder of the files; none given: export/ in the result folder."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.export.exporter import Exporter

@@ -15,11 +15,11 @@ class Mesh:
     """The mesh of a saved map at another resolution."""
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     resolution: float = 0.02
     """Edge of the marching-cubes cells [m]."""
     out: Path | None = None
-    """The mesh file (.ply, .obj, .glb, ...); none given: mesh.ply of the result folder."""
+    """Mesh file (.ply, .obj, .glb, ...); none given: mesh.ply in the result folder."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.pictures.map_views import write_mesh

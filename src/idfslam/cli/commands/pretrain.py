@@ -22,19 +22,19 @@ class Pretrain:
     """Recordings as `run` takes them."""
     values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
     out: Path = Path("weights.safetensors")
-    """The weights (safetensors), for `run --tracker.weights`; beside them the checkpoint."""
+    """File of the trained weights (safetensors), for `run --tracker.weights`. The checkpoint is written next to it."""
     start: Path | None = None
-    """Weights to begin with; none given: random ones."""
+    """File of weights to start from; none given: random weights."""
     resume: bool = False
-    """Go on from the checkpoint beside --out."""
+    """Go on from the checkpoint next to --out."""
     checkpoint_every: int = 500
-    """Steps between checkpoints; 0: only at the end. Ctrl-C writes one, too."""
+    """Steps between two checkpoints; 0: only at the end. Ctrl-C writes one as well."""
     validate: tuple[Path, ...] = ()
-    """Recordings to measure the features on while they train; none of their frames is learnt from."""
+    """Recordings for validation during training; none of their frames is trained on."""
     validate_every: int = 500
-    """Steps between validations; 0: only at the end."""
+    """Steps between two validations; 0: only at the end."""
     log: Path | None = None
-    """A folder for TensorBoard's curves, which needs the extra [train]."""
+    """Folder for TensorBoard logs; needs the extra [train]."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

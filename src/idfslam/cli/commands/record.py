@@ -18,16 +18,16 @@ class Record:
     """A live camera into a recording that `run` and all other commands read; Ctrl-C ends it, and what was stored is whole."""
 
     source: Positional[Path]
-    """The camera: realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER],
+    """A camera: realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER] or
     orbbec[:NUMBER]; replay[@SPEED]:PATH plays a recording as if it were one."""
     out: Path
-    """The folder of the recording; one that holds a recording already is refused."""
+    """Folder of the new recording; it must not hold a recording already."""
     seconds: float | None = None
-    """How long; none given: until Ctrl-C."""
+    """Length [s]; none given: until Ctrl-C."""
     frames: int | None = None
-    """How many frames; none given: until Ctrl-C."""
+    """Number of frames; none given: until Ctrl-C."""
     png: bool = False
-    """Colour as PNG, exact and several times as large, instead of JPEG. Depth is exact to the millimetre in any case."""
+    """Store colour as PNG, which is exact and several times as large as JPEG. Depth is exact to the millimetre in both cases."""
     camera: CameraFlags = field(default_factory=CameraFlags)
 
     def __call__(self, console: "Console") -> None:

@@ -15,21 +15,21 @@ class Render:
     """Views of a saved map: colour and depth pictures from frames or any other poses, or a video."""
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     frames: tuple[int, ...] = ()
-    """Which frames of the trajectory; none given: the keyframes."""
+    """Frames of the trajectory whose views are rendered; none given: the keyframes."""
     poses: Path | None = None
-    """Camera-to-world poses to look from instead: a file in TUM or KITTI format, or a transforms.json, whose camera is then taken."""
+    """File of camera-to-world poses that are rendered instead: TUM or KITTI format, or a transforms.json, whose camera is used too."""
     width: int | None = None
-    """Of the pictures [px]; none given: the camera's own."""
+    """Width of the pictures [px]; none given: that of the camera."""
     video: Literal["along", "orbit"] | None = None
-    """A video instead of pictures: a smooth flight along the trajectory (or --poses), or once around from the middle of the room."""
+    """Render a video: a smooth flight `along` the trajectory (or --poses), or an `orbit` seen from the middle of the room."""
     seconds: float = 10.0
-    """Length of the video."""
+    """Length of the video [s]."""
     fps: float = 30.0
-    """Frames a second of the video."""
+    """Frame rate of the video [1/s]."""
     out: Path | None = None
-    """Where the pictures go, or the video (.mp4); none given: render/ or video.mp4 in the result folder."""
+    """Folder of the pictures, or file of the video (.mp4); none given: render/ or video.mp4 in the result folder."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.pictures.map_views import view_points, write_flight, write_views

@@ -15,11 +15,11 @@ class Report:
     """A run as a page to look at: report.html, one file that needs no other, and its pictures."""
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     gt: Path | None = None
     """True trajectory in TUM format, camera-to-world; none given: the recording's own, where it has one."""
     recording: Path | None = None
-    """Where the recording lies now, if it has been moved since the run."""
+    """New path of the recording, if it was moved after the run."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.report.writing import write_report

@@ -1,13 +1,14 @@
 """`idf-slam run`."""
 
 import sys
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
-from idfslam.cli.commands.command import Values, output
+from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -17,17 +18,31 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class RecordingFlags:
+    """The frames that are used, and the layout of the recording."""
+
+    start: int = 0
+    """First frame."""
+    frames: int | None = None
+    """Number of frames; none given: all."""
+    stride: int = 1
+    """Distance between two frames that are used; 2 takes every second frame."""
+    format: str | None = None
+    """Layout of the recording; none given: recognised by its files."""
+
+
+@dataclass(frozen=True)
 class CameraFlags:
-    """The camera, where it is not the recording's own; the flags win over what the recording says."""
+    """The pinhole camera; these values replace those of the recording."""
 
     fx: float | None = None
-    """Focal length [px]."""
+    """Focal length along x [px]."""
     fy: float | None = None
-    """Focal length [px]."""
+    """Focal length along y [px]."""
     cx: float | None = None
-    """Principal point [px]; pixel centres at integers."""
+    """Principal point along x [px]; pixel centres lie at integers."""
     cy: float | None = None
-    """Principal point [px]."""
+    """Principal point along y [px]."""
     depth_scale: float | None = None
     """Units of the depth images per metre: 1000 for millimetres."""
 
@@ -38,19 +53,53 @@ class CameraFlags:
 
 @dataclass(frozen=True)
 class TopicFlags:
-    """Topics of a ROS recording, where they are not found by themselves."""
+    """Topics of a ROS recording; none given: recognised by their types and names."""
 
     colour: str | None = None
     """Colour images."""
     depth: str | None = None
-    """Depth images; named, they are taken to be registered to colour where nothing says otherwise."""
+    """Depth images. A topic named here counts as registered to colour unless the recording says otherwise."""
     camera_info: str | None = None
-    """The colour camera."""
+    """Calibration of the colour camera."""
     poses: str | None = None
-    """The ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
+    """Ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
 
 
-_WITH_RESUME = ("resume", "checkpoint_every")  # flags that do not change what a run gives
+@dataclass(frozen=True)
+class OutputFlags:
+    """The result folder."""
+
+    out: Path | None = None
+    """Result folder; none given: results/ and the recording's name."""
+    report: bool = True
+    """Write report.html with its pictures at the end."""
+
+
+ViewerPlace = Literal["none", "auto", "window", "web", "file"]
+
+
+@dataclass(frozen=True)
+class ViewerFlags:
+    """The live view."""
+
+    viewer: ViewerPlace = "none"
+    """Show the run in a window, in a browser (`web`, also from another machine), or record it for later (`file`). `auto`, or --viewer
+    alone, is the window where there is a display and the browser elsewhere. recording.rrd keeps the view for `idf-slam view`."""
+    port: int = 9090
+    """Port of the page of --viewer web; the data use the next port."""
+
+
+@dataclass(frozen=True)
+class CheckpointFlags:
+    """Checkpoints, and going on with a run that was ended."""
+
+    checkpoint_every: int = 300
+    """Frames between two checkpoints in the result folder; 0: none. The checkpoint is deleted at the end of the run. Live cameras and runs
+    with --map have none."""
+    resume: Path | None = None
+    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; the run goes on. Given instead of a recording."""
+
+
 _USAGE = 2
 
 
@@ -59,44 +108,24 @@ class Run:
     """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
 
     path: Positional[Path | None] = None
-    """The recording, in any layout that is known; which one is seen from what lies in it. Or a generated one: synthetic[:SEED][:kinect],
-    corridor[:SEED][:kinect][:Nlaps]; kidnap: before any of these carries the camera off, five times. Or a live camera:
+    """A recording in any known layout, which is recognised by its files. Or a generated one: synthetic[:SEED][:kinect] or
+    corridor[:SEED][:kinect][:Nlaps]; `kidnap:` before any recording carries the camera off, five times. Or a live camera:
     realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER], orbbec[:NUMBER];
-    replay[@SPEED]:PATH plays a recording as if it were one. What comes faster than it can be used is dropped."""
-    values: Values = FAST
-    out: Path | None = None
-    """The result folder; none given: results/ and the recording's name."""
-    start: int = 0
-    """The first frame."""
-    frames: int | None = None
-    """How many frames; none given: to the end."""
-    stride: int = 1
-    """Every so many frames one is taken."""
-    format: str | None = None
-    """The recording's layout, where it is not to be seen from its files."""
+    replay[@SPEED]:PATH plays a recording as if it were one. Frames of a live camera that come too fast are dropped."""
+    map: Path | None = None
+    """Result folder of an earlier run, in whose map the camera is relocalised; the run extends that map. Its recording must still exist."""
+    config: ConfigFile = None
+    recording: OmitArgPrefixes[RecordingFlags] = RecordingFlags()
     camera: CameraFlags = CameraFlags()
     topics: TopicFlags = TopicFlags()
-    map: Path | None = None
-    """The result folder of an earlier run: the camera is found in its map, which is extended. Its recording must still be there."""
-    report: bool = True
-    """Whether report.html and its pictures are made at the end."""
-    config: Path | None = None
-    """A YAML file of values (a run's config.yaml, or a few lines of it); flags win over it, and it over the preset."""
-    viewer: Literal["none", "auto", "window", "web", "file"] = "none"
-    """Look on as it goes: in a window, in a browser (also from another machine), or later (file); --viewer alone is a window where there
-    is a display, else the browser. recording.rrd keeps it for `idf-slam view`."""
-    port: int = 9090
-    """Of the page for --viewer web; the data come from the next one."""
-
-    checkpoint_every: int = 300
-    """Every so many frames all that a run needs to go on is written into the result folder; 0: never. It goes when the run is
-    over. Not of a live camera, nor with --map."""
-    resume: Path | None = None
-    """Instead of a recording: the result folder of a run that was ended by Ctrl-C, a crash or a power failure, to go on with."""
+    output: OmitArgPrefixes[OutputFlags] = OutputFlags()
+    live_view: OmitArgPrefixes[ViewerFlags] = ViewerFlags()
+    checkpoints: OmitArgPrefixes[CheckpointFlags] = CheckpointFlags()
+    values: Values = FAST
 
     def __call__(self, console: "Console") -> None:
-        if self.resume is not None:
-            self._go_on(self.resume, console)
+        if self.checkpoints.resume is not None:
+            self._go_on(self.checkpoints.resume, console)
             return
         if self.path is None:
             _wrong_usage("expected a recording, or --resume and the result folder of a run")
@@ -112,18 +141,19 @@ class Run:
         camera = self.camera.given()
         scale = camera.pop("depth_scale", None)
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
-        source = Source(located(str(self.path)), self.format, camera or None, scale, topics or None, self.start, self.frames, self.stride)
+        part = self.recording
+        source = Source(located(str(self.path)), part.format, camera or None, scale, topics or None, part.start, part.frames, part.stride)
         recording = open_feed(source)
-        folder = self.out or Path("results") / recording.name
+        folder = self.output.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        viewer, every = self._viewer(console), self.checkpoint_every
+        viewer, every = self._viewer(console), self.checkpoints.checkpoint_every
         done = run(recording, values, folder, source=source, prior=prior, console=console, checkpoint_every=every, viewer=viewer)
-        if self.report:
+        if self.output.report:
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
 
     def _go_on(self, folder: Path, console: "Console") -> None:
-        given = [f.name for f in fields(self) if f.name not in _WITH_RESUME and getattr(self, f.name) != getattr(Run(), f.name)]
+        given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
         if given:
             _wrong_usage(
                 f"--resume goes on with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
@@ -131,7 +161,7 @@ class Run:
         from idfslam.cli.tables import print_run
         from idfslam.runs.runner import resume
 
-        done = resume(folder, checkpoint_every=self.checkpoint_every, console=console)
+        done = resume(folder, checkpoint_every=self.checkpoints.checkpoint_every, console=console)
         if done is None:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
         else:
@@ -141,13 +171,25 @@ class Run:
         from idfslam.viewer.rerun_program import has_display
         from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer
 
-        if self.viewer == "none":
+        place, port = self.live_view.viewer, self.live_view.port
+        if place == "none":
             return NullViewer()
-        place = ("window" if has_display() else "web") if self.viewer == "auto" else self.viewer
-        viewer = RerunViewer(place, port=self.port)
+        if place == "auto":
+            place = "window" if has_display() else "web"
+        viewer = RerunViewer(place, port=port)
         if place == "web":
             console.print(f"live view: {viewer.address()}", highlight=False, soft_wrap=True, markup=False)
         return viewer
+
+
+def _changed(flags: Any, defaults: Any) -> Iterator[str]:
+    """The names of the fields, nested ones too, that differ from their defaults."""
+    for field in fields(flags):
+        value, default = getattr(flags, field.name), getattr(defaults, field.name)
+        if is_dataclass(value):
+            yield from _changed(value, default)
+        elif value != default:
+            yield field.name
 
 
 def _wrong_usage(message: str) -> NoReturn:

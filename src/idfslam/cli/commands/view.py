@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """The recorded live view of a run, to be looked at again and again."""
+    """Shows the recorded live view of a run."""
 
     folder: Positional[Path]
-    """The result folder."""
+    """Result folder."""
     web: bool = False
-    """Serve it to a browser instead of opening a window; without a display that is done anyway."""
+    """Show it in a browser instead of a window; this is the default without a display."""
     port: int = 9090
-    """Of the page; the data come from the next one."""
+    """Port of the page; the data use the next port."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.viewer.rerun_program import has_display
