@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 
@@ -52,16 +53,32 @@ def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list
 
 
 def half(image: Tensor) -> Tensor:
-    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels, on the CPU by OpenCV."""
-    if image.device.type != "cpu":
-        return F.avg_pool2d(image[None], 2)[0]
+    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels."""
+    return pick(image, compiled=opencv_half, plain=plain_half)(image)
+
+
+def plain_half(image: Tensor) -> Tensor:
+    """`half` in torch, on any device."""
+    return F.avg_pool2d(image[None], 2)[0]
+
+
+def opencv_half(image: Tensor) -> Tensor:
+    """`half` by OpenCV, on the CPU."""
     return torch.from_numpy(cv2.resize(image.numpy(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
 
 
 def luminance(colour: Tensor) -> Tensor:
-    """(H, W, 3) -> (H, W), on the CPU by Numba."""
-    if colour.device.type != "cpu":
-        return colour.mean(-1)
+    """(H, W, 3) -> (H, W): the mean of the three channels."""
+    return pick(colour, compiled=compiled_luminance, plain=plain_luminance)(colour)
+
+
+def plain_luminance(colour: Tensor) -> Tensor:
+    """`luminance` in torch, on any device."""
+    return colour.mean(-1)
+
+
+def compiled_luminance(colour: Tensor) -> Tensor:
+    """`luminance` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
     out = torch.empty(colour.shape[:2])
@@ -94,7 +111,7 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     fine = levels[0]
     measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
     cell = max(2, round((measured / count) ** 0.5))
-    u, v = (compiled_steepest if depth.device.type == "cpu" else plain_steepest)(fine, depth, cell, least)
+    u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
     row, column = _rows_of(fine, depth)
     points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
     return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]) for level in levels])
@@ -156,11 +173,16 @@ def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Te
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
 
     Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
-    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by
-    `plain_photometric_term`, to the same values.
+    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64.
     """
-    if marks.points.device.type != "cpu":
-        return plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+    term = pick(marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
+    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+
+
+def compiled_photometric_term(
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+) -> Term:
+    """`photometric_term` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import photometric_system
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera

@@ -12,11 +12,11 @@ import torch
 
 from idfslam import __version__
 from idfslam.compute import host
-from idfslam.compute.devices import bf16_pays, resolve_device, resolve_precision
+from idfslam.compute.backend import backend_of
+from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
 from idfslam.config import Config
 from idfslam.errors import IdfSlamError
 from idfslam.mapping.fused import fusable
-from idfslam.mapping.kernels.grid import default_implementation
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InTurns
 from idfslam.tracking.features import load_extractor
@@ -122,15 +122,15 @@ def extras() -> dict[str, dict[str, Any]]:
 def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
     """Device, precision and kernels of a run; None where it would end with an error, which is then the advice."""
     try:
-        device = resolve_device(config.device)
+        device = resolve_device(config.device, config.preset)
     except IdfSlamError as error:
         advice.append(str(error))
         return None
-    if device.type == "cpu" and torch.version.cuda and not torch.cuda.is_available():
+    if config.device == "auto" and config.preset not in KEPT_ON_CPU and torch.version.cuda and not torch.cuda.is_available():
         advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
     field = Mapper(config.mapper, config.field, device, torch.Generator(device), InTurns()).field
     grid = config.field.encoding == "grid"
-    kernels = "numba, fused" if fusable(field) else default_implementation(device.type) if grid else "torch"
+    kernels = "numba, fused" if fusable(field) else backend_of(device).value if grid else "torch"
     return {
         "preset": config.preset,
         "device": str(device),

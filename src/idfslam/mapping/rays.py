@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 
 
@@ -53,7 +54,9 @@ class Rays:
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
-    return compiled_cast(view, uv) if T_wc is None and uv.device.type == "cpu" else plain_cast(view, uv, T_wc)
+    if T_wc is not None:
+        return plain_cast(view, uv, T_wc)
+    return pick(uv, compiled=compiled_cast, plain=plain_cast)(view, uv)
 
 
 def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
