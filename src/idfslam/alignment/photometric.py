@@ -1,7 +1,7 @@
 """Direct photometric alignment: points of a keyframe that stand out keep their brightness in the frame.
 
 What the shape of the map leaves open (along a bare wall everything fits) the images of earlier keyframes decide, to a
-fraction of a pixel. Two levels of an image pyramid, the coarse one first, widen the reach.
+fraction of a pixel. An image pyramid, the coarsest level first, widens the reach.
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple
     row, column = _rows_of(fine, depth)
     z = depth[row[:, None], column[None]]
     nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
-    slope = slope * ((nearest > 0) & (farthest - nearest < 0.02 + 0.03 * nearest))
+    slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
     cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
     best, place = cells.max(1)
     index = torch.nonzero(best > least).flatten()
@@ -209,15 +211,15 @@ def plain_photometric_term(
     value, slope_u, slope_v = image.at(uv)
     target = marks.luminance[level]
     size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= 0.05) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
+    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
     gain, offset = _exposure(target, value, inside)
     r = value - gain * target - offset
-    scale = _median(r.abs()[inside]).mul(1.4826).clamp(min=floor)
+    scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
     w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
     # dr = -slope . dpi/dp . R^T (shift + turn x d)
     fx, fy = image.camera.fx, image.camera.fy
     x, y, _ = points_c.unbind(-1)
-    z = z.clamp(min=0.05)
+    z = z.clamp(min=NEAREST)
     a = torch.stack([slope_u * fx / z, slope_v * fy / z, -(slope_u * fx * x + slope_v * fy * y) / z**2], -1)
     n = -(a @ T_wc[:3, :3].T)
     J = torch.cat([n, torch.linalg.cross(d, n)], -1)
@@ -235,7 +237,7 @@ def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Ten
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
     depth = frame.depth[v, u]
-    return (depth <= 0) | ((depth - z).abs() < 0.05 + 0.05 * z)
+    return (depth <= 0) | ((depth - z).abs() < OCCLUSION + OCCLUSION_SHARE * z)
 
 
 def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
@@ -244,5 +246,5 @@ def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Te
     mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
     spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()
     spread_v = (((value - mean_v) ** 2 * inside).sum() / n).sqrt()
-    gain = (spread_v / spread_t.clamp(min=1e-3)).clamp(0.7, 1.4)
+    gain = (spread_v / spread_t.clamp(min=LEAST_SPREAD)).clamp(LEAST_GAIN, LARGEST_GAIN)
     return gain, mean_v - gain * mean_t

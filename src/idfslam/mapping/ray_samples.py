@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from idfslam.compute.backend import pick
+from idfslam.mapping.constants import FREE_FROM, FREE_TO
 from idfslam.mapping.rays import Rays
 
 
@@ -42,7 +43,7 @@ def plain_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: fl
     """`placed` in torch, on any device."""
     depth = rays.depth[:, None]
     near = depth - truncation + 2 * truncation * parts(chance)
-    first, last = 0.05, (depth - truncation).clamp(min=0.1)
+    first, last = FREE_FROM, (depth - truncation).clamp(min=FREE_TO)
     free = first + (last - first) * parts(free_chance)
     target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()
     return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])
