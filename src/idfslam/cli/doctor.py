@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+import idfslam
 from idfslam import __version__
 from idfslam.compute import host
 from idfslam.compute.backend import backend_of
@@ -25,6 +26,14 @@ GIB = 2**30
 _LITTLE_MEMORY = 2 * GIB  # a run takes 0.9 GiB (docs/results.md)
 _LITTLE_DISK = GIB // 2  # a result folder takes some tens of megabytes
 _PACKAGES = ("numpy", "numba", "opencv-python-headless", "trimesh")
+DEVICES = {
+    "preset fast": "CPU; never tried on a GPU (--device cuda)",
+    "preset paper": "GPU if there is one, else CPU; never tried on a GPU",
+    "pretraining": "GPU if there is one, else CPU; never tried on a GPU",
+    "Triton kernels": "never tried on a GPU, only in Triton's interpreter",
+    "meshing, pose graph": "CPU, whatever the device",
+}
+"""What runs where, and what was never tried on a GPU."""
 _REQUIREMENT = re.compile(r"^(?P<package>[\w.-]+).*\bextra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 
 
@@ -55,6 +64,7 @@ def examine(config: Config, folder: Path = Path()) -> Examination:
         "free_disk_bytes": _disk(folder, advice),
         "numba_cache": _numba_cache(advice),
         "weights": _weights(config, advice),
+        "devices": DEVICES,
         "extras": extras(),
         "used": _used(config, advice),
     }
@@ -82,7 +92,7 @@ def _disk(folder: Path, advice: list[str]) -> int:
 
 def _numba_cache(advice: list[str]) -> dict[str, Any]:
     """Where compiled kernels are kept, and how many there are; none yet: the first run compiles for most of a minute."""
-    folder, is_set = Path(__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
+    folder, is_set = Path(idfslam.__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(is_set)] if is_set else [folder]
     count = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
     writable = all(os.access(place if place.exists() else place.parent, os.W_OK) for place in places)
