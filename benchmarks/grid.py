@@ -14,7 +14,8 @@ import torch
 import tyro
 from torch import Tensor
 
-from idfslam.mapping.kernels import Implementation, grid_encode, sparse_adam
+from idfslam.compute.backend import Backend
+from idfslam.mapping.kernels import grid_encode, sparse_adam
 
 BETAS = (0.9, 0.99)
 
@@ -47,26 +48,26 @@ def milliseconds(call: Callable[[], object], *, repeats: int, device: str, befor
     return f"{min(durations):7.2f} {np.median(durations):7.2f}"
 
 
-def time_grid(implementation: Implementation, points: Tensor, tables: Tensor, cells: Tensor, *, repeats: int) -> dict[str, str]:
-    """Timings of one implementation by operation."""
+def time_grid(backend: Backend, points: Tensor, tables: Tensor, cells: Tensor, *, repeats: int) -> dict[str, str]:
+    """Timings of one backend by operation."""
     device = points.device.type
     grad = torch.randn(len(points), tables.shape[0] * tables.shape[2], device=device)
     buffer, m, v = (torch.zeros_like(tables) for _ in range(3))
 
     def encode(*, by_points: bool, by_tables: bool) -> Tensor:
         x, t = points.detach().requires_grad_(by_points), tables.detach().requires_grad_(by_tables)
-        return grid_encode(x, t, cells, implementation=implementation, accumulate_into=buffer)
+        return grid_encode(x, t, cells, backend=backend, accumulate_into=buffer)
 
     by_points, by_tables = encode(by_points=True, by_tables=False), encode(by_points=False, by_tables=True)
     calls: dict[str, Callable[[], object]] = {
-        "forward": lambda: grid_encode(points, tables, cells, implementation=implementation),
+        "forward": lambda: grid_encode(points, tables, cells, backend=backend),
         "points": lambda: by_points.backward(grad, retain_graph=True),
         "tables": lambda: by_tables.backward(grad, retain_graph=True),
     }
     times = {name: milliseconds(call, repeats=repeats, device=device) for name, call in calls.items()}
     values = tables.clone()
     times["step"] = milliseconds(
-        lambda: sparse_adam(values, buffer, m, v, step=10, learning_rate=0.01, betas=BETAS, implementation=implementation),
+        lambda: sparse_adam(values, buffer, m, v, step=10, learning_rate=0.01, betas=BETAS, backend=backend),
         repeats=repeats,
         device=device,
         before=calls["tables"],
@@ -91,14 +92,14 @@ def time_dense_adam(points: Tensor, tables: Tensor, cells: Tensor, *, fused: boo
 
 
 def main(points: int = 49152, levels: int = 8, features: int = 2, log2_size: int = 17, repeats: int = 20, device: str = "cpu") -> None:
-    """Time every implementation that the device has."""
+    """Time every backend that the device has."""
     generator = torch.Generator().manual_seed(0)
     x = room_points(points, generator).to(device)
     tables = torch.randn(levels, 2**log2_size, features, generator=generator).to(device)
     cells = torch.logspace(np.log10(0.64), np.log10(0.02), levels).to(device)
-    implementations: tuple[Implementation, ...] = ("torch", "triton") if device == "cuda" else ("torch", "numba")
+    backends = (Backend.TORCH, Backend.TRITON) if device == "cuda" else (Backend.TORCH, Backend.NUMBA)
     print(f"{points} points, {levels} levels x {features} features, 2^{log2_size} entries; ms a call, fastest and median of {repeats}")
-    rows = {name: time_grid(name, x, tables, cells, repeats=repeats) for name in implementations}
+    rows = {backend.value: time_grid(backend, x, tables, cells, repeats=repeats) for backend in backends}
     print(f"{'':10}" + "".join(f"{operation:>16}" for operation in rows["torch"]))
     for name, times in rows.items():
         print(f"{name:10}" + "".join(f"{value:>16}" for value in times.values()))

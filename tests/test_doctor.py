@@ -1,12 +1,14 @@
 """What `doctor` finds, and what it asks for."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+import idfslam
 from idfslam.cli import command_line, doctor
 from idfslam.cli.doctor import examine, extras
 from idfslam.compute import host
@@ -24,6 +26,7 @@ def test_this_machine_is_told_as_json(capsys: pytest.CaptureFixture[str]) -> Non
     assert found["used"]["device"] == "cpu"
     assert found["used"]["kernels"] == "numba, fused"
     assert found["numba_cache"]["writable"]
+    assert found["numba_cache"]["folder"] == os.environ.get("NUMBA_CACHE_DIR", str(Path(idfslam.__file__).parent))
 
 
 def test_the_table_ends_with_ready(capsys: pytest.CaptureFixture[str]) -> None:
@@ -35,6 +38,21 @@ def test_the_table_ends_with_ready(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_kernels_of_the_paper_preset_are_torch() -> None:
     assert examine(replace(PAPER, device="cpu")).found["used"]["kernels"] == "torch"
+
+
+def test_it_says_what_was_never_tried_on_a_gpu(capsys: pytest.CaptureFixture[str]) -> None:
+    command_line.main(["doctor", "--device", "cpu"])
+    said = capsys.readouterr().out
+    for part in ("preset fast", "preset paper", "pretraining"):
+        (line,) = [line for line in said.splitlines() if line.startswith(part)]
+        assert "never tried" in line
+
+
+def test_a_cuda_build_without_a_gpu_is_a_fault_where_a_gpu_would_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.version, "cuda", "12.4")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert examine(FAST).ready
+    assert ["check the driver" in line for line in examine(PAPER).advice] == [True]
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="tells of a GPU that is not there")

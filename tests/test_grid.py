@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import Backend
 from idfslam.mapping.kernels import grid_encode, grid_scatter, load, sparse_adam, torch_grid, touched_runs
 
 HAS_TRITON = importlib.util.find_spec("triton") is not None
@@ -63,10 +64,10 @@ def test_value_by_hand(implementation: str) -> None:
     where = device(implementation)
     tables = torch.arange(8.0, device=where).view(1, 8, 1)
     point, cells = torch.tensor([[-0.5, 1.0, 3.0]], device=where), torch.tensor([2.0], device=where)
-    assert grid_encode(point, tables, cells, implementation=implementation).item() == pytest.approx(3.25)
+    assert grid_encode(point, tables, cells, backend=Backend(implementation)).item() == pytest.approx(3.25)
     # At (-0.5, 0, 2) only x is between vertices: 0.25 + 0 + 4. In 2 m, forward from there, x falls by 1, y rises by 2, z falls by 4.
     point = torch.tensor([[-0.5, 0.0, 2.0]], device=where)
-    value = grid_encode(point.requires_grad_(), tables, cells, implementation=implementation)
+    value = grid_encode(point.requires_grad_(), tables, cells, backend=Backend(implementation))
     (slope,) = torch.autograd.grad(value, point)
     assert value.item() == pytest.approx(4.25)
     assert slope.flatten().tolist() == pytest.approx([-0.5, 1.0, -2.0])
@@ -78,7 +79,7 @@ def test_equal_to_reference(implementation: str, features: int) -> None:
     points, tables, cells = grid(implementation, features=features)
     weight = torch.randn(len(points), len(CELLS) * features, generator=torch.Generator().manual_seed(1)).to(points.device)
     results = []
-    for encode in (torch_grid.forward, lambda *inputs: grid_encode(*inputs, implementation=implementation)):
+    for encode in (torch_grid.forward, lambda *inputs: grid_encode(*inputs, backend=Backend(implementation))):
         x, t = points.clone().requires_grad_(), tables.clone().requires_grad_()
         out = encode(x, t, cells)
         (out * weight).sum().backward()
@@ -92,7 +93,7 @@ def test_reference_against_finite_differences() -> None:
     points, tables, cells = (tensor.double() for tensor in grid("torch", size=16, count=12))
     points = points + 0.011  # off the planes, where the derivative jumps
     inputs = (points.requires_grad_(), tables.requires_grad_())
-    assert torch.autograd.gradcheck(lambda x, t: grid_encode(x, t, cells, implementation="torch"), inputs)
+    assert torch.autograd.gradcheck(lambda x, t: grid_encode(x, t, cells, backend=Backend.TORCH), inputs)
 
 
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])
@@ -100,7 +101,7 @@ def test_continuous_across_lattice_planes(implementation: str) -> None:
     _, tables, cells = grid(implementation)
     on = torch.tensor([[-1.0, 0.0, 0.5], [0.0, 0.0, 0.0], [-0.5, -1.5, 2.0]], device=tables.device)
     below = torch.nextafter(on, torch.full_like(on, -10.0))
-    encode = lambda x: grid_encode(x, tables, cells, implementation=implementation)  # noqa: E731
+    encode = lambda x: grid_encode(x, tables, cells, backend=Backend(implementation))  # noqa: E731
     assert torch.allclose(encode(on), encode(below), atol=1e-4)  # slopes are below ~100 per metre, the step is 1e-7 m
     # On a plane of the first level the feature is the vertex's own entry: no weight is left for the others.
     entry = torch_grid.hash_vertices((on / 0.5).long(), tables.shape[1])
@@ -110,16 +111,16 @@ def test_continuous_across_lattice_planes(implementation: str) -> None:
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])
 def test_doubling_is_exact(implementation: str) -> None:
     points, tables, cells = grid(implementation)
-    before = grid_encode(points, tables, cells, implementation=implementation)
+    before = grid_encode(points, tables, cells, backend=Backend(implementation))
     doubled = torch.cat([tables, tables], dim=1)
-    assert torch.equal(before, grid_encode(points, doubled, cells, implementation=implementation))
+    assert torch.equal(before, grid_encode(points, doubled, cells, backend=Backend(implementation)))
 
 
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])
 def test_no_points(implementation: str) -> None:
     _, tables, cells = grid(implementation)
     x, t = torch.zeros(0, 3, device=tables.device, requires_grad=True), tables.clone().requires_grad_()
-    out = grid_encode(x, t, cells, implementation=implementation)
+    out = grid_encode(x, t, cells, backend=Backend(implementation))
     out.sum().backward()
     assert out.shape == (0, 8)
     assert x.grad is not None and x.grad.shape == (0, 3)
@@ -130,9 +131,9 @@ def test_no_points(implementation: str) -> None:
 def test_accumulates_into_a_buffer(implementation: str) -> None:
     points, tables, cells = grid(implementation)
     tables.requires_grad_()
-    (expected,) = torch.autograd.grad(grid_encode(points, tables, cells, implementation=implementation).square().sum(), tables)
+    (expected,) = torch.autograd.grad(grid_encode(points, tables, cells, backend=Backend(implementation)).square().sum(), tables)
     buffer = torch.ones_like(tables)
-    grid_encode(points, tables, cells, implementation=implementation, accumulate_into=buffer).square().sum().backward()
+    grid_encode(points, tables, cells, backend=Backend(implementation), accumulate_into=buffer).square().sum().backward()
     assert tables.grad is None
     assert torch.allclose(buffer - 1, expected, rtol=1e-5, atol=5e-5)  # float32 sums of up to 100 terms in another order
 
@@ -148,17 +149,17 @@ def test_only_the_gradients_asked_for(implementation: str, monkeypatch: pytest.M
     with monkeypatch.context() as patch:
         patch.setattr(module, "backward_points", forbidden)
         t = tables.clone().requires_grad_()
-        grid_encode(points, t, cells, implementation=implementation).sum().backward()
+        grid_encode(points, t, cells, backend=Backend(implementation)).sum().backward()
     monkeypatch.setattr(module, "backward_tables", forbidden)
     x = points.clone().requires_grad_()
-    grid_encode(x, tables, cells, implementation=implementation).sum().backward()
+    grid_encode(x, tables, cells, backend=Backend(implementation)).sum().backward()
 
 
 @pytest.mark.parametrize("implementation", ["torch", *COMPILED])
 def test_a_point_that_is_not_finite_yields_nan(implementation: str) -> None:
     points, tables, cells = grid(implementation, count=20)
     points[3, 1], points[5, 0] = torch.nan, torch.inf
-    finite = grid_encode(points, tables, cells, implementation=implementation).isfinite().all(1)
+    finite = grid_encode(points, tables, cells, backend=Backend(implementation)).isfinite().all(1)
     assert not finite[3] and not finite[5] and finite.sum() == 18
 
 
@@ -184,7 +185,7 @@ def test_sparse_adam_is_adam_where_every_gradient_is_nonzero(implementation: str
         expected.grad = torch.randn(tables.shape, generator=torch.Generator().manual_seed(step)).to(tables.device)
         grad = expected.grad.clone()
         optimiser.step()
-        sparse_adam(tables, grad, m, v, step=step, learning_rate=0.01, implementation=implementation)
+        sparse_adam(tables, grad, m, v, step=step, learning_rate=0.01, backend=Backend(implementation))
         assert not grad.any()
     assert torch.allclose(tables, expected, rtol=1e-5, atol=1e-6)
 
@@ -197,11 +198,11 @@ def test_adam_that_looks_where_it_is_told_to_is_the_same(implementation: str) ->
     for touched in (None, touched_runs(tables)):
         moved, grad, m, v = tables.clone(), *(torch.zeros_like(tables) for _ in range(3))
         for step in (1, 2):
-            grid_scatter(points[20 * step :][:20], cells, g_features, grad, touched=touched, implementation=implementation)
+            grid_scatter(points[20 * step :][:20], cells, g_features, grad, touched=touched, backend=Backend(implementation))
             if touched is not None and implementation == "numba":
                 runs = (grad != 0).any(-1).unflatten(1, (-1, 64)).any(-1)
                 assert bool((touched > 0)[runs].all()) and 0 < int((touched > 0).sum()) < runs.numel()
-            sparse_adam(moved, grad, m, v, step=step, learning_rate=0.01, touched=touched, implementation=implementation)
+            sparse_adam(moved, grad, m, v, step=step, learning_rate=0.01, touched=touched, backend=Backend(implementation))
             assert not grad.any()
         results.append(moved)
     assert not torch.equal(results[0], tables)
@@ -215,7 +216,7 @@ def test_sparse_adam_leaves_the_rest_alone(implementation: str) -> None:
     tables, grad, m, v = (torch.zeros(2, 4, 2, device=where) for _ in range(4))
     m[0, 1], v[0, 1] = 0.5, 0.25  # moments of an entry that is not touched now: no step, no decay
     grad[1, 2, 0] = -3.0
-    sparse_adam(tables, grad, m, v, step=100, learning_rate=0.01, implementation=implementation)
+    sparse_adam(tables, grad, m, v, step=100, learning_rate=0.01, backend=Backend(implementation))
     # m = 0.1 * -3, v = 0.01 * 9: the step is 0.01 * 0.3 / 0.3 up to the bias corrections 1 - 0.9^100 and sqrt(1 - 0.99^100) = 0.796.
     assert tables[1, 2, 0].item() == pytest.approx(0.01 * 0.7960, rel=1e-3)
     assert tables.count_nonzero() == 1 and m[0, 1, 0] == 0.5 and v[0, 1, 0] == 0.25

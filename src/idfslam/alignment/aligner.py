@@ -13,9 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.alignment.constants import KNOWN, LEAST_SLOPE, SLOPE_FLOOR
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
+from idfslam.compute.backend import pick
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
@@ -166,7 +168,7 @@ class Aligner(Stateful):
         patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
-        return (compiled_surface if view.depth.device.type == "cpu" else plain_surface)(view.depth, view.camera, jitter, patch)
+        return pick(view.depth, compiled=compiled_surface, plain=plain_surface)(view.depth, view.camera, jitter, patch)
 
     def doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess is worth its time: lost, little overlap, or colours that fit much worse than they lately did."""
@@ -215,8 +217,7 @@ class Aligner(Stateful):
         distance, gradient = self.query(turned + T32[:3, 3])
         robust = self.config.robust * max(1.0, 4.0 * 0.5**step)
         normals = normals or smoothed_normals(turned, gradient, surface.patches)
-        build = depth_system if turned.device.type == "cpu" else plain_depth_system
-        return build(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest), normals
+        return depth_system(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest), normals
 
     def _with_images(
         self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
@@ -318,17 +319,23 @@ def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) 
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
-    """`plain_damped_step`, compiled."""
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior that holds what they know little of to the guess.
+
+    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step. All of
+    these are on the host, wherever the points are.
+    """
+    return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, hold, change, T)
+
+
+def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+    """`damped_step` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
     return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, hold, change.numpy(), T.numpy()))  # type: ignore[call-arg]
 
 
 def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior that holds what they know little of to the guess.
-
-    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step.
-    """
+    """`damped_step` in torch, on any device."""
     P = Information.of(H, weight, radius).prior(hold)
     delta = torch.linalg.solve(H + P, b - P @ change)
     change += delta
@@ -339,7 +346,18 @@ def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: 
 def depth_system(
     turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
-    """`plain_depth_system` by Numba, on the CPU."""
+    """Normal equations of the distances (N,) [m] of points to the map, along its normals (N, 3).
+
+    turned (N, 3) [m]: the points from the camera's centre, world axes; slope (N,) of the distance; sigma (N,) the relative noise.
+    """
+    build = pick(turned, compiled=compiled_depth_system, plain=plain_depth_system)
+    return build(turned, distance, normal, slope, sigma, truncation, robust, widest)
+
+
+def compiled_depth_system(
+    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
+) -> _System:
+    """`depth_system` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
     H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
@@ -352,12 +370,9 @@ def depth_system(
 def plain_depth_system(
     turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
-    """Normal equations of the distances (N,) [m] of points to the map, along its normals (N, 3); in torch, on any device.
-
-    turned (N, 3) [m]: the points from the camera's centre, world axes; slope (N,) of the distance; sigma (N,) the relative noise.
-    """
-    known = (distance.abs() < 0.9 * truncation) & (slope > 0.2)
-    r = distance / slope.clamp(min=0.7)
+    """`depth_system` in torch, on any device."""
+    known = (distance.abs() < KNOWN * truncation) & (slope > LEAST_SLOPE)
+    r = distance / slope.clamp(min=SLOPE_FLOOR)
     J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
     scale = robust * sigma.clamp(max=widest)
     w = known / ((1 + (r / scale) ** 2) ** 2 * sigma**2)  # Geman-McClure, and the sensor's own noise

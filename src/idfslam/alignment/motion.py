@@ -13,6 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful
 
@@ -33,13 +34,13 @@ class Information:
     @classmethod
     def of(cls, H: Tensor, weight: float, radius: float) -> "Information":
         """From normal equations H (6, 6) of points at a mean distance of `radius` [m] whose weights sum to `weight`."""
-        unit = torch.tensor([1.0] * 3 + [1 / max(radius, 0.1)] * 3, dtype=torch.float64)
+        unit = torch.tensor([1.0] * 3 + [1 / max(radius, LEAST_RADIUS)] * 3, dtype=torch.float64)
         values, directions = torch.linalg.eigh(H * unit[:, None] * unit / max(weight, 1e-9))
         return cls(values, directions, unit, max(weight, 1e-9))
 
     def prior(self, hold: float) -> Tensor:
         """(6, 6) information that holds a pose to its guess: all of it where a direction's is far below `hold`, none far above."""
-        prior = (self.directions * (hold**4 / self.values.clamp(min=0.1 * hold) ** 3)) @ self.directions.T
+        prior = (self.directions * (hold**4 / self.values.clamp(min=LEAST_VALUE * hold) ** 3)) @ self.directions.T
         return self.weight * prior / (self.unit[:, None] * self.unit)
 
     def trusted(self, change: Tensor, hold: float) -> Tensor:

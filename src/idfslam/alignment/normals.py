@@ -5,6 +5,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from idfslam.compute.backend import pick
+
 _ALIKE = 0.906  # least cosine between normals that are averaged: 25 degrees
 _COPLANAR = 0.03  # [m] from the tangent plane at most
 _REACH = 2  # patches to each side
@@ -16,9 +18,11 @@ def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple
     A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals
     of a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
     """
-    if points.device.type != "cpu":
-        slope = gradient.norm(dim=-1)
-        return plain_smoothed(points, gradient / slope.clamp(min=1e-9)[:, None], patches), slope
+    return pick(points, compiled=compiled_smoothed_normals, plain=plain_smoothed_normals)(points, gradient, patches)
+
+
+def compiled_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+    """`smoothed_normals` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
     normal, slope = torch.empty_like(gradient), torch.empty(len(gradient))
@@ -27,8 +31,14 @@ def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple
     return normal, slope
 
 
+def plain_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
+    """`smoothed_normals` in torch, on any device."""
+    slope = gradient.norm(dim=-1)
+    return plain_smoothed(points, gradient / slope.clamp(min=1e-9)[:, None], patches), slope
+
+
 def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
-    """The normals of `smoothed_normals` in torch, on any device."""
+    """The normals alone, from unit gradients (N, 3)."""
     rows, columns = patches.shape
     padded = F.pad(patches.long(), (_REACH,) * 4, value=-1)
     here, known = patches.clamp(min=0).long(), patches >= 0

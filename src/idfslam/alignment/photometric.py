@@ -1,7 +1,7 @@
 """Direct photometric alignment: points of a keyframe that stand out keep their brightness in the frame.
 
 What the shape of the map leaves open (along a bare wall everything fits) the images of earlier keyframes decide, to a
-fraction of a pixel. Two levels of an image pyramid, the coarse one first, widen the reach.
+fraction of a pixel. An image pyramid, the coarsest level first, widens the reach.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE
+from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 
 @dataclass(frozen=True)
@@ -52,16 +55,32 @@ def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list
 
 
 def half(image: Tensor) -> Tensor:
-    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels, on the CPU by OpenCV."""
-    if image.device.type != "cpu":
-        return F.avg_pool2d(image[None], 2)[0]
+    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels."""
+    return pick(image, compiled=opencv_half, plain=plain_half)(image)
+
+
+def plain_half(image: Tensor) -> Tensor:
+    """`half` in torch, on any device."""
+    return F.avg_pool2d(image[None], 2)[0]
+
+
+def opencv_half(image: Tensor) -> Tensor:
+    """`half` by OpenCV, on the CPU."""
     return torch.from_numpy(cv2.resize(image.numpy(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
 
 
 def luminance(colour: Tensor) -> Tensor:
-    """(H, W, 3) -> (H, W), on the CPU by Numba."""
-    if colour.device.type != "cpu":
-        return colour.mean(-1)
+    """(H, W, 3) -> (H, W): the mean of the three channels."""
+    return pick(colour, compiled=compiled_luminance, plain=plain_luminance)(colour)
+
+
+def plain_luminance(colour: Tensor) -> Tensor:
+    """`luminance` in torch, on any device."""
+    return colour.mean(-1)
+
+
+def compiled_luminance(colour: Tensor) -> Tensor:
+    """`luminance` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
     out = torch.empty(colour.shape[:2])
@@ -94,7 +113,7 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     fine = levels[0]
     measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
     cell = max(2, round((measured / count) ** 0.5))
-    u, v = (compiled_steepest if depth.device.type == "cpu" else plain_steepest)(fine, depth, cell, least)
+    u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
     row, column = _rows_of(fine, depth)
     points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
     return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]) for level in levels])
@@ -107,7 +126,7 @@ def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple
     row, column = _rows_of(fine, depth)
     z = depth[row[:, None], column[None]]
     nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
-    slope = slope * ((nearest > 0) & (farthest - nearest < 0.02 + 0.03 * nearest))
+    slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
     cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
     best, place = cells.max(1)
     index = torch.nonzero(best > least).flatten()
@@ -156,11 +175,16 @@ def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Te
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
 
     Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
-    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64. On the CPU by Numba, elsewhere by
-    `plain_photometric_term`, to the same values.
+    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64.
     """
-    if marks.points.device.type != "cpu":
-        return plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+    term = pick(marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
+    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+
+
+def compiled_photometric_term(
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+) -> Term:
+    """`photometric_term` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import photometric_system
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
@@ -187,15 +211,15 @@ def plain_photometric_term(
     value, slope_u, slope_v = image.at(uv)
     target = marks.luminance[level]
     size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= 0.05) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
+    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
     gain, offset = _exposure(target, value, inside)
     r = value - gain * target - offset
-    scale = _median(r.abs()[inside]).mul(1.4826).clamp(min=floor)
+    scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
     w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
     # dr = -slope . dpi/dp . R^T (shift + turn x d)
     fx, fy = image.camera.fx, image.camera.fy
     x, y, _ = points_c.unbind(-1)
-    z = z.clamp(min=0.05)
+    z = z.clamp(min=NEAREST)
     a = torch.stack([slope_u * fx / z, slope_v * fy / z, -(slope_u * fx * x + slope_v * fy * y) / z**2], -1)
     n = -(a @ T_wc[:3, :3].T)
     J = torch.cat([n, torch.linalg.cross(d, n)], -1)
@@ -213,7 +237,7 @@ def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Ten
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
     depth = frame.depth[v, u]
-    return (depth <= 0) | ((depth - z).abs() < 0.05 + 0.05 * z)
+    return (depth <= 0) | ((depth - z).abs() < OCCLUSION + OCCLUSION_SHARE * z)
 
 
 def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
@@ -222,5 +246,5 @@ def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Te
     mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
     spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()
     spread_v = (((value - mean_v) ** 2 * inside).sum() / n).sqrt()
-    gain = (spread_v / spread_t.clamp(min=1e-3)).clamp(0.7, 1.4)
+    gain = (spread_v / spread_t.clamp(min=LEAST_SPREAD)).clamp(LEAST_GAIN, LARGEST_GAIN)
     return gain, mean_v - gain * mean_t

@@ -10,13 +10,14 @@ from typing import Any
 
 import torch
 
+import idfslam
 from idfslam import __version__
 from idfslam.compute import host
-from idfslam.compute.devices import bf16_pays, resolve_device, resolve_precision
+from idfslam.compute.backend import backend_of
+from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
 from idfslam.config import Config
 from idfslam.errors import IdfSlamError
 from idfslam.mapping.fused import fusable
-from idfslam.mapping.kernels.grid import default_implementation
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InTurns
 from idfslam.tracking.features import load_extractor
@@ -25,6 +26,14 @@ GIB = 2**30
 _LITTLE_MEMORY = 2 * GIB  # a run takes 0.9 GiB (docs/results.md)
 _LITTLE_DISK = GIB // 2  # a result folder takes some tens of megabytes
 _PACKAGES = ("numpy", "numba", "opencv-python-headless", "trimesh")
+DEVICES = {
+    "preset fast": "CPU; never tried on a GPU (--device cuda)",
+    "preset paper": "GPU if there is one, else CPU; never tried on a GPU",
+    "pretraining": "GPU if there is one, else CPU; never tried on a GPU",
+    "Triton kernels": "never tried on a GPU, only in Triton's interpreter",
+    "meshing, pose graph": "CPU, whatever the device",
+}
+"""What runs where, and what was never tried on a GPU."""
 _REQUIREMENT = re.compile(r"^(?P<package>[\w.-]+).*\bextra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
 
 
@@ -55,6 +64,7 @@ def examine(config: Config, folder: Path = Path()) -> Examination:
         "free_disk_bytes": _disk(folder, advice),
         "numba_cache": _numba_cache(advice),
         "weights": _weights(config, advice),
+        "devices": DEVICES,
         "extras": extras(),
         "used": _used(config, advice),
     }
@@ -82,7 +92,7 @@ def _disk(folder: Path, advice: list[str]) -> int:
 
 def _numba_cache(advice: list[str]) -> dict[str, Any]:
     """Where compiled kernels are kept, and how many there are; none yet: the first run compiles for most of a minute."""
-    folder, is_set = Path(__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
+    folder, is_set = Path(idfslam.__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(is_set)] if is_set else [folder]
     count = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
     writable = all(os.access(place if place.exists() else place.parent, os.W_OK) for place in places)
@@ -122,15 +132,15 @@ def extras() -> dict[str, dict[str, Any]]:
 def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
     """Device, precision and kernels of a run; None where it would end with an error, which is then the advice."""
     try:
-        device = resolve_device(config.device)
+        device = resolve_device(config.device, config.preset)
     except IdfSlamError as error:
         advice.append(str(error))
         return None
-    if device.type == "cpu" and torch.version.cuda and not torch.cuda.is_available():
+    if config.device == "auto" and config.preset not in KEPT_ON_CPU and torch.version.cuda and not torch.cuda.is_available():
         advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
     field = Mapper(config.mapper, config.field, device, torch.Generator(device), InTurns()).field
     grid = config.field.encoding == "grid"
-    kernels = "numba, fused" if fusable(field) else default_implementation(device.type) if grid else "torch"
+    kernels = "numba, fused" if fusable(field) else backend_of(device).value if grid else "torch"
     return {
         "preset": config.preset,
         "device": str(device),

@@ -82,6 +82,7 @@ def print_examination(examination: Examination, console: Console) -> None:
         used = e["used"]
         precision = f"tracker {used['tracker_precision']}, map {used['map_precision']}"
         rows.append(("a run uses", f"{used['device']}, {precision}, kernels: {used['kernels']} (preset {used['preset']})"))
+    rows += [(name, where) for name, where in e["devices"].items()]
     for name, extra in sorted(e["extras"].items()):
         installed = ", ".join(f"{package} {found}" for package, found in extra["installed"].items())
         missing = f"{', '.join(extra['missing'])} missing: {extra['install']}" if extra["missing"] else ""

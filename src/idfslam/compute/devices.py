@@ -9,13 +9,19 @@ import torch
 
 from idfslam.errors import ConfigError
 
+KEPT_ON_CPU = ("fast",)
+"""Presets that `auto` keeps on the CPU: no run of them on a GPU was measured. One alignment makes 7 000 torch calls on the plain path."""
 
-def resolve_device(name: Literal["auto", "cpu", "cuda"]) -> torch.device:
-    """The device by that name; `auto` is a GPU when there is one. Raises ConfigError for a GPU that is not there."""
+
+def resolve_device(name: Literal["auto", "cpu", "cuda"], preset: str | None = None) -> torch.device:
+    """The device by that name. `auto` is a GPU where there is one, but the CPU for a run with a preset of `KEPT_ON_CPU`.
+
+    preset: that of a run; none for pretraining. Raises ConfigError for a GPU that is not there.
+    """
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device cuda: this torch finds no CUDA device; use --device cpu, or install a CUDA build of torch")
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        return torch.device("cuda" if torch.cuda.is_available() and preset not in KEPT_ON_CPU else "cpu")
     return torch.device(name)
 
 

@@ -428,7 +428,8 @@ class Config:
     seed: UserOption[int] = 0
     """Seed of every random choice."""
     device: UserOption[Literal["auto", "cpu", "cuda"]] = "auto"
-    """Device that the networks run on. `auto` takes a GPU if there is one."""
+    """Device that the networks run on. `auto` takes the CPU for the preset `fast`, which was never run on a GPU,
+    and a GPU if there is one for `paper`."""
     front_end: str = "alignment"
     """The part that tracks frames. `alignment` aligns every frame to the map and uses the neural tracker where the result is in doubt.
     `registration` uses the neural tracker alone, as in the paper."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import yaml
 
+from idfslam.compute.backend import Backend, backend_of
 from idfslam.compute.devices import resolve_device
 from idfslam.config import FAST, Config, dump, update
 
@@ -31,7 +32,7 @@ def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
 
     Where that process fails, this one compiles by itself when the time comes.
     """
-    if resolve_device(config.device).type != "cpu" or compiled():
+    if backend_of(resolve_device(config.device, config.preset)) is not Backend.NUMBA or compiled():
         yield lambda: None
         return
     command = [sys.executable, "-m", "idfslam.demo.compile_ahead"]

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import Backend, backend_of
 from idfslam.geometry.camera import Camera
 
 
@@ -28,7 +29,7 @@ def covisibility(
     points = sampled_points(depth, camera, subsample)
     if len(points) == 0:
         return T_kn.new_zeros(T_kn.shape[0])
-    if other_depths is None and points.device.type == "cpu":
+    if other_depths is None and backend_of(points.device) is Backend.NUMBA:
         return compiled_in_view(points, T_kn, other_camera) / len(points)
     return plain_in_view(points, T_kn, other_camera, other_depths, depth_tolerance).float().mean(1)
 

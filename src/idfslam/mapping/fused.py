@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from idfslam.compute.backend import Backend, backend_of
 from idfslam.config import MapperConfig
 from idfslam.mapping import sphere_tracing
 from idfslam.mapping.field import Field
@@ -28,7 +29,7 @@ def fusable(field: Field) -> bool:
     c = field.config
     shape = c.encoding == "grid" and c.layers == 1 and c.direction_frequencies == 0
     fits = c.levels * c.features % 4 == 0 and c.width % 4 == 0 and c.colour_width % 4 == 0
-    return shape and fits and not field.bf16 and next(field.parameters()).device.type == "cpu"
+    return shape and fits and not field.bf16 and backend_of(next(field.parameters()).device) is Backend.NUMBA
 
 
 def weights(field: Field) -> list[NDArray[np.float32]]:
@@ -43,8 +44,8 @@ def parameters(field: Field) -> list[nn.Parameter]:
 
 
 def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """The fastest way to `Field.distance` of this field."""
-    return (lambda points: distance(field, points)) if fusable(field) else field.distance
+    """`Field.distance` of this field, compiled where it can be."""
+    return lambda points: (distance if fusable(field) else Field.distance)(field, points)
 
 
 def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,8 +67,8 @@ def _grid(field: Field) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple
 
 
 def sdf_function(field: Field) -> Callable[[Tensor], Tensor]:
-    """The fastest way to `Field.sdf` without gradients."""
-    return (lambda points: sdf(field, points)) if fusable(field) else field.sdf
+    """`Field.sdf` of this field without gradients, compiled where it can be."""
+    return lambda points: (sdf if fusable(field) else Field.sdf)(field, points)
 
 
 def sdf(field: Field, points: Tensor) -> Tensor:
@@ -82,7 +83,7 @@ def sdf(field: Field, points: Tensor) -> Tensor:
 
 
 def tracer(field: Field) -> Trace:
-    """The fastest way to trace rays through this field."""
+    """`sphere_tracing.trace` through this field, compiled where it can be."""
     return partial(trace, field) if fusable(field) else partial(sphere_tracing.trace, field.sdf)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from idfslam.compute.backend import Backend, backend_of
 from idfslam.config import FieldConfig
 from idfslam.mapping.kernels import grid_encode, grid_scatter, touched_runs
 
@@ -59,4 +60,6 @@ def roomy_zeros(shape: Sequence[int], device: torch.device) -> Tensor:
     Hashed vertices lie anywhere in a table, so that on pages of 4 kB most of the time goes into finding the pages (a step on tables of
     2^18 entries: 5.1 ms before, 4.2 after).
     """
-    return torch.from_numpy(np.zeros(tuple(shape), np.float32)) if device.type == "cpu" else torch.zeros(*shape, device=device)
+    if backend_of(device) is not Backend.NUMBA:
+        return torch.zeros(*shape, device=device)
+    return torch.from_numpy(np.zeros(tuple(shape), np.float32))

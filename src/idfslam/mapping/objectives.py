@@ -13,7 +13,7 @@ from idfslam.mapping.fused import learn as fused_learn
 from idfslam.mapping.fused import learn_steps as fused_steps
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.optimiser import MapOptimiser
-from idfslam.mapping.ray_samples import RaySamples, compiled_placed, placed, uniform
+from idfslam.mapping.ray_samples import RaySamples, placed, uniform
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render
 
@@ -96,8 +96,7 @@ class SampleObjective:
         c = self.config
         like = rays.depth
         chance, free_chance = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
-        plain = like.device.type != "cpu" or rays.origins.requires_grad or rays.directions.requires_grad
-        points, target = (placed if plain else compiled_placed)(rays, chance, free_chance, self.truncation)
+        points, target = placed(rays, chance, free_chance, self.truncation)
         near, free = chance.numel(), free_chance.numel()
         weight = like.new_full((near + free,), c.free_space_weight / max(free, 1))
         weight[:near] = c.truncation_weight / near

@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
+from idfslam.mapping.constants import FREE_FROM, FREE_TO
 from idfslam.mapping.rays import Rays
 
 
@@ -32,9 +34,16 @@ def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -
     S of each ray lie within `truncation` of the surface, as far before it as behind: one-sided they would move the surface as soon as
     readings are noisy. S' lie before that. Each is in its own part of the way, where chance (B, S) and free_chance (B, S') say.
     """
+    gradients = rays.origins.requires_grad or rays.directions.requires_grad  # the kernel has none
+    place = plain_placed if gradients else pick(rays.depth, compiled=compiled_placed, plain=plain_placed)
+    return place(rays, chance, free_chance, truncation)
+
+
+def plain_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+    """`placed` in torch, on any device."""
     depth = rays.depth[:, None]
     near = depth - truncation + 2 * truncation * parts(chance)
-    first, last = 0.05, (depth - truncation).clamp(min=0.1)
+    first, last = FREE_FROM, (depth - truncation).clamp(min=FREE_TO)
     free = first + (last - first) * parts(free_chance)
     target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()
     return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])

@@ -7,7 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
+from idfslam.mapping.constants import GRAZING
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 
 class View(Protocol):
@@ -53,7 +56,9 @@ class Rays:
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
-    return compiled_cast(view, uv) if T_wc is None and uv.device.type == "cpu" else plain_cast(view, uv, T_wc)
+    if T_wc is not None:
+        return plain_cast(view, uv, T_wc)
+    return pick(uv, compiled=compiled_cast, plain=plain_cast)(view, uv)
 
 
 def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
@@ -97,9 +102,9 @@ def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = _REACH) ->
         points.append(camera.rays(torch.stack([x, y], -1).to(depth.dtype)) * depth[y, x][:, None])
     here = depth[v, u]
     z = torch.stack([p[:, 2] for p in points], -1)
-    smooth = ((z > 0) & ((z - here[:, None]).abs() < 0.02 + 0.03 * here[:, None])).all(-1)
+    smooth = ((z > 0) & ((z - here[:, None]).abs() < EDGE + EDGE_SHARE * here[:, None])).all(-1)
     normal = torch.linalg.cross(points[1] - points[0], points[3] - points[2])
     length = normal.norm(dim=-1)
     direction = camera.rays(uv.to(depth.dtype))
     dot = ((normal * direction).sum(-1) / length.clamp(min=1e-12)).abs()
-    return torch.where(smooth & (length > 1e-12), dot.clamp(min=0.1), torch.ones_like(here))
+    return torch.where(smooth & (length > 1e-12), dot.clamp(min=GRAZING), torch.ones_like(here))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
+
 
 @dataclass(frozen=True)
 class CellPixels:
@@ -27,8 +29,8 @@ def cell_of(uv: Tensor, height: int, width: int, cells: int) -> Tensor:
 
 
 def group_pixels(allowed: Tensor, cells: int) -> CellPixels:
-    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells; on the CPU by Numba."""
-    return (compiled_group_pixels if allowed.device.type == "cpu" else plain_group_pixels)(allowed, cells)
+    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells."""
+    return pick(allowed, compiled=compiled_group_pixels, plain=plain_group_pixels)(allowed, cells)
 
 
 def plain_group_pixels(allowed: Tensor, cells: int) -> CellPixels:

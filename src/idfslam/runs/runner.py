@@ -82,7 +82,8 @@ def run(
         warm_up(config, make_slam)
     slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
     meter, frame_log = Meter(), FrameLog()
-    made = None if isinstance(recording, LiveStream) or prior is not None else made_of(config, recording, resolve_device(config.device))
+    device = resolve_device(config.device, config.preset)
+    made = None if isinstance(recording, LiveStream) or prior is not None else made_of(config, recording, device)
     checkpoints = Checkpoints(folder, made or {})
     with (
         viewer.opened(folder, recording.name),

@@ -2,12 +2,14 @@
 
 from torch import Tensor
 
+NEAREST = 0.4  # [m] depth of a reading at the sensor's best; nearer ones are no better (Nguyen et al. 2012)
+GROWTH = 1.5  # [1/m^2] of the noise with the square of the depth beyond, as a share of the best; raised, far readings count less
 BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at 0.4 m, its best (Nguyen et al. 2012)
 
 
 def noise_ratio(depth: Tensor) -> Tensor:
     """Noise of readings at `depth` [m] as a multiple of the sensor's best [1]."""
-    return 1 + 1.5 * (depth - 0.4).clamp(min=0) ** 2
+    return 1 + GROWTH * (depth - NEAREST).clamp(min=0) ** 2
 
 
 def difference_noise(depth: Tensor) -> Tensor:

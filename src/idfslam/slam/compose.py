@@ -54,7 +54,7 @@ class System:
         map: "Callable[[System], Mapper] | None" = None,
     ) -> None:
         """front_end, back_end, map: in place of those that the configuration names."""
-        self.config, self.device = config, resolve_device(config.device)
+        self.config, self.device = config, resolve_device(config.device, config.preset)
         self._make_front_end = front_end or _named(FRONT_ENDS, "front_end", config.front_end)
         self._make_back_end = back_end or _named(BACK_ENDS, "back_end", config.back_end)
         self._make_map = map or _named(MAPS, "map_representation", config.map_representation)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
+
 _SIMILARITIES = 1 << 19  # held at a time, so that they stay near in the caches
 
 Features = Callable[[Tensor], Tensor]
@@ -47,8 +49,16 @@ def nearest(queries: Tensor, targets: Tensor) -> Tensor:
 
 def two_largest(values: Tensor) -> Tensor:
     """The places (N, 2) of the two largest in each row of values (N, M), the largest first."""
-    if values.device.type != "cpu":
-        return values.topk(2, dim=-1).indices
+    return pick(values, compiled=compiled_two_largest, plain=plain_two_largest)(values)
+
+
+def plain_two_largest(values: Tensor) -> Tensor:
+    """`two_largest` in torch, on any device."""
+    return values.topk(2, dim=-1).indices
+
+
+def compiled_two_largest(values: Tensor) -> Tensor:
+    """`two_largest` by Numba, on the CPU."""
     from idfslam.tracking.kernels import numba_tracking
 
     indices = torch.empty(len(values), 2, dtype=torch.int64)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.sensing.depth_noise import BEST, difference_noise
 from idfslam.tracking.correspondences import Correspondences
@@ -37,8 +38,11 @@ def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches:
 
 def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
     """Normal equations H (6, 6), b (6,) of the distances of every `stride`-th row and column to the planes where they fall."""
-    if frame.points.device.type != "cpu":
-        return plain_plane_system(T_kc, frame, keyframe, stride, reach)
+    return pick(frame.points, compiled=compiled_plane_system, plain=plain_plane_system)(T_kc, frame, keyframe, stride, reach)
+
+
+def compiled_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+    """`plane_system` by Numba, on the CPU."""
     from idfslam.tracking.kernels import numba_tracking
 
     c, H, b = keyframe.camera, torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
@@ -50,7 +54,7 @@ def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: in
 
 
 def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
-    """The same in torch, on any device."""
+    """`plane_system` in torch, on any device."""
     points, normals = _surface(frame, stride)
     T, camera = T_kc.to(points), keyframe.camera
     moved, turned = se3.transform(T, points), normals @ T[:3, :3].T

@@ -1,4 +1,4 @@
-"""The normal equations of a pose on the CPU, compiled by Numba; `tracking/alignment.py` and `photometric.py` hold the plain forms.
+"""The normal equations of a pose on the CPU, compiled by Numba; `aligner.py`, `normals.py` and `photometric.py` hold the plain forms.
 
 A frame's alignment builds them ten times from a few thousand points: in torch the calls cost more than the arithmetic.
 """
@@ -7,8 +7,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from idfslam.alignment.constants import (
+    DEVIATION,
+    KNOWN,
+    LARGEST_GAIN,
+    LEAST_GAIN,
+    LEAST_RADIUS,
+    LEAST_SLOPE,
+    LEAST_SPREAD,
+    LEAST_VALUE,
+    NEAREST,
+    OCCLUSION,
+    OCCLUSION_SHARE,
+    SLOPE_FLOOR,
+)
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+
 Floats = NDArray[np.float32]
 
+_EDGE, _EDGE_SHARE = np.float32(EDGE), np.float32(EDGE_SHARE)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
@@ -72,12 +89,12 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
     total, squares, known, radius = 0.0, 0.0, 0, 0.0
     for n in range(len(distance)):
         radius += np.sqrt(turned[n, 0] ** 2 + turned[n, 1] ** 2 + turned[n, 2] ** 2)
-        if abs(distance[n]) >= 0.9 * truncation or slope[n] <= 0.2:
+        if abs(distance[n]) >= KNOWN * truncation or slope[n] <= LEAST_SLOPE:
             continue
         known += 1
         x, y, z = turned[n, 0], turned[n, 1], turned[n, 2]
         nx, ny, nz = normal[n, 0], normal[n, 1], normal[n, 2]
-        r = distance[n] / max(slope[n], 0.7)
+        r = distance[n] / max(slope[n], SLOPE_FLOOR)
         scale = robust * min(sigma[n], widest)
         kernel = 1 + (r / scale) ** 2
         w = 1 / (kernel * kernel * sigma[n] * sigma[n])
@@ -156,7 +173,7 @@ def _on_one_surface(depth, rows, columns, x, y) -> bool:  # type: ignore[no-unty
         for i in range(max(x - 1, 0), min(x + 2, len(columns))):
             z = depth[rows[j], columns[i]]
             nearest, farthest = min(nearest, z), max(farthest, z)
-    return nearest > 0 and farthest - nearest < np.float32(0.02) + np.float32(0.03) * nearest
+    return nearest > 0 and farthest - nearest < _EDGE + _EDGE_SHARE * nearest
 
 
 @_inlined
@@ -169,13 +186,13 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 
 @_compiled
-def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
+def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
     """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,).
 
     Returns the number in view and the scale of the differences. Each counts by the inverse square of the differences' own scale (their
     median, at least `floor`), robustly from `widest` scales on.
 
-    d = R_kw_t p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
+    d = R_wk p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
     frame's, its pixels `ratio` times the image's.
     """
     m = len(points)
@@ -186,17 +203,17 @@ def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, c
     camera = np.empty((m, 3))
     for i in range(m):
         for a in range(3):
-            d[i, a] = R_kw_t[a, 0] * points[i, 0] + R_kw_t[a, 1] * points[i, 1] + R_kw_t[a, 2] * points[i, 2] + shift[a]
+            d[i, a] = R_wk[a, 0] * points[i, 0] + R_wk[a, 1] * points[i, 1] + R_wk[a, 2] * points[i, 2] + shift[a]
         for a in range(3):
             camera[i, a] = R_cw[a, 0] * d[i, 0] + R_cw[a, 1] * d[i, 1] + R_cw[a, 2] * d[i, 2]
         z = camera[i, 2]
-        if z < 0.05:
+        if z < NEAREST:
             continue
         u, v = camera[i, 0] / z * fx + cx, camera[i, 1] / z * fy + cy
         if u < 1 or v < 1 or u > width - 2 or v > height - 2:
             continue
         measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
-        if measured > 0 and abs(measured - z) >= 0.05 + 0.05 * z:
+        if measured > 0 and abs(measured - z) >= OCCLUSION + OCCLUSION_SHARE * z:
             continue
         inside[i] = True
         values[i, 0] = _bilinear(image, u, v)
@@ -210,15 +227,15 @@ def photometric_system(points, target, R_cw, R_kw_t, shift, image, fx, fy, cx, c
     if n == 0:
         return 0, 0.0
     mean_t, mean_v = sum_t / n, sum_v / n
-    gain = np.sqrt(max(sum_vv / n - mean_v**2, 0.0)) / max(np.sqrt(max(sum_tt / n - mean_t**2, 0.0)), 1e-3)
-    gain = min(max(gain, 0.7), 1.4)
+    gain = np.sqrt(max(sum_vv / n - mean_v**2, 0.0)) / max(np.sqrt(max(sum_tt / n - mean_t**2, 0.0)), LEAST_SPREAD)
+    gain = min(max(gain, LEAST_GAIN), LARGEST_GAIN)
     residuals = np.empty(n)
     k = 0
     for i in range(m):
         if inside[i]:
             residuals[k] = abs(values[i, 0] - mean_v - gain * (target[i] - mean_t))
             k += 1
-    scale = max(1.4826 * np.median(residuals), floor)
+    scale = max(DEVIATION * np.median(residuals), floor)
     J = np.empty(6)
     for i in range(m):
         if not inside[i]:
@@ -259,12 +276,12 @@ def _solved(A, b):  # type: ignore[no-untyped-def]
 
 @_compiled
 def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore[no-untyped-def]
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,), held to the guess: `alignment.plain_damped_step`.
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), held to the guess: `aligner.plain_damped_step`.
 
     Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step.
     """
     unit = np.ones(6)
-    unit[3:] = 1 / max(radius, 0.1)
+    unit[3:] = 1 / max(radius, LEAST_RADIUS)
     scaled = np.empty((6, 6))
     for i in range(6):
         for j in range(6):
@@ -272,7 +289,7 @@ def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore
     values, directions = np.linalg.eigh(scaled)
     held = np.empty(6)
     for i in range(6):
-        held[i] = max(weight, 1e-9) * hold**4 / max(values[i], 0.1 * hold) ** 3
+        held[i] = max(weight, 1e-9) * hold**4 / max(values[i], LEAST_VALUE * hold) ** 3
     left, right = np.empty((6, 6)), b.copy()
     for i in range(6):
         for j in range(6):

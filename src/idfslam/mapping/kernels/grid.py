@@ -1,20 +1,14 @@
-"""Grid encoding with a choice of implementation: Numba on the CPU, Triton on CUDA, plain torch everywhere."""
+"""The grid encoding on the backend of its tensors: Numba, Triton or plain torch; another one can be asked for."""
 
-import functools
-import importlib.util
-import logging
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from idfslam.compute.backend import Backend, backend_of
 from idfslam.mapping.kernels import torch_grid
-
-Implementation = Literal["torch", "numba", "triton"]
-
-logger = logging.getLogger(__name__)
 
 
 def grid_encode(
@@ -22,7 +16,7 @@ def grid_encode(
     tables: Tensor,
     cells: Tensor,
     *,
-    implementation: Implementation | None = None,
+    backend: Backend | None = None,
     accumulate_into: Tensor | None = None,
 ) -> Tensor:
     """Features (N, L * F), level-major, of points (N, 3) [m] in tables (L, S, F) with lattice cells (L,) [m]; float32.
@@ -34,7 +28,7 @@ def grid_encode(
     allocating and adding a whole table per call; the tables must still require a gradient for that to happen. `sparse_adam` leaves that
     buffer zero again. Raises ValueError for shapes, dtypes and devices outside the contract.
     """
-    kernels = _kernels(points.device, implementation)
+    kernels = _kernels(points.device, backend)
     _check(points, tables, cells, any_dtype=kernels is torch_grid)
     if accumulate_into is not None and (accumulate_into.shape != tables.shape or not accumulate_into.is_contiguous()):
         raise ValueError(f"accumulate_into has shape {tuple(accumulate_into.shape)}, expected contiguous {tuple(tables.shape)}")
@@ -49,13 +43,13 @@ def grid_scatter(
     into: Tensor,
     *,
     touched: Tensor | None = None,
-    implementation: Implementation | None = None,
+    backend: Backend | None = None,
 ) -> None:
     """Add to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd.
 
     touched: of `touched_runs`, for `sparse_adam`.
     """
-    kernels = _kernels(points.device, implementation)
+    kernels = _kernels(points.device, backend)
     _check(points, into, cells, any_dtype=kernels is torch_grid)
     kernels.backward_tables(points.contiguous(), cells, grad_features.contiguous(), into, touched)
 
@@ -72,7 +66,7 @@ def sparse_adam(
     betas: tuple[float, float] = torch_grid.BETAS,
     eps: float = torch_grid.EPS,
     touched: Tensor | None = None,
-    implementation: Implementation | None = None,
+    backend: Backend | None = None,
 ) -> None:
     """One Adam step on the numbers whose gradient is not zero, in place; all four tensors (L, S, F). `grad` is zero afterwards.
 
@@ -84,7 +78,7 @@ def sparse_adam(
         raise ValueError(f"shapes differ: tables {tuple(tables.shape)}, grad {tuple(grad.shape)}, m {tuple(m.shape)}, v {tuple(v.shape)}")
     if not all(tensor.is_contiguous() for tensor in (tables, grad, m, v)):
         raise ValueError("tables, grad, m and v must be contiguous")
-    kernels = _kernels(tables.device, implementation)
+    kernels = _kernels(tables.device, backend)
     kernels.adam_step(tables, grad, m, v, touched, torch_grid.adam_rates(learning_rate, *betas, eps, step))
     torch.autograd.graph.increment_version(tables)  # a graph that still needs the old values must fail, not use the new ones
 
@@ -120,29 +114,18 @@ class _GridEncode(torch.autograd.Function):
         return grad_points, grad_tables, None, None, None
 
 
-def _kernels(device: torch.device, implementation: Implementation | None) -> ModuleType:
+def _kernels(device: torch.device, backend: Backend | None) -> ModuleType:
     """The module with the kernels; imported here because importing Numba or Triton takes a second that not every command needs."""
-    chosen = implementation or default_implementation(device.type)
-    if chosen == "numba":
+    chosen = backend or backend_of(device)
+    if chosen is Backend.NUMBA:
         from idfslam.mapping.kernels import numba_grid
 
         return numba_grid
-    if chosen == "triton":
+    if chosen is Backend.TRITON:
         from idfslam.mapping.kernels import triton_grid
 
         return triton_grid
     return torch_grid
-
-
-@functools.cache
-def default_implementation(device_type: str) -> Implementation:
-    """Numba on the CPU, Triton on CUDA; cached, so that a missing Triton is told once."""
-    if device_type == "cpu":
-        return "numba"
-    if device_type == "cuda" and importlib.util.find_spec("triton") is not None:
-        return "triton"
-    logger.warning("no compiled grid kernels for device '%s' (CUDA needs the package triton): plain torch is used, slower", device_type)
-    return "torch"
 
 
 def _check(points: Tensor, tables: Tensor, cells: Tensor, *, any_dtype: bool) -> None:

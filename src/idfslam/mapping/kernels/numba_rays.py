@@ -1,4 +1,4 @@
-"""Pixels to rays to samples on the CPU, compiled by Numba; `sampling.py`, `rays.py` and `objectives.py` hold the plain forms.
+"""Pixels to rays to samples on the CPU, compiled by Numba; `sampling.py`, `rays.py` and `ray_samples.py` hold the plain forms.
 
 A map step draws some thousand pixels: in torch each of fifty small operations on the way to their samples costs more than its arithmetic.
 """
@@ -7,14 +7,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from idfslam.mapping.constants import FREE_FROM, FREE_TO, GRAZING
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+
 Floats = NDArray[np.float32]
 
 _compiled = njit(cache=True, nogil=True, error_model="numpy")
 _inlined = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)  # why: numba_grid
 
-_NEAR, _SHARE = np.float32(0.02), np.float32(0.03)  # a neighbour farther off in depth lies across an edge
+_EDGE, _EDGE_SHARE = np.float32(EDGE), np.float32(EDGE_SHARE)
+_FREE_FROM, _FREE_TO, _GRAZING = np.float32(FREE_FROM), np.float32(FREE_TO), np.float32(GRAZING)
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
-_SHORT, _GRAZING = np.float32(1e-12), np.float32(0.1)
+_SHORT = np.float32(1e-12)  # [m^2] a normal of no length
 
 
 @_compiled
@@ -50,7 +54,7 @@ def _facing(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: n
     height, width = depth.shape
     left, right, up, down = max(u - reach, 0), min(u + reach, width - 1), max(v - reach, 0), min(v + reach, height - 1)
     here, l, r, a, b = depth[v, u], depth[v, left], depth[v, right], depth[up, u], depth[down, u]
-    edge = _NEAR + _SHARE * here
+    edge = _EDGE + _EDGE_SHARE * here
     if min(min(l, r), min(a, b)) <= _ZERO or max(max(abs(l - here), abs(r - here)), max(abs(a - here), abs(b - here))) >= edge:
         return _ONE
     x, y = (np.float32(u) - cx) / fx, (np.float32(v) - cy) / fy
@@ -83,7 +87,7 @@ def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray
 def place(origins, directions, depth, facing, chance, free_chance, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
     """Fills points (B * (S + S'), 3) and target (as many,) of S samples near the surface and S' in free space of B rays.
 
-    chance (B, S) and free_chance (B, S') in [0, 1) place each in its part: `SampleObjective.samples`.
+    chance (B, S) and free_chance (B, S') in [0, 1) place each in its part: `ray_samples.placed`.
     """
     rays, near = chance.shape
     free = free_chance.shape[1]
@@ -96,7 +100,7 @@ def place(origins, directions, depth, facing, chance, free_chance, truncation, p
             for axis in range(3):
                 points[k, axis] = origins[n, axis] + directions[n, axis] * at
             target[k] = min(max((z - at) * slope, -_ONE), _ONE)
-        first, last = np.float32(0.05), max(z - truncation, np.float32(0.1))
+        first, last = _FREE_FROM, max(z - truncation, _FREE_TO)
         for s in range(free):
             at = first + (last - first) * ((np.float32(s) + free_chance[n, s]) / np.float32(free))
             k = rays * near + n * free + s

@@ -3,8 +3,11 @@
 import numpy as np
 from numba import njit
 
+from idfslam.sensing.depth_noise import GROWTH, NEAREST
+
 _FASTMATH = {"nnan", "nsz", "reassoc", "contract", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_NEAREST, _GROWTH = np.float32(NEAREST), np.float32(GROWTH)
 _BLOCK = 64  # values of which the largest is found first, by vector instructions
 
 
@@ -65,8 +68,8 @@ def plane_system(T, points, normals, stride, to_points, to_normals, camera, reac
                 cosine += m[axis] * (T[axis, 0] * n[0] + T[axis, 1] * n[1] + T[axis, 2] * n[2])
             if cosine <= facing:
                 continue
-            beyond = max(z - np.float32(0.4), np.float32(0))
-            sigma = noise * (1 + np.float32(1.5) * beyond * beyond)
+            beyond = max(z - _NEAREST, np.float32(0))
+            sigma = noise * (1 + _GROWTH * beyond * beyond)
             off = distance / (robust * sigma)
             root = 1 / (sigma * (1 + off * off))
             J[0], J[1], J[2] = m[0], m[1], m[2]
