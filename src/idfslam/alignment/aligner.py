@@ -26,8 +26,20 @@ from idfslam.graph.keyframe import Images, Keyframe
 from idfslam.sensing.depth_noise import noise_ratio
 from idfslam.storage.state import State, Stateful
 
-_MARGIN, _FORGOTTEN = 1.5, 0.95  # a prediction may be off by so many times what the worst of the last was, which is forgotten slowly
-_WRONG_BRIGHTNESS = 0.1  # difference of brightness at which a landmark is another place
+# Chosen by hand on generated rooms and redkitchen.
+_MARGIN, _DECAY = (
+    1.5,
+    0.95,
+)  # [1] the prediction error is bounded by this many times the largest recent one, which decays by 5 % a frame. More
+#                              margin: coarser images are used more often, which is slower and safer
+_WRONG_ERROR = 0.1  # [1] photometric error of a landmark that is another place; more: landmarks out of view count against a pose more
+_ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003  # [1], [m] added to photometric error and RMSE in a score; more: small differences decide less
+_USUAL_RATE = 0.1  # [1] by which the usual photometric error follows each frame's; more: it follows faster, and forgets faster
+_COARSE_STRIDE = 3  # points of which one takes part in all but the finest steps; more: faster, and noisier first steps
+_FIRST_SCALE = 4.0  # [1] times `robust` in the first step, halved with each; more: worse guesses are corrected, and more outliers count
+_OVERSHOOT = (
+    2.0  # [1] times the expected error of a guess from which an alignment went farther than its images reach; more: fewer second tries
+)
 
 
 @dataclass(frozen=True)
@@ -57,8 +69,8 @@ class Alignment:
 
         A landmark out of view counts as one that is wrong, or the pose that looks away from all of them would be best.
         """
-        agreement = self.in_view / (self.brightness + 0.005) + (1 - self.in_view) / (_WRONG_BRIGHTNESS + 0.005)
-        return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + 0.003)
+        agreement = self.in_view / (self.brightness + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
+        return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + _RMSE_FLOOR)
 
     def distance(self, T_wc: Tensor) -> float:
         """How far the finest image moves between this pose and another (4, 4), about [px]."""
@@ -137,7 +149,7 @@ class Aligner(Stateful):
         T, change = T_guess.double().clone(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else within), self.config.iterations - 1)
-        coarse, normals = surface.every(3), None
+        coarse, normals = surface.every(_COARSE_STRIDE), None
         for step in range(first, self.config.iterations):
             if step < coarse_steps:
                 system, _ = self._depth_system(coarse, T, step, None)
@@ -199,13 +211,13 @@ class Aligner(Stateful):
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Remember how well colours fit, as a slow running mean, and how far off the prediction (4, 4) was."""
         if alignment.brightness > 0:
-            self._usual_brightness += (alignment.brightness - self._usual_brightness) * (0.1 if self._usual_brightness else 1.0)
-        lately = 0.0 if self.expected is None else _FORGOTTEN * self.expected
+            self._usual_brightness += (alignment.brightness - self._usual_brightness) * (_USUAL_RATE if self._usual_brightness else 1.0)
+        lately = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), lately)
 
     def unexpected(self, alignment: Alignment, T_guess: Tensor, within: float | None) -> bool:
         """Whether a guess that was to be off by `within` [px] turned out to be farther off than the images that were looked at reach."""
-        return within is not None and alignment.distance(T_guess) > 2 * max(within, self.config.level_reach)
+        return within is not None and alignment.distance(T_guess) > _OVERSHOOT * max(within, self.config.level_reach)
 
     def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
         """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps.
@@ -215,7 +227,7 @@ class Aligner(Stateful):
         T32 = T.float().to(surface.points)
         turned = surface.points @ T32[:3, :3].T
         distance, gradient = self.query(turned + T32[:3, 3])
-        robust = self.config.robust * max(1.0, 4.0 * 0.5**step)
+        robust = self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
         normals = normals or smoothed_normals(turned, gradient, surface.patches)
         return depth_system(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest), normals
 

@@ -1,8 +1,8 @@
-"""The motion model: constant velocity. It predicts a frame's pose, holds to it what a measurement leaves open, and learns from the rest.
+"""The motion model: constant velocity. It predicts each pose, and keeps the prediction in directions that a measurement leaves open.
 
-A bare wall lets a pose slide along it and turn about its normal, yet the noise of the map's normals makes it seem to resist a little. So
-the information of each direction is compared with what is worth believing: a smooth form of the solution remapping of Zhang, Kaess
-and Singh, "On degeneracy of optimization-based state estimation problems", ICRA 2016.
+A bare wall lets a pose slide along it and turn about its normal, yet the noise of the map's normals looks like a little information there.
+So the information of each direction is compared with a prior: a smooth form of the solution remapping of Zhang, Kaess and Singh, "On
+degeneracy of optimization-based state estimation problems", ICRA 2016.
 
 Changes of a pose are 6-vectors: the shift [m] of the camera's centre and its turn [rad] about that, both along world axes.
 """
@@ -17,9 +17,15 @@ from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful
 
-_VELOCITY = 4.0  # a direction teaches the velocity from so many times the information on that teaches the pose: errors of one
-#                  pose are forgotten with the next, but a wrong velocity is carried through the whole of a bare wall
-_TURN_KEPT = 0.9  # of a turn that is not measured, frame by frame: hands sway to and fro about an upright camera, but walk on
+_VELOCITY_INFORMATION = (
+    4.0  # [1] the velocity is updated only along directions with this many times the information that the pose needs: the
+)
+#                              next frame corrects a wrong pose, but a wrong velocity is integrated along a whole bare wall. More: the
+#                              velocity changes more slowly
+_TURN_KEPT = (
+    0.9  # [1] share of an unmeasured turn that is kept from frame to frame: hands sway about an upright camera, but walks go on. More:
+)
+#                   turns go on longer on bare walls
 
 
 @dataclass(frozen=True)
@@ -74,7 +80,7 @@ class MotionModel(Stateful):
         return {"T_step": self.T_step}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Takes over `state`."""
         self.T_step = state["T_step"]
 
     def predict(self, T_last: Tensor) -> Tensor:
@@ -85,9 +91,9 @@ class MotionModel(Stateful):
         """The frame after `T_last` was found at `T_wc`: its motion is the next one's, as far as `information` goes (none given: wholly)."""
         if information is not None:
             predicted = self.predict(T_last)
-            correction = information.trusted(change_between(predicted, T_wc), _VELOCITY * hold)
+            correction = information.trusted(change_between(predicted, T_wc), _VELOCITY_INFORMATION * hold)
             step = change_between(T_last, predicted)
-            carried = step - information.trusted(step, _VELOCITY * hold)
+            carried = step - information.trusted(step, _VELOCITY_INFORMATION * hold)
             carried[3:] *= 1 - _TURN_KEPT
             carried[:3] = 0
             T_wc = moved(moved(T_last, step - carried), correction)

@@ -1,4 +1,4 @@
-"""Normals of the map at a frame's points, smoothed over like neighbours: what is noise in them looks like information along a wall."""
+"""Normals of the map at a frame's points, smoothed over similar neighbours: their noise would look like information along a wall."""
 
 import numpy as np
 import torch
@@ -7,16 +7,18 @@ from torch import Tensor
 
 from idfslam.compute.backend import pick
 
-_ALIKE = 0.906  # least cosine between normals that are averaged: 25 degrees
-_COPLANAR = 0.03  # [m] from the tangent plane at most
-_REACH = 2  # patches to each side
+_SIMILAR = 0.906  # [1] least cosine between normals that are averaged: 25 degrees; more: less smoothing, sharper edges. Chosen by hand
+_COPLANAR = 0.03  # [m] largest distance of a neighbour from the tangent plane; more: averages reach over small steps. Chosen by hand
+_REACH = (
+    2  # patches to each side; more: smoother. With 2, 15 times too much information along a bare wall becomes little (docs/findings.md)
+)
 
 
 def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
     """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and its length (N,).
 
-    A normal is the mean over 5 x 5 `patches`, of those alike: within 25 degrees, and within 3 cm of the point's tangent plane. The normals
-    of a wall learnt from noisy depth are off by several degrees, which makes the wall seem to resist sliding; edges stay edges.
+    A normal is the mean over 5 x 5 `patches` of the similar ones: within 25 degrees, and within 3 cm of the point's tangent plane. The
+    normals of a wall learnt from noisy depth are off by several degrees, which looks like information along the wall. Edges stay edges.
     """
     return pick(points, compiled=compiled_smoothed_normals, plain=plain_smoothed_normals)(points, gradient, patches)
 
@@ -27,7 +29,7 @@ def compiled_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor)
 
     normal, slope = torch.empty_like(gradient), torch.empty(len(gradient))
     inputs, outputs = [t.numpy() for t in (points, gradient, patches)], (normal.numpy(), slope.numpy())
-    numba_alignment.smoothed_normals(*inputs, _REACH, np.float32(_ALIKE), np.float32(_COPLANAR), *outputs)  # type: ignore[call-arg]
+    numba_alignment.smoothed_normals(*inputs, _REACH, np.float32(_SIMILAR), np.float32(_COPLANAR), *outputs)  # type: ignore[call-arg]
     return normal, slope
 
 
@@ -48,6 +50,6 @@ def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
             there = padded[i : i + rows, j : j + columns]
             n, other = unit[here], unit[there.clamp(min=0)]
             off = (n * (points[there.clamp(min=0)] - points[here])).sum(-1)
-            alike = (there >= 0) & ((n * other).sum(-1) >= _ALIKE) & (off.abs() < _COPLANAR)
-            total += other * alike[..., None]
+            similar = (there >= 0) & ((n * other).sum(-1) >= _SIMILAR) & (off.abs() < _COPLANAR)
+            total += other * similar[..., None]
     return F.normalize(total[known], dim=-1)[patches[known].long().argsort()]

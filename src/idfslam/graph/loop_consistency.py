@@ -1,7 +1,7 @@
-"""Loops: keyframes that turn out to show a place seen before, although the chain of measurements between them has drifted.
+"""Loop consistency: which of the verified loops are accepted.
 
-A loop is believed if it corrects no more than the way between its keyframes may have drifted (places that look alike lie farther off),
-if the next loop says the same, and if the pose graph can be reconciled with it.
+A loop is accepted if it corrects no more than the path between its keyframes may have drifted (places that look alike lie farther off), if
+a second loop asks for the same correction, and if the pose graph passes a chi-square test with it.
 """
 
 import logging
@@ -24,15 +24,26 @@ from idfslam.storage.state import State
 
 log = logging.getLogger(__name__)
 
-_LINK = (0.01, 0.02), (0.004, 0.02)  # standard deviation of a link: [m] and per metre, [rad] and per radian
-_LOOP = 0.005, 0.002  # of a loop [m], [rad]: it comes from an alignment, too, and has crossed no distance
-_SETTLED = 0.01, math.radians(0.3)  # a smaller disagreement is no drift, and the two keyframes are simply linked
-_OVERLAP = 1.5, math.radians(40)  # [m], [rad] between two views of one place that the tracker can register
+# Chosen by hand; no wrong loop in ten corridors with look-alike doors (docs/results.md).
+_EDGE_SIGMA = (
+    (0.01, 0.02),
+    (0.004, 0.02),
+)  # standard deviation of an edge: [m] and per metre, [rad] and per radian. More: loops bend the graph
+#                                            more, and fewer fail the chi-square test
+_LOOP_SIGMA = 0.005, 0.002  # of a loop [m], [rad]: it comes from one alignment and has crossed no distance. More: loops correct less
+_NO_DRIFT = 0.01, math.radians(0.3)  # [m], [rad] of disagreement below which two keyframes get an edge and no loop. More: small drift stays
+_OVERLAP = 1.5, math.radians(40)  # [m], [rad] between two views that the tracker can register. More: more candidates a keyframe, more time
+_SAME = (
+    0.02,
+    0.05,
+    math.radians(1.0),
+)  # [m], [m] per metre between them, [rad]: corrections of two loops that count as the same. More: look-alike
+#                                        places pass more easily
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Keyframe b, seen again from where keyframe a was."""
+    """Keyframe b sees again what keyframe a saw."""
 
     a: int
     b: int
@@ -40,17 +51,17 @@ class Loop:
     view: int  # the frame that showed it: b, or one that hangs on b
 
     def disagreement(self, graph: KeyframeGraph) -> Tensor:
-        """(4, 4) what the loop would turn the present pose of b into, in b's own frame."""
+        """(4, 4) the correction of the present pose of b that the loop asks for, in b's own frame."""
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
 
 
 def plain_loop(loop: Loop) -> State:
-    """A loop for a state."""
+    """A loop as a state."""
     return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab, "view": loop.view}
 
 
 def loop_from(state: State) -> Loop:
-    """The loop that `plain_loop` told."""
+    """The loop of a state."""
     return Loop(**state)
 
 
@@ -61,12 +72,12 @@ def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float
     T_between = se3.inverse(graph.keyframes[loop.b].T_wk) @ graph.keyframes[other.b].T_wk
     difference = se3.inverse(loop.disagreement(graph)) @ T_between @ other.disagreement(graph) @ se3.inverse(T_between)
     apart = float(T_between[:3, 3].norm())
-    near = float(difference[:3, 3].norm()) < 0.02 + 0.05 * apart and float(se3.angle(difference)) < math.radians(1.0)
+    near = float(difference[:3, 3].norm()) < _SAME[0] + _SAME[1] * apart and float(se3.angle(difference)) < _SAME[2]
     return near and apart < within
 
 
 class Loops:
-    """The loops of a run: those believed, one that waits to be confirmed, and how many were refused."""
+    """The loops of a run: the accepted ones, one that waits for confirmation, and how many were refused."""
 
     def __init__(self, config: LoopConfig) -> None:
         self.config = config
@@ -80,42 +91,42 @@ class Loops:
         return {"closed": closed, "waiting": waiting, "refused": self.refused}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Takes over `state`."""
         self.closed, self.refused = [loop_from(loop) for loop in state["closed"]], state["refused"]
         self.waiting = None if state["waiting"] is None else loop_from(state["waiting"])
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes of its piece, not linked with a chosen one, that may yet see the same, whatever drift there may be between."""
-        ways = path_lengths(graph.keyframes, keyframe.host)
-        apart = [i for i in graph.beyond(keyframe, ways) if graph.keyframes[i].submap == keyframe.submap]
-        if not apart:
+        """Stored keyframes of the same submap, beyond a short path, that may see the same as a keyframe, whatever drift lies between."""
+        lengths = path_lengths(graph.keyframes, keyframe.host)
+        distant = [i for i in graph.beyond(keyframe, lengths) if graph.keyframes[i].submap == keyframe.submap]
+        if not distant:
             return []
-        T = torch.stack([graph.keyframes[i].T_wk for i in apart])
+        T = torch.stack([graph.keyframes[i].T_wk for i in distant])
         change = se3.inverse(keyframe.T_wk) @ T
         shift, turn = change[:, :3, 3].norm(dim=1).numpy(), se3.angle(change).numpy()
-        allowed, turn_allowed = self._allowed(ways[apart])
+        allowed, turn_allowed = self._allowed(lengths[distant])
         near = (shift < allowed + _OVERLAP[0]) & (turn < turn_allowed + _OVERLAP[1])
-        return [i for i, reachable in zip(apart, near) if reachable]
+        return [i for i, reachable in zip(distant, near) if reachable]
 
-    def _allowed(self, way: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """How much a loop may correct after `way` [m]: [m] and [rad]."""
+    def _allowed(self, length: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How much a loop may correct after a path of `length` [m]: [m] and [rad]."""
         c = self.config
-        return c.slack + c.drift * way, np.radians(c.turn_slack + c.turn_drift * way)
+        return c.slack + c.drift * length, np.radians(c.turn_slack + c.turn_drift * length)
 
     def offer(self, graph: KeyframeGraph, loop: Loop) -> list[float]:
-        """A verified loop. Where it closes, the graph's poses follow: how far [m] each keyframe moved; nothing where none did.
+        """Takes a verified loop; if that closes it, the graph's poses follow. Returns how far [m] each keyframe moved, or nothing.
 
-        Without drift to speak of there is nothing to close: the two keyframes are linked.
+        Without drift there is nothing to close, and the two keyframes get an edge.
         """
         change = loop.disagreement(graph)
         shift, turn = float(change[:3, 3].norm()), float(se3.angle(change))
-        if shift < _SETTLED[0] and turn < _SETTLED[1]:
+        if shift < _NO_DRIFT[0] and turn < _NO_DRIFT[1]:
             graph.add_edge(graph.keyframes[loop.b], loop.a)
             return []
-        way = path_lengths(graph.keyframes, loop.a)[loop.b]
-        allowed, turn_allowed = self._allowed(way)
+        length = path_lengths(graph.keyframes, loop.a)[loop.b]
+        allowed, turn_allowed = self._allowed(length)
         if shift > allowed or turn > turn_allowed:
-            self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {way:.1f} m")
+            self._refuse(loop, f"it would correct {shift:.2f} m and {math.degrees(turn):.1f} degrees after {length:.1f} m")
             return []
         if self.waiting is None or not same_correction(graph, self.waiting, loop, self.config.confirmed_within):
             self.waiting = loop
@@ -123,23 +134,23 @@ class Loops:
         return self._close(graph, [self.waiting, loop])
 
     def forget_between(self, graph: KeyframeGraph) -> None:
-        """After the graph was cut: loops between pieces were none."""
+        """After a submap was split off: loops between submaps were wrong."""
         self.closed = [loop for loop in self.closed if graph.keyframes[loop.a].submap == graph.keyframes[loop.b].submap]
         self.waiting = None
 
     def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
-        """The pose graph with all loops, old and new; those that it cannot be reconciled with are dropped."""
+        """Optimises the pose graph with all loops, old and new, and drops those that fail the chi-square test."""
         self.waiting = None
         loops = [*self.closed, *new]
-        edges = links(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP, loop=True) for loop in loops]
-        poses, believed = optimise([k.T_wk for k in graph.keyframes], edges)
-        if not any(believed[len(self.closed) :]):
+        edges = links(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP_SIGMA, loop=True) for loop in loops]
+        poses, kept = optimise([k.T_wk for k in graph.keyframes], edges)
+        if not any(kept[len(self.closed) :]):
             self._refuse(new[-1], "the pose graph contradicts it")
             return []
-        for loop, stands in zip(loops, believed, strict=True):
+        for loop, stands in zip(loops, kept, strict=True):
             if not stands:
                 self._refuse(loop, "the pose graph contradicts it")
-        self.closed = [loop for loop, stands in zip(loops, believed, strict=True) if stands]
+        self.closed = [loop for loop, stands in zip(loops, kept, strict=True) if stands]
         moved = graph.move(poses)
         for loop in self.closed:
             graph.add_edge(graph.keyframes[loop.b], loop.a)
@@ -148,7 +159,7 @@ class Loops:
         return moved
 
     def summary(self, graph: KeyframeGraph) -> dict[str, Any]:
-        """Links and loops between keyframes, as metrics.json tells them; loops by the frames' indices."""
+        """Edges and loops between keyframes for metrics.json; loops by the frames' indices."""
         closed = [[graph.keyframes[loop.a].index, loop.view] for loop in self.closed]
         links = sum(len(keyframe.edges) for keyframe in graph.keyframes) // 2
         return {"links": links, "loops": closed, "loops_refused": self.refused}
@@ -159,10 +170,10 @@ class Loops:
 
 
 def links(graph: KeyframeGraph) -> list[Edge]:
-    """The measured relations between stored keyframes, as the present poses have them."""
+    """The edges between stored keyframes, at the present poses."""
     a, b = edge_pairs(graph.keyframes)
     T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
     T_ab = se3.inverse(T[a]) @ T[b]
-    translation = (_LINK[0][0] + _LINK[0][1] * T_ab[:, :3, 3].norm(dim=1)).tolist()
-    rotation = (_LINK[1][0] + _LINK[1][1] * se3.angle(T_ab)).tolist()
+    translation = (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[:, :3, 3].norm(dim=1)).tolist()
+    rotation = (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab)).tolist()
     return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, translation, rotation)]

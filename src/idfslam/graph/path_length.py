@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from idfslam.graph.keyframe import Keyframe
 
-_AHEAD = 2.0  # [m] a turn counts as the shift of a point so far ahead; more: turns count for more drift
+_AHEAD = 2.0  # [m] a turn counts as the shift of a point so far ahead, about the depth of a room. More: turns count for more drift
 
 
 def edge_pairs(keyframes: Sequence[Keyframe]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

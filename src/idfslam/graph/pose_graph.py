@@ -1,8 +1,8 @@
-"""The pose graph: keyframe poses that fit the measured relations between them, wrong loops left out.
+"""The pose graph: keyframe poses that fit the measured edges between them, without wrong loops.
 
-Gauss-Newton on SE(3), sparse. The links lie at rest when a loop comes in, so what it costs to reconcile them with it is the loop's squared
-distance from what they allow (Mahalanobis). Where that is more than chance explains, the loops that cost most are left out, one after
-the other. It is the second guard against wrong loops, behind their verification.
+Sparse Gauss-Newton on SE(3). Before a loop is added all odometry edges have zero error, so the cost after optimisation is the loop's
+squared Mahalanobis distance. If it exceeds the chi-square bound, the loops that contribute most are removed one by one. This is the second test of
+a loop, after its verification by tracker and images.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,19 @@ from torch import Tensor
 
 from idfslam.geometry import se3
 
-_WORST = 16.81  # squared distance of a right loop, in standard deviations: 99 % of those with six degrees of freedom have less
-_SUSPECTS = 4  # loops of which each is tried to be left out
-_STEPS, _CONVERGED = 15, 1e-7  # of Gauss-Newton
+_CHI_SQUARE = (
+    16.81  # 99 % bound of the chi-square distribution with six degrees of freedom. More: wrong loops stay, and fewer right ones go
+)
+_SUSPECTS = 4  # loops of which each is left out on trial; more: a surer choice, at one optimisation each. Chosen by hand
+_STEPS, _CONVERGED = (
+    15,
+    1e-7,
+)  # Gauss-Newton steps at most, and the step [m, rad] that ends them. Poses change by less than a micrometre then
 
 
 @dataclass(frozen=True)
 class Edge:
-    """A measured relation between two keyframes."""
+    """The measured relative pose of two keyframes."""
 
     a: int
     b: int
@@ -35,7 +40,7 @@ class Edge:
 
 
 def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tensor], list[bool]]:
-    """Poses T_wk (4, 4) that fit the edges, the first one fixed, and whether each of the loops among the edges is believed, in order.
+    """Poses T_wk (4, 4) that fit the edges, the first one fixed, and for each loop among the edges, in their order, whether it was kept.
 
     The edges that are no loops must connect all poses.
     """
@@ -43,7 +48,7 @@ def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tenso
     loops = [i for i, edge in enumerate(edges) if edge.loop]
     kept = np.ones(len(edges), bool)
     T, cost = graph.solve(start, kept)
-    while kept[loops].any() and cost > _WORST * kept[loops].sum():
+    while kept[loops].any() and cost > _CHI_SQUARE * kept[loops].sum():
         errors = graph.squared_errors(T)
         suspects = sorted((i for i in loops if kept[i]), key=lambda i: -errors[i])[:_SUSPECTS]
         tried = [(graph.solve(start, without(kept, i)), i) for i in suspects]

@@ -24,7 +24,7 @@ from idfslam.mapping.updates import MapUpdates
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, Stateful
 
-_VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray for a view: rays there know nothing of the depth
+_VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray in rendered views, whose depth is not measured; more: sharper, slower
 _BF16_WIDTH = 128  # of the trunk, from which bf16 is faster than fp32; below it conversions cost more than they save
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
 

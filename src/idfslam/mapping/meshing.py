@@ -19,6 +19,8 @@ from idfslam.geometry.depth_view import DepthView
 
 CELLS = 16  # cells along a block's edge: small, so that little is evaluated away from the surface
 _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points
+_CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3  # [cells], [tr] that a vertex may lie off a reading; more: surfaces grow beyond what was seen
+_SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth: the tolerance is in depth
 _OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at 1 cm
 
 
@@ -39,8 +41,8 @@ def extract_mesh(
     every `stride`-th row and column) are evaluated. Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of
     the scene.
     """
-    tolerance = 1.5 * resolution + 0.3 * truncation
-    reach = 4 / 3 * tolerance  # tolerance is in depth, and at an image's corner a ray is about a third longer than that
+    tolerance = _CELLS_OFF * resolution + _TRUNCATIONS_OFF * truncation
+    reach = _SLANT * tolerance
     blocks = touched_blocks(views, CELLS * resolution, reach, stride=stride)
     vertices, faces, keys = _concatenate(_march(sdf, blocks, resolution, device))
     faces = weld(faces, keys)

@@ -12,8 +12,8 @@ from idfslam.mapping.kernels import load, sparse_adam
 from idfslam.storage.state import State, adam_dict, plain_adam
 
 MOMENTS = ("exp_avg", "exp_avg_sq")  # as torch names Adam's
-_SAYS_SOMETHING = 1e-3  # an entry's value that is not what it was initialised with
-_LITTLE = 1e-12  # squared gradient that is not zero, yet less than any that comes
+_USED = 1e-3  # entries of a loaded map above this count as used: entries are initialised with less
+_USED_MOMENT = 1e-12  # their second moment, so that `load` counts them without changing Adam's step: any real squared gradient is larger
 
 
 class MapOptimiser:
@@ -37,7 +37,7 @@ class MapOptimiser:
         return {"steps": self.steps, "anneal": self.anneal, "adam": plain_adam(self.adam.state_dict()), **tables}
 
     def restore(self, state: State) -> None:
-        """What `state` told, for a field that is restored already."""
+        """Takes over `state`, for a field that is restored already."""
         self.steps, self.anneal = state["steps"], state["anneal"]
         self.adam.load_state_dict(adam_dict(state["adam"]))
         if self.grid is not None:
@@ -81,9 +81,9 @@ class MapOptimiser:
         self.m, self.v = (roomy_zeros(grid.tables.shape, grid.tables.device) for _ in range(2))
 
     def count_as_used(self) -> None:
-        """Entries of the tables that say something count as filled, although they were not learnt here."""
+        """Entries of a loaded map's tables count as used, although they were not learnt in this run."""
         if self.grid is not None:
-            self.v = torch.where(self.grid.tables.detach().abs() > _SAYS_SOMETHING, _LITTLE, self.v)
+            self.v = torch.where(self.grid.tables.detach().abs() > _USED, _USED_MOMENT, self.v)
 
     @contextmanager
     def learning(self) -> Iterator[None]:

@@ -11,6 +11,9 @@ from torch import Tensor
 from idfslam.compute.backend import pick
 
 
+_LEAST_LOSS = 0.01  # [1] of the mean loss, which a cell's loss counts as at least; more: pixels are drawn more evenly. Chosen by hand
+
+
 @dataclass(frozen=True)
 class CellPixels:
     """The pixels of an image that may be drawn, sorted by cell. Built once an image; 4 bytes a pixel."""
@@ -76,7 +79,7 @@ def cell_shares(cell_losses: Tensor, *, invert: bool = False) -> Tensor:
     mean = cell_losses.mean()
     if mean <= 0:
         return torch.full_like(cell_losses, 1 / cell_losses.numel())
-    losses = cell_losses.clamp(min=float(mean) / 100)
+    losses = cell_losses.clamp(min=_LEAST_LOSS * float(mean))
     parts = 1 / losses if invert else losses
     return parts / parts.sum()
 

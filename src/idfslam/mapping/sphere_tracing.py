@@ -14,11 +14,11 @@ from torch import Tensor
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.rendering import RenderedImage, world_rays
 
-LEAST_STEP = 0.1  # [tr]: close to a surface that a ray passes by, steps would otherwise vanish
-CAUTION = 0.9  # share of the free distance by which a ray advances: the field is a little wrong
-_TILE = 8  # pixels along the edge of a cone's tile
-_NEAR = 0.05  # [m] where rays start
-_LAYERS = 5  # unobserved surfaces that a ray passes before it is given up
+LEAST_STEP = 0.1  # [tr] least step: close to a surface that a ray passes by, steps would otherwise vanish. More: thin surfaces are missed
+CAUTION = 0.9  # [1] share of the free distance by which a ray advances, since the field is not exact. More: fewer steps, more overshoot
+_TILE = 8  # [px] edge of the tile that one cone is traced for first; more: fewer cones, which end farther from the surface
+_NEAR = 0.05  # [m] depth at which rays start; more: surfaces close to the camera are not seen
+_LAYERS = 5  # unobserved surfaces that a ray passes through at most; more: fewer holes, more time
 
 Sdf = Callable[[Tensor], Tensor]  # points (N, 3) [m] -> (N,) [tr]
 

@@ -1,4 +1,4 @@
-"""The guard of finetuning: what it made worse on pairs of keyframes that it never trains on is undone."""
+"""Validation of finetuning: steps that make the tracker worse on pairs of keyframes that it never trains on are rolled back."""
 
 import copy
 from collections import OrderedDict
@@ -14,8 +14,8 @@ from idfslam.storage.state import State, adam_dict, plain_adam
 from idfslam.tracking.frame_features import Described
 from idfslam.tracking.overlap import partners
 
-_APART = 2  # keyframes: finetuning trains on consecutive ones, so these pairs are held out
-_SEEN = 0.2  # least share of a keyframe's measured pixels that the other sees too
+_APART = 2  # keyframes between the two of a validation pair; finetuning trains on consecutive ones, so these are never trained on
+_MIN_OVERLAP = 0.2  # [1] least share of a keyframe's measured pixels that the other sees too; more: fewer and easier pairs
 
 
 class Guard:
@@ -67,7 +67,7 @@ def held_out(keyframes: Sequence[Described], T_wk: Tensor, count: int, generator
     """Up to `count` pairs (i, i + 2) of keyframes with poses (N, 4, 4) that see the same, at random; of at most 3 * count drawn."""
 
     def see_the_same(i: int, j: int) -> bool:
-        return _overlap(keyframes[i], keyframes[j], se3.inverse(T_wk[i]) @ T_wk[j]) >= _SEEN
+        return _overlap(keyframes[i], keyframes[j], se3.inverse(T_wk[i]) @ T_wk[j]) >= _MIN_OVERLAP
 
     drawn = torch.randperm(max(0, len(keyframes) - _APART), generator=generator)[: 3 * count].tolist()
     pairs = ((i, i + _APART) for i in drawn if see_the_same(i, i + _APART))

@@ -14,9 +14,9 @@ from torch.nn import functional as F
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 
-_ONE_SURFACE = 0.03  # relative difference of depth within which readings belong together
-_NORMAL_REACH = 2  # [px] to each side that a normal is taken over
-_NORMAL_EDGE = 0.1  # relative difference of depth over that distance beyond which there is none
+_ONE_SURFACE = 0.03  # [1] relative difference of depth within which readings are of one surface; more: edges are averaged over
+_NORMAL_REACH = 2  # [px] to each side of a normal's pixel; more: smoother normals, missing nearer to edges
+_NORMAL_EDGE = 0.1  # [1] relative difference of depth over that distance beyond which there is no normal; more: normals across edges
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""Projective point-to-plane ICP of two depth images (Chen and Medioni 1992; Blais and Levine 1995), held by matched points.
+"""Projective point-to-plane ICP of two depth images (Chen and Medioni 1992; Blais and Levine 1995), constrained by matched points.
 
-Features say where to begin, to within their pixels; surfaces say exactly. Where these slide on each other (a bare wall) matches hold them.
+Matched features give the initial pose, to within their pixels, and the surfaces the exact one. Where surfaces can slide on each other (a
+bare wall), the matches constrain them.
 """
 
 import numpy as np
@@ -13,14 +14,18 @@ from idfslam.sensing.depth_noise import BEST, difference_noise
 from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.frame_features import Described
 
-_STRIDE = 4  # rows and columns of the frame, of which one takes part, in all but the last steps
-_FINE_STEPS = 2  # in which all take part
-_REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step
-_FACING = 0.8  # least cosine between two normals that may correspond
-_MATCH_NOISE = 0.01  # [m] of a match on top of the sensor's: a pixel of the features, seen from 2 m
-_MATCH_WEIGHT = 0.1  # of a match beside a point: neighbouring matches err alike
-_PRIOR = 1.0  # information [1/m^2, 1/rad^2] that the pose stays: next to nothing, against 10^4 of a point
-_ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter
+# Chosen by hand on pairs of frames (docs/model-card.md).
+_STRIDE = 4  # rows and columns of the frame, of which one takes part, in all but the last steps; more: faster, and noisier first steps
+_FINE_STEPS = 2  # last steps, in which all rows and columns take part; more: slower, hardly more exact
+_REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step; more: worse first poses are corrected, and
+#                        more outliers take part
+_FACING = 0.8  # [1] least cosine between two normals that may correspond; more: fewer wrong pairs, and fewer pairs
+_MATCH_NOISE = 0.01  # [m] of a match beside the sensor's noise: a pixel of the features, seen from 2 m; more: matches count for less
+_MATCH_WEIGHT = (
+    0.1  # [1] of a match relative to a point, since the errors of neighbouring matches are correlated; more: matches count for more
+)
+_PRIOR = 1.0  # [1/m^2, 1/rad^2] information that the pose stays, which keeps the system solvable: a point has about 10^4
+_ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter; more: outliers count for more
 
 
 @torch.no_grad()

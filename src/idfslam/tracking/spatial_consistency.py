@@ -1,4 +1,4 @@
-"""Matches that agree with each other: a rigid motion keeps the distance between any two points, so right matches keep each other's.
+"""Spatial consistency of matches: a rigid motion keeps the distance between any two points, so right matches keep each other's distances.
 
 Second-order spatial compatibility after SC2-PCR (Chen et al., CVPR 2022); seeds by the leading eigenvector (Leordeanu and Hebert, 2005).
 """
@@ -6,7 +6,7 @@ Second-order spatial compatibility after SC2-PCR (Chen et al., CVPR 2022); seeds
 import torch
 from torch import Tensor
 
-_POWER_STEPS = 10
+_POWER_STEPS = 10  # of the power iteration for the leading eigenvector; more: nothing, it has converged
 
 
 @torch.no_grad()
