@@ -1,11 +1,13 @@
-"""Settings that are torch's and Numba's for the whole process, or a thread of it."""
+"""The device of a run; settings that are torch's and Numba's for the whole process, or a thread of it."""
 
 from threading import Event, Thread
 
 import numba
+import pytest
 import torch
 
-from idfslam.compute.devices import repeatable, threads
+from idfslam.compute.devices import repeatable, resolve_device, threads
+from idfslam.config import FAST, PAPER
 
 CPU = torch.device("cpu")
 
@@ -37,3 +39,13 @@ def test_a_share_of_the_threads_is_taken_and_given_back() -> None:
             assert numba.get_num_threads() == numba.config.NUMBA_NUM_THREADS
         assert numba.get_num_threads() == max(1, round(numba.config.NUMBA_NUM_THREADS / 2))
     assert numba.get_num_threads() == before
+
+
+def test_auto_keeps_the_fast_preset_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert resolve_device("auto", FAST.preset).type == "cpu"
+    assert resolve_device("auto", PAPER.preset).type == "cuda"
+    assert resolve_device("auto").type == "cuda"  # pretraining
+    assert resolve_device("cuda", FAST.preset).type == "cuda"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert resolve_device("auto", PAPER.preset).type == "cpu"

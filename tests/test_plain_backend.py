@@ -15,24 +15,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import idfslam
+from helpers.small_config import small
 from idfslam.compute.backend import Backend, backend_of, pick, plain_torch
-from idfslam.compute.devices import resolve_device
-from idfslam.config import FAST, PAPER
+from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.slam import Slam
 
 SMALL = replace(
-    FAST,
-    field=replace(FAST.field, table_log2=13),
-    mapper=replace(FAST.mapper, pixels=256, first_iterations=100, final_updates=1),
-    keyframes=replace(FAST.keyframes, translation=0.05, rotation=5.0, culling=False),
-    alignment=replace(FAST.alignment, points=1500, landmarks=1000, image_height=120, image_levels=2),
+    small(),
+    mapper=replace(small().mapper, first_iterations=100, step_pixels=400),
+    refinement=replace(small().refinement, updates=1),
     finetune=replace(FAST.finetune, every=1, keyframes=2),
 )
 FRAMES, BLANK = 8, 5  # the camera is lost at the blank frame and found again at the next
-CELL = 0.05  # [m] of the mesh
+CELL = 0.1  # [m] of the mesh
 KERNELS = {path.stem for path in Path(idfslam.__file__).parent.glob("*/kernels/numba_*.py")}
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA device")
 needs_triton = pytest.mark.skipif(
@@ -80,7 +78,7 @@ def run(recording: Path, device: str, *, plain: bool) -> Run:
         frames[BLANK] = Frame.blank(frames[BLANK].index, frames[BLANK].timestamp, data.camera)
         results = [slam.process(frame) for frame in frames]
         slam.finish()
-        depth = SavedMap(slam.mapper.learnt(), slam.graph.views()).render(np.eye(4), data.camera)[1]
+        depth = SavedMap(slam.mapper.learnt(), slam.coverage.views()).render(np.eye(4), data.camera)[1]
         return Run(results, slam.trajectory(), [k.index for k in slam.graph.keyframes], slam.mesh(CELL).bounds, depth, kernels)
 
 
@@ -107,7 +105,7 @@ def test_the_compiled_run_calls_every_kernel(compiled: Run) -> None:
 def test_another_backend_gives_the_same_run(compiled: Run, box_recording: Path, device: str, plain: bool) -> None:
     """Samples are drawn in another order and sums round differently, so runs agree to millimetres, not to the bit.
 
-    Found on a CPU: poses differ by 1 mm and 0.03 degrees, losses by 5 %, the mesh's bounds by 12 mm, depth by 0.8 mm in the median.
+    Found on a CPU: poses differ by 2.1 mm and 0.06 degrees, losses by 3 %, the mesh's bounds by 2 mm, depth by 1.2 mm in the median.
     """
     found = run(box_recording, device, plain=plain)
     if plain:
@@ -120,7 +118,7 @@ def test_another_backend_gives_the_same_run(compiled: Run, box_recording: Path, 
     for i in compiled.keyframes[:-1]:  # the last became one after the last frame
         assert found.losses(i)["total"] == pytest.approx(compiled.losses(i)["total"], rel=0.15)
     assert found.losses(BLANK)["finetune_photometric"] == pytest.approx(compiled.losses(BLANK)["finetune_photometric"], rel=0.15)
-    np.testing.assert_allclose(found.bounds, compiled.bounds, atol=CELL)
+    np.testing.assert_allclose(found.bounds, compiled.bounds, atol=0.05)
     seen = (found.depth > 0) & (compiled.depth > 0)
     assert seen.mean() > 0.98
     assert np.median(np.abs(found.depth - compiled.depth)[seen]) < 0.004
@@ -142,13 +140,3 @@ def test_plain_torch_holds_in_every_thread_until_the_last_one_leaves() -> None:
                 assert pool.submit(backend_of, cpu).result() is Backend.TORCH
             assert pool.submit(backend_of, cpu).result() is Backend.TORCH
         assert pool.submit(backend_of, cpu).result() is Backend.NUMBA
-
-
-def test_auto_keeps_the_fast_preset_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert resolve_device("auto", FAST.preset).type == "cpu"
-    assert resolve_device("auto", PAPER.preset).type == "cuda"
-    assert resolve_device("auto").type == "cuda"  # pretraining
-    assert resolve_device("cuda", FAST.preset).type == "cuda"
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert resolve_device("auto", PAPER.preset).type == "cpu"
