@@ -1,8 +1,8 @@
 """The pose graph: keyframe poses that fit the measured edges between them, without wrong loops.
 
 Sparse Gauss-Newton on SE(3). Before a loop is added all odometry edges have zero error, so the cost after optimisation is the loop's
-squared Mahalanobis distance. If it exceeds the chi-square bound, the loops that contribute most are removed one by one. This is the second test of
-a loop, after its verification by tracker and images.
+squared Mahalanobis distance. If it exceeds the chi-square bound, the loops that contribute most are removed one by one. This is the second
+test of a loop, after its verification by tracker and images.
 """
 
 from collections.abc import Sequence

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from idfslam.compute.backend import pick
 
-
 _LEAST_LOSS = 0.01  # [1] of the mean loss, which a cell's loss counts as at least; more: pixels are drawn more evenly. Chosen by hand
 
 
