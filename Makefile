@@ -1,27 +1,36 @@
-# install: once, and again when the dependencies change; every other target sees to it by itself.
+# install: once, and again when the dependencies change; every other target sees to it by itself. The demo in small tries what was installed
+# and has the kernels compiled, which Numba keeps in src/: no test and no first run waits for them.
 PYTHON ?= python3
 VENV ?= .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: install demo test check docs
+.PHONY: install demo test test-fast check docs
 
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(VENV)/bin/idf-slam demo --frames 2 --device cpu --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
 	@touch $(STAMP)
 
 demo: $(STAMP)
 	$(VENV)/bin/idf-slam demo
 
+# Two processes, each with test modules of its own: much of the time goes into compiling kernels and starting programs, on one core.
+PYTEST = $(VENV)/bin/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+
 test: $(STAMP)
-	$(VENV)/bin/pytest
+	$(PYTEST)
+
+test-fast: $(STAMP)
+	$(PYTEST) -m "not slow"
 
 check: $(STAMP)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports --no-logo
 
 docs: $(STAMP)
 	$(VENV)/bin/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'

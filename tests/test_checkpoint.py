@@ -88,6 +88,7 @@ def unbroken(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> U
     return Unbroken(box_recording, tmp_path_factory.mktemp("checkpoints"))
 
 
+@pytest.mark.slow
 def test_everything_happens_in_that_run(unbroken: Unbroken) -> None:
     frames = unbroken.results
     assert [r.index for r in frames if r.status is Status.LOST] == list(BLANK)
@@ -97,10 +98,12 @@ def test_everything_happens_in_that_run(unbroken: Unbroken) -> None:
     assert unbroken.tables[-1] > unbroken.tables[0]
 
 
+@pytest.mark.slow
 def test_nothing_that_changes_is_forgotten(unbroken: Unbroken) -> None:
     assert unbroken.lost == []
 
 
+@pytest.mark.slow
 def test_a_restored_run_ends_as_the_unbroken_one(unbroken: Unbroken) -> None:
     for frame, slam in zip(GONE_ON, unbroken.restored, strict=True):
         assert np.array_equal(slam.trajectory(), unbroken.slam.trajectory()), frame
@@ -406,7 +409,7 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
         stamp = path.stat().st_mtime_ns
         process.kill()
         process.wait()
-        arguments = ["--resume", str(folder), "--checkpoint-every", "3"]
+        arguments = ["--resume", str(folder), "--checkpoint-every", "3", "--no-report"]
     subprocess.run([*begin, *arguments], check=True, capture_output=True)
     assert same(folder, tmp_path / "whole")
     resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]

@@ -14,7 +14,7 @@ from idfslam.runs.prior_map import load_prior
 
 pytestmark = pytest.mark.slow
 
-FAST_RUN = ["--mapper.first-iterations", "60", "--refinement.updates", "4"]
+FAST_RUN = ["--mapper.first-iterations", "60", "--refinement.updates", "4", "--mesh.resolution", "0.1", "--no-report"]
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +53,8 @@ def test_the_map_grew(runs: tuple[Path, Path]) -> None:
 def test_images_that_fit_no_better_than_the_first_ones(tmp_path: Path) -> None:
     """Stripes seen by keyframes far apart, as a live camera leaves them that drops frames: no reason to doubt the place."""
     first, second = tmp_path / "first", tmp_path / "second"
-    main(["run", "synthetic:7", "--frames", "14", "--stride", "6", "--no-report", "--out", str(first), *FAST_RUN])
-    main(["run", "synthetic:7", "--start", "40", "--frames", "3", "--no-report", "--map", str(first), "--out", str(second), *FAST_RUN])
+    main(["run", "synthetic:7", "--frames", "14", "--stride", "6", "--out", str(first), *FAST_RUN])
+    main(["run", "synthetic:7", "--start", "40", "--frames", "3", "--map", str(first), "--out", str(second), *FAST_RUN])
     assert json.loads((second / "metrics.json").read_text())["lost_frames"] == 0
 
 
