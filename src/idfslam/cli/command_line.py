@@ -99,9 +99,9 @@ def _starting_values(arguments: Sequence[str]) -> Config:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--preset", nargs="?")
     parser.add_argument("--config", nargs="?", type=Path)
-    found, _ = parser.parse_known_args(arguments)
-    preset = found.preset if found.preset in PRESETS else None  # the parser proper complains of another one
-    return load(found.config, base=preset) if found.config else PRESETS[preset or FAST.preset]
+    options, _ = parser.parse_known_args(arguments)
+    preset = options.preset if options.preset in PRESETS else None  # tyro reports an unknown one
+    return load(options.config, base=preset) if options.config else PRESETS[preset or FAST.preset]
 
 
 def _with_viewer(arguments: Sequence[str]) -> list[str]:

@@ -1,7 +1,8 @@
 """Every value of the system with its unit, effect and source; one section a component.
 
-`UserOption` marks the values that `--help` shows. Sections and equations are those of the paper; a source that is a page of docs/ holds the
-measurement. A value without a source is a choice that was made once and for which no measurement is kept.
+`UserOption` marks the values that `--help` shows. Sections and equations are those of the paper; a page of docs/ that is named holds the
+measurement. The error of a recording is the RMS error of its trajectory (ATE) unless accuracy or surface is mentioned. For a value without
+a source no measurement is kept.
 """
 
 from dataclasses import dataclass
@@ -86,9 +87,9 @@ class MapperConfig:
     """Steps between two drawings of pixels. With 1, the losses of each step decide on the pixels of the next, as in the paper; larger
     values are faster."""
     active_sampling: bool = True
-    """Draw more pixels where the loss is high, by cells of the image (Sec. IV-B). When off, pixels are drawn uniformly."""
+    """Draw more pixels where the loss is high, by cells of the image (Sec. IV). When off, pixels are drawn uniformly."""
     cells: Count = 8
-    """Cells of the image along each side for active sampling (Sec. IV-B: 8)."""
+    """Cells of the image along each side for active sampling (Sec. IV: 8)."""
     learning_rate: float = 0.01
     """Learning rate of Adam for the network (Sec. VI-A: 0.005)."""
     first_iterations: int = 100
@@ -108,7 +109,7 @@ class MapperConfig:
     table_rate: float = 0.01
     """Learning rate of Adam for the feature grid."""
     free_margin: float = 0.6
-    """Least T-SDF that is asked for in free space, in units of tr (`samples`). The loss is zero above it, because another surface may be
+    """Least T-SDF required in free space, in units of tr (`samples`). The loss is zero above it, because another surface may be
     nearer than the one that the ray meets."""
     every: int = 4
     """The map is updated again after this many frames, whether or not one of them is a keyframe. With 0, only keyframes update it, as in
@@ -131,10 +132,11 @@ class KeyframeConfig:
     rotation: float = 12.0
     """Rotation from the last keyframe [degrees] above which a frame becomes a keyframe."""
     in_view: float = 0.4
-    """If a smaller share of the reference keyframes' landmarks is in view, the frame becomes a keyframe before the images lose their hold
-    on the pose. Higher values keep more keyframes; only for the front end `alignment`."""
+    """If a smaller share of the reference keyframes' landmarks is in view, the frame becomes a keyframe, before too few are left to align
+    the next frames. Higher values keep more keyframes; only for the front end `alignment`."""
     in_view_every: int = 3
-    """`in_view` asks for a keyframe only if the last one is more than this many frames old. On a bare wall every frame would be one."""
+    """`in_view` applies only if the last keyframe is more than this many frames old, or every frame in front of a bare wall would become
+    a keyframe."""
     cull: float = 0.92
     """sigma_cull: a new keyframe is dropped if its covisibility with a stored one is higher. Lower values keep fewer keyframes; 1 keeps
     all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/results.md)."""

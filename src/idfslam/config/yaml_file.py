@@ -1,4 +1,4 @@
-"""Configurations as YAML: written beside a run's results, read back, and checked."""
+"""Configurations as YAML: written next to a run's results, read back, and checked."""
 
 import math
 from dataclasses import asdict, is_dataclass, replace
