@@ -131,17 +131,19 @@ class KeyframeMapping(BackEnd):
 
     def _run_hooks(self, keyframe: Keyframe) -> None:
         """Relocalisation check, loops, merged submaps: the map is to learn again what they move."""
-        with self.timer.stage("loops"):
-            for hook in self.hooks:
+        for hook in self.hooks:
+            with self.timer.stage("loops"):
                 moved = hook.on_keyframe(keyframe)
-                self.relearn.add(moved.keyframes)
-                if moved.split:
-                    for other in self.hooks:
-                        other.on_split()
-                if moved.submap:
-                    break
-            else:
+            self.relearn.add(moved.keyframes)
+            if moved.split:
+                for other in self.hooks:
+                    other.on_split()
+            if moved.submap:
+                self._follow(keyframe)
                 return
+
+    def _follow(self, keyframe: Keyframe) -> None:
+        """A submap has moved, the newest keyframe with it: the map learns what lies around that before the next frame."""
         with self.timer.stage("map"), threads(1.0):
             for _ in range(_UPDATES_AFTER_MERGE):
                 self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
