@@ -203,6 +203,11 @@ class Aligner(Stateful):
     def _expected_brightness(self) -> float:
         return max(self._usual_brightness, self.config.colour_noise)
 
+    @property
+    def has_usual_error(self) -> bool:
+        """Whether a frame was aligned already, or the usual photometric error was given."""
+        return self._usual_brightness > 0
+
     def expect(self, differences: Sequence[float]) -> None:
         """How well colours usually fit, before anything was aligned: the median of differences of brightness; 0: nothing was in view."""
         if seen := sorted(difference for difference in differences if difference > 0):

@@ -5,7 +5,6 @@ doubt.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -32,9 +31,6 @@ class FrontEnd(Stateful, ABC):
     @abstractmethod
     def track(self, view: Keyframe) -> Tracked:
         """The pose of a view that stands at its predicted pose; the map has at least one keyframe."""
-
-    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
-        """Before the first frame of a run that starts in a saved map: what can be learnt from some of its keyframes."""
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         """Learns from the final pose of a view, which recovery may have changed; the view is still at its predicted pose."""
@@ -78,15 +74,6 @@ class AlignmentToMap(FrontEnd):
         if registered is not None:
             return replace(registered, evidence=evidence, confident=False)  # it does not lie on the map
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
-
-    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
-        """The usual photometric error between keyframes, so that relocalisation can judge its first answer."""
-        errors = []
-        for keyframe in keyframes:
-            references = self.graph.older_references(keyframe, self.aligner.config.references)
-            errors += [self.aligner.compare(keyframe, other, keyframe.T_wk)[1] for other in references]
-            self.aligner.release(keyframe)
-        self.aligner.expect(errors)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence

@@ -2,6 +2,7 @@
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -17,6 +18,8 @@ from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
+
+_EXAMPLES = 16  # keyframes from which the usual photometric error is estimated; more: a surer estimate, at a comparison of images each
 
 
 class Mode(Enum):
@@ -46,6 +49,9 @@ class Recovery(Stateful, ABC):
 
     def close_gap(self, index: int, mode: Mode) -> None:
         """After the frame `index` was added: gives lost frames before it poses where the camera was found again. mode: before it."""
+
+    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
+        """Before the first frame of a run that starts in a saved map, of which these are some keyframes."""
 
     def figures(self) -> dict[str, int]:
         """Counts for metrics.json."""
@@ -87,6 +93,9 @@ class Relocalisation(Recovery):
     def figures(self) -> dict[str, int]:
         return {"relocalisations": self.relocalisations}
 
+    def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
+        self.relocaliser.estimate_usual_error(keyframes)
+
     def recover(self, view: Keyframe, tracked: Tracked) -> Tracked:
         if not self._trusts(tracked):
             lost = tracked if self.mode is Mode.TRACKING else tracked.lost(view.T_wk)
@@ -110,6 +119,8 @@ class Relocalisation(Recovery):
         if not view.has_depth:
             return None
         with self.timer.stage("relocalise"):
+            if not self.relocaliser.aligner.has_usual_error:  # the front end does not align frames
+                self.relocaliser.estimate_usual_error(self.graph.keyframes[-_EXAMPLES:])
             candidate = self.relocaliser.relocalise(view, self.graph.keyframes, self.config.relocalisation_tries)
         if candidate is None:
             return None

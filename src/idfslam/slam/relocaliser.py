@@ -102,6 +102,15 @@ class Relocaliser(Stateful):
         aligned = self.aligner.align(view, T_wc, self.graph.references_for(keyframe, self.references))
         return aligned.T_wc if self.convincing(aligned) else None
 
+    def estimate_usual_error(self, keyframes: Sequence[Keyframe]) -> None:
+        """Estimates the usual photometric error between stored keyframes; answers are judged by it while no frame was aligned yet."""
+        errors = []
+        for keyframe in keyframes:
+            references = self.graph.older_references(keyframe, self.references)
+            errors += [self.aligner.compare(keyframe, other, keyframe.T_wk)[1] for other in references]
+            self.aligner.release(keyframe)
+        self.aligner.expect(errors)
+
     def convincing(self, aligned: Alignment) -> bool:
         """Whether an alignment is unlikely to be an accident."""
         return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.doubtful(aligned)

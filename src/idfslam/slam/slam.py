@@ -96,7 +96,7 @@ class Slam:
         for frame, T_wk in keyframes:
             self.graph.load(self._view(frame, T_wk))
         self.coverage.load(saved.views)
-        self.front_end.start_in_map(self.replay.sample(_EXAMPLES))
+        self.recovery.start_in_map(self.replay.sample(_EXAMPLES))
 
     def finish(self) -> None:
         """The end of a run: the last frame is mapped too, and all keyframes' poses and the map are polished."""
