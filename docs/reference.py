@@ -1,23 +1,30 @@
-"""The pages that are generated when the site is built: every configuration value, and every command's --help."""
+"""The pages that are generated when the site is built: every configuration value, every constant, and every command's --help."""
 
 import inspect
 import io
 import os
 import re
+import sys
 from contextlib import redirect_stdout
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+import idfslam
 from idfslam.cli import command_line
 from idfslam.cli.command_line import hides_values
 from idfslam.cli.user_options import HELP_ALL
 from idfslam.config import FAST, PAPER, PRETRAIN, PretrainConfig
 from idfslam.config.fields import field_types, is_user_option, meanings
 
+sys.path.insert(0, str(Path(__file__).parent))
+import constants
+
+PACKAGE = Path(str(idfslam.__file__)).parent
 _WIDTH = 96  # columns of the help texts
 _MARK = "★"  # of values that users set
 _SECTIONS = tuple(f.name for f in fields(FAST) if is_dataclass(getattr(FAST, f.name)))
@@ -25,7 +32,7 @@ _SECTIONS = tuple(f.name for f in fields(FAST) if is_dataclass(getattr(FAST, f.n
 
 def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
     """Adds the generated pages."""
-    for name, text in {"configuration": configuration(), "commands": commands()}.items():
+    for name, text in {"configuration": configuration(), "constants": constants.page(PACKAGE), "commands": commands()}.items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     return files
 

@@ -37,9 +37,7 @@ _ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003  # [1], [m] added to photometric error 
 _USUAL_RATE = 0.1  # [1] by which the usual photometric error follows each frame's; more: it follows faster, and forgets faster
 _COARSE_STRIDE = 3  # points of which one takes part in all but the finest steps; more: faster, and noisier first steps
 _FIRST_SCALE = 4.0  # [1] times `robust` in the first step, halved with each; more: worse guesses are corrected, and more outliers count
-_OVERSHOOT = (
-    2.0  # [1] times the expected error of a guess from which an alignment went farther than its images reach; more: fewer second tries
-)
+_OVERSHOOT = 2.0  # [1] times the expected error of a guess, beyond which coarser images are needed after all; more: fewer second tries
 
 
 @dataclass(frozen=True)

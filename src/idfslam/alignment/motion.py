@@ -17,14 +17,10 @@ from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful
 
-_VELOCITY_INFORMATION = (
-    4.0  # [1] the velocity is updated only along directions with this many times the information that the pose needs: the
-)
+_VELOCITY_INFORMATION = 4.0  # [1] the velocity follows only directions with this many times the information that the pose needs: the
 #                              next frame corrects a wrong pose, but a wrong velocity is integrated along a whole bare wall. More: the
 #                              velocity changes more slowly
-_TURN_KEPT = (
-    0.9  # [1] share of an unmeasured turn that is kept from frame to frame: hands sway about an upright camera, but walks go on. More:
-)
+_TURN_KEPT = 0.9  # [1] share of an unmeasured turn that is kept from frame to frame: hands sway about an upright camera. More:
 #                   turns go on longer on bare walls
 
 

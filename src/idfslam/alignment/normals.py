@@ -9,9 +9,7 @@ from idfslam.compute.backend import pick
 
 _SIMILAR = 0.906  # [1] least cosine between normals that are averaged: 25 degrees; more: less smoothing, sharper edges. Chosen by hand
 _COPLANAR = 0.03  # [m] largest distance of a neighbour from the tangent plane; more: averages reach over small steps. Chosen by hand
-_REACH = (
-    2  # patches to each side; more: smoother. With 2, 15 times too much information along a bare wall becomes little (docs/findings.md)
-)
+_REACH = 2  # patches to each side; more: smoother. Without smoothing a bare wall shows 15 times its information (docs/findings.md)
 
 
 def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,14 +17,10 @@ from torch import Tensor
 
 from idfslam.geometry import se3
 
-_CHI_SQUARE = (
-    16.81  # 99 % bound of the chi-square distribution with six degrees of freedom. More: wrong loops stay, and fewer right ones go
-)
+_CHI_SQUARE = 16.81  # 99 % bound of the chi-square distribution with six degrees of freedom; more: wrong loops stay, fewer right ones go
 _SUSPECTS = 4  # loops of which each is left out on trial; more: a surer choice, at one optimisation each. Chosen by hand
-_STEPS, _CONVERGED = (
-    15,
-    1e-7,
-)  # Gauss-Newton steps at most, and the step [m, rad] that ends them. Poses change by less than a micrometre then
+_STEPS = 15  # Gauss-Newton steps at most; more: slower where it does not converge, and nothing else
+_CONVERGED = 1e-7  # [m, rad] largest entry of a step that ends them; more: faster, less exact
 
 
 @dataclass(frozen=True)

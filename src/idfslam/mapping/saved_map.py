@@ -23,7 +23,7 @@ from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
 
-FORMAT = 2
+FORMAT = 2  # of the file; counts up with each change that older versions cannot read
 _OBSERVED = 0.03  # [m] from a reading within which rendered surface counts as observed, beside 0.3 tr: as in a mesh of 2 cm
 _SLANT = 1.4  # length of a ray at an image's corner over its depth
 _VIEW_ROWS = 60  # of the depth images in the file

@@ -10,7 +10,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.slam import Slam
 
 _CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
-_FRAMES = 4
+_FRAMES = 4  # made-up frames; more: nothing new is compiled
 
 
 def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:

@@ -21,9 +21,7 @@ _REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and 
 #                        more outliers take part
 _FACING = 0.8  # [1] least cosine between two normals that may correspond; more: fewer wrong pairs, and fewer pairs
 _MATCH_NOISE = 0.01  # [m] of a match beside the sensor's noise: a pixel of the features, seen from 2 m; more: matches count for less
-_MATCH_WEIGHT = (
-    0.1  # [1] of a match relative to a point, since the errors of neighbouring matches are correlated; more: matches count for more
-)
+_MATCH_WEIGHT = 0.1  # [1] of a match relative to a point: errors of neighbouring matches are correlated; more: matches count for more
 _PRIOR = 1.0  # [1/m^2, 1/rad^2] information that the pose stays, which keeps the system solvable: a point has about 10^4
 _ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter; more: outliers count for more
 
