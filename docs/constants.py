@@ -64,8 +64,8 @@ def page(package: Path) -> str:
     """The page of the documentation."""
     parts = [
         "# Constants",
-        "Values that are no flags, each where it stands in the code, with its unit and what raising it does. Values that users or experiments "
-        "change are flags ([configuration](configuration.md)).",
+        "Values that are no flags, each where it stands in the code, with its unit and what raising it does. Values that users or "
+        "experiments change are flags ([configuration](configuration.md)).",
     ]
     module = ""
     for constant in constants(package):
