@@ -1,4 +1,4 @@
-"""Images and descriptions put away and had again."""
+"""Images and features put away and had again."""
 
 import numpy as np
 import pytest
@@ -19,11 +19,11 @@ def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
     depth = np.where(random.random((48, 64)) < 0.2, 0, random.uniform(0.4, 5, (48, 64))).astype(np.float32)
     frame = Frame(index, index / 30, colour.astype(np.float32), depth, CAMERA)
     made = Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(depth), torch.from_numpy(frame.colour))
-    made.anchor = index
+    made.host = index
     return made
 
 
-def described(index: int) -> Described:
+def features(index: int) -> Described:
     """As the tracker makes it: channels last, the trunk in bf16."""
     generator = torch.Generator().manual_seed(index)
     trunk, colour, points = (torch.randn(12, 16, channels, generator=generator) for channels in (64, 3, 3))
@@ -53,30 +53,30 @@ def test_what_was_used_last_stays() -> None:
     assert [k._images is None for k in keyframes] == [False, True, False]
 
 
-def test_descriptions_come_back_exactly_and_without_the_images() -> None:
+def test_features_come_back_exactly_and_without_the_images() -> None:
     archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
-    assert keyframes[0].described is None
+    assert keyframes[0].features is None
     for k in keyframes:
-        k.described = described(k.index)
+        k.keep_features(features(k.index))
         k.keep_in(archive)
     for k in (keyframes[0], keyframes[2], keyframes[0]):
-        before = described(k.index)
-        assert (k._images, k._description) == (None, None)
-        assert (k.described.camera, k.described.source) == (before.camera, before.source)
+        before = features(k.index)
+        assert (k._images, k._features) == (None, None)
+        assert (k.features.camera, k.features.source) == (before.camera, before.source)
         for name in ("trunk", "colour", "points"):
-            again, once = getattr(k.described, name), getattr(before, name)
+            again, once = getattr(k.features, name), getattr(before, name)
             assert torch.equal(again, once)
             assert (again.dtype, again.stride()) == (once.dtype, once.stride())
         assert k._images is None
     assert archive._end == 3 * (48 * 64 * 7 + 12 * 16 * (64 * 2 + 6 * 4))  # written once each, though put away twice
 
 
-def test_what_was_not_described_can_be_described_later() -> None:
+def test_features_can_be_kept_after_the_images_were_put_away() -> None:
     archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
     for k in keyframes:
         k.keep_in(archive)
-    keyframes[0].described = described(0)
+    keyframes[0].keep_features(features(0))
     assert keyframes[1].depth.shape == (48, 64)  # and the first is put away
     assert keyframes[0].depth.shape == (48, 64)
-    assert keyframes[1].described is None
-    assert torch.equal(keyframes[0].described.trunk, described(0).trunk)
+    assert keyframes[1].features is None
+    assert torch.equal(keyframes[0].features.trunk, features(0).trunk)

@@ -109,7 +109,8 @@ def test_a_restored_run_ends_as_the_unbroken_one(unbroken: Unbroken) -> None:
         assert np.array_equal(slam.trajectory(), unbroken.slam.trajectory()), frame
         assert slam.statuses() == unbroken.slam.statuses()
         assert list(differences(slam.mapper, unbroken.slam.mapper, "mapper")) == []
-        assert list(differences(slam.tracker, unbroken.slam.tracker, "tracker")) == []
+        tracker, other = (each.front_end.registration.tracker for each in (slam, unbroken.slam))
+        assert list(differences(tracker, other, "tracker")) == []
 
 
 def test_what_is_forgotten_would_be_found(box_recording: Path) -> None:
@@ -118,37 +119,42 @@ def test_what_is_forgotten_would_be_found(box_recording: Path) -> None:
         slam.process(open_recording(box_recording)[0])
         slam.timings.clear()
     assert list(differences(one, other, "slam")) == []
-    one.aligner.new = torch.ones(1)  # type: ignore[attr-defined]
-    other.tracker.generator.manual_seed(9)
-    other.graph.keyframes[0].alike.append(3)
+    one.front_end.aligner.new = torch.ones(1)
+    other.front_end.registration.tracker.generator.manual_seed(9)
+    other.graph.keyframes[0].covisible_references.append(3)
+    other.back_end.relearn.add(other.graph.keyframes)
     other.mapper.learnt().encoding.tables.data[0, 0, 0] += 1
     places = {found.split(":")[0] for found in differences(one, other, "slam")}
     assert places >= {
-        "slam.aligner.new",
-        "slam.graph.keyframes.0.alike.0",
-        "slam.graph.reference.alike.0",
-        "slam.mapper.field.encoding.tables",
-        "slam.mapper.optimiser.field.encoding.tables",
-        "slam.mapper.optimiser.grid.tables",
-        "slam.tracker.generator.state",
+        "slam.front_end.aligner.new",
+        "slam.graph.keyframes.0.covisible_references.0",
+        "slam.graph.last_keyframe.covisible_references.0",
+        "slam.back_end.mapper.field.encoding.tables",
+        "slam.back_end.mapper.optimiser.field.encoding.tables",
+        "slam.back_end.mapper.optimiser.grid.tables",
+        "slam.back_end.relearn._left.0",
+        "slam.front_end.registration.tracker.generator.state",
     }
 
 
 def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> None:
-    data, slam, again = open_recording(box_recording), Slam(busy()), Slam(busy())
+    config = replace(busy(), loops=replace(busy().loops, relocalise=True))
+    data, slam, again = open_recording(box_recording), Slam(config), Slam(config)
     slam.process(data[0])
+    check, loop_closer, submap_merger = slam.back_end.hooks
     loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64), 10 * i) for i in (3, 5)]
-    slam.loop_closer.loops.closed, slam.loop_closer.loops.waiting, slam.loop_closer.loops.refused, slam.relocalisations = (
-        loops[:1],
-        loops[1],
-        2,
-        3,
-    )
-    slam.tracker._steps, slam.tracker._asked, slam.tracker.guard.undone = 4, 3, 1
-    for weights in slam.tracker.guard._best[0].values():
+    loop_closer.loops.closed, loop_closer.loops.waiting, loop_closer.loops.refused = loops[:1], loops[1], 2
+    submap_merger.agreeing, submap_merger.merged = loops, 1
+    check.max_error, check.contradictions, check.refuted = 0.25, 1, 2
+    slam.recovery.relocalisations, slam.recovery._searched = 3, 4
+    tracker = slam.front_end.registration.tracker
+    tracker._steps, tracker._asked, tracker.guard.undone = 4, 3, 1
+    for weights in tracker.guard._best[0].values():
         weights += 1
-    slam.localiser.place(slam.graph.keyframes[0])
-    slam.graph.keyframes[0].unlinked, slam.graph.keyframes[0].unlearnt = [4, 2], 5
+    slam.recovery.relocaliser.descriptor(slam.graph.keyframes[0])
+    slam.graph.keyframes[0].unverified = [4, 2]
+    slam.graph.unverified_from = 0
+    slam.back_end.relearn.add(slam.graph.keyframes)
     with Checkpoints(tmp_path, {}) as checkpoints:
         checkpoints.keep(1, slam.state())
         checkpoints.wait()

@@ -1,89 +1,110 @@
-"""Registration of a new keyframe with the last one. A bare wall leaves three directions open."""
+"""Refinement of stored keyframes in turns with the map, and the polish at the end of a run."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
-from helpers.three_walls import CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view
+from helpers.three_walls import CORNER, EYE, aligner, error, pose, taught, view
 from idfslam.config import FAST
-from idfslam.frame import Status
-from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.refinement import BundleAdjustment
+from idfslam.slam.polish import NoPolish, Polish
+from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.relearn_queue import RelearnQueue
 
-UNCULLED = replace(FAST.keyframes, cull=1.0)
-SLID = pose(0.03, -0.02, 0, 0, 0, 0)
-
-
-class Registration:
-    """A localiser whose tracker answers what it is told to."""
-
-    references = 2
-
-    def __init__(self, T_wc: Tensor | None, *, agreed: bool = True) -> None:
-        self.T_wc, self.agreed = T_wc, agreed
-
-    def registered(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
-        return self.T_wc
-
-    def agrees(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
-        return self.agreed
+OFF = pose(0.01, 0, 0, 0, 0, 0)
 
 
 @pytest.fixture(scope="module")
-def wall() -> Mapper:
-    return taught(WALL)
+def corner() -> Mapper:
+    return taught(CORNER)
 
 
 @pytest.fixture
 def graph() -> KeyframeGraph:
-    """One keyframe, without anything in its image to hold on to."""
-    made = KeyframeGraph(UNCULLED, torch.Generator().manual_seed(0), verify=True)
-    made.append(0.0, EYE, Status.OK)
-    made.promote(view(WALL, EYE, paint=0.0))
+    """Two keyframes of a corner, the second of which is 1 cm off."""
+    made = KeyframeGraph(replace(FAST.keyframes, cull=1.0), verify=True)
+    for i in range(2):
+        made.insert(view(CORNER, EYE, index=i))
+    made.set_pose(made.keyframes[1], OFF)
     return made
 
 
-def adjustment(graph: KeyframeGraph, learner: Mapper, localiser: Any) -> BundleAdjustment:
-    return BundleAdjustment(replace(FAST, alignment=CONFIG), graph, learner, aligner(learner), localiser)
+def refinement(graph: KeyframeGraph, queue: RelearnQueue, learner: Mapper) -> KeyframeRefinement:
+    return KeyframeRefinement(FAST.refinement, graph, queue, aligner(learner))
 
 
-def test_a_keyframe_is_held_to_its_registration(graph: KeyframeGraph, wall: Mapper) -> None:
-    keyframe = view(WALL, EYE, index=1, paint=0.0)
-    adjustment(graph, wall, Registration(SLID)).register(keyframe, 0.0)
-    assert error(keyframe.T_wk, SLID)[0] < 0.005
-
-
-@pytest.mark.parametrize("localiser", [Registration(None), Registration(SLID, agreed=False)])
-def test_lost_or_contradicted_by_the_images_it_counts_for_nothing(graph: KeyframeGraph, wall: Mapper, localiser: Registration) -> None:
-    keyframe = view(WALL, EYE, index=1, paint=0.0)
-    adjustment(graph, wall, localiser).register(keyframe, 0.0)
-    assert torch.equal(keyframe.T_wk, EYE)
-
-
-@pytest.mark.parametrize(("known", "asked"), [(0.19, True), (0.21, False)])
-def test_the_tracker_is_asked_only_where_it_can_add_something(graph: KeyframeGraph, wall: Mapper, known: float, asked: bool) -> None:
-    # Twice `registration_prior_information`, 0.1: from there on a pose follows its registration by less than a sixteenth of the way.
-    keyframe = view(WALL, EYE, index=1, paint=0.0)
-    adjustment(graph, wall, Registration(SLID)).register(keyframe, known)
-    assert (error(keyframe.T_wk, SLID)[0] < 0.005) is asked
-
-
-def test_where_a_loop_has_put_a_keyframe_it_stays_until_the_map_has_followed() -> None:
-    learner, made = taught(CORNER), KeyframeGraph(UNCULLED, torch.Generator().manual_seed(0), verify=True)
-    for i in range(2):
-        made.append(0.1 * i, EYE, Status.OK)
-        made.promote(view(CORNER, EYE, index=i))
-    moved, refiner = made.keyframes[1], adjustment(made, learner, Registration(None))
-    moved.T_wk, moved.unlearnt = pose(0.01, 0, 0, 0, 0, 0), 2
+def test_where_a_loop_has_put_a_keyframe_it_stays_until_the_map_has_followed(graph: KeyframeGraph, corner: Mapper) -> None:
+    queue, moved = RelearnQueue(2), graph.keyframes[1]
+    refiner = refinement(graph, queue, corner)
+    queue.add([moved])
     refiner.refine([moved])
     assert error(moved.T_wk, EYE)[0] == pytest.approx(0.01)
     for _ in range(2):
-        learner.optimise_map([moved], 0)
-    assert moved.unlearnt == 0
+        queue.trained([moved])
+    assert moved not in queue
     refiner.refine([moved])
     assert error(moved.T_wk, EYE)[0] == pytest.approx(0.005, abs=0.001)  # half way to where the map, which has learnt nothing, has it
+
+
+def test_the_first_keyframe_of_a_submap_is_its_world(graph: KeyframeGraph, corner: Mapper) -> None:
+    first = graph.keyframes[0]
+    graph.set_pose(first, OFF)
+    refinement(graph, RelearnQueue(2), corner).refine([first])
+    assert torch.equal(first.T_wk, OFF)
+
+
+class Counted(NoRefinement):
+    """Counts what it is asked to refine."""
+
+    def __init__(self) -> None:
+        self.counts: list[int] = []
+
+    def refine(self, keyframes: object) -> None:
+        self.counts.append(len(keyframes))  # type: ignore[arg-type]
+
+
+class Steps:
+    """A map that notes its updates."""
+
+    def __init__(self) -> None:
+        self.updates: list[tuple[int, int, float]] = []
+        self.finished = False
+
+    def start_update(self, frames: list[object], iterations: int, *, anneal: float) -> dict[str, float]:
+        self.updates.append((len(frames), iterations, anneal))
+        return {}
+
+    def finish(self) -> dict[str, float]:
+        self.finished = True
+        return {}
+
+
+def polished(graph: KeyframeGraph, seconds: float) -> tuple[Counted, Steps]:
+    """By four updates on two keyframes, of which one is refined; each takes three steps."""
+    config = replace(FAST.refinement, keyframes=2, updates=4, rounds=0.0, seconds=seconds)
+    refiner, steps = Counted(), Steps()
+    replay = Replay(FAST.keyframes, graph, torch.Generator().manual_seed(0))
+    Polish(config, 3, graph, replay, RelearnQueue(2), refiner, steps).run()  # type: ignore[arg-type]
+    return refiner, steps
+
+
+def test_the_polish_shrinks_its_steps_to_nothing(graph: KeyframeGraph) -> None:
+    refiner, steps = polished(graph, 1000.0)
+    assert refiner.counts == [1] * 4
+    assert steps.updates == [(2, 3, 1.0), (2, 3, 0.75), (2, 3, 0.5), (2, 3, 0.25)]
+    assert steps.finished
+
+
+def test_where_time_has_run_out_the_polish_ends(graph: KeyframeGraph) -> None:
+    _, steps = polished(graph, 1e-9)
+    assert steps.updates == []
+    assert steps.finished
+
+
+def test_without_them_nothing_moves(graph: KeyframeGraph) -> None:
+    NoRefinement().refine(graph.keyframes)
+    NoPolish().run()
+    assert torch.equal(graph.keyframes[1].T_wk, OFF)

@@ -13,6 +13,7 @@ from idfslam.datasets import Selection
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.slam import Slam
+from idfslam.slam.tracked import Source, Tracked
 
 pytestmark = pytest.mark.slow
 
@@ -61,10 +62,10 @@ def test_where_it_was_found_is_no_motion(room: Selection) -> None:
     slam = Slam(FAST)
     blank = Frame.blank(0, 0.0, room.camera)
     for i, j in enumerate((0, 1, 2, 30, -1, 1)):
-        told = slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30))
-    assert told.status is Status.OK
+        result = slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30))
+    assert result.status is Status.OK
     torch.testing.assert_close(slam.motion.T_step, torch.eye(4, dtype=torch.float64))
-    np.testing.assert_array_equal(slam._view(room[2]).T_wk.numpy(), told.T_wc)
+    np.testing.assert_array_equal(slam._predicted_pose().numpy(), result.T_wc)
 
 
 def test_the_gap_is_filled_and_marked(kidnapped: tuple[Slam, list[FrameResult]]) -> None:
@@ -76,17 +77,16 @@ def test_the_gap_is_filled_and_marked(kidnapped: tuple[Slam, list[FrameResult]])
 
 
 def test_a_view_is_found_by_its_looks_alone(another: Slam, room: Selection) -> None:
-    slam, before = another, another.relocalisations
+    slam, before = another, another.figures()["relocalisations"]
     assert room.ground_truth is not None
     truth = np.linalg.inv(room.ground_truth[0]) @ room.ground_truth
     for j in (5, 20, 35):
-        view = slam._view(room[j])
-        view.T_wk = torch.eye(4, dtype=torch.float64)  # what was thought of its pose does not matter
-        found = slam._relocalised(view)
-        assert found is not None
+        view = slam._view(room[j], torch.eye(4, dtype=torch.float64))  # the predicted pose does not matter
+        found = slam.recovery.recover(view, Tracked(view.T_wk, Status.LOST, Source.PREDICTED))
+        assert found.source is Source.RELOCALISED
         np.testing.assert_allclose(found.T_wc[:3, 3], truth[j, :3, 3], atol=0.02)
-        assert slam.graph.reference in slam.graph.keyframes
-    assert slam.relocalisations == before + 3
+        assert slam.graph.last_keyframe in slam.graph.keyframes
+    assert slam.figures()["relocalisations"] == before + 3
 
 
 def elsewhere(first: int, count: int) -> Iterator[Frame]:

@@ -37,7 +37,7 @@ class KnownSlam:
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
         keyframes: list[SimpleNamespace] = []
-        self.graph = SimpleNamespace(keyframes=keyframes, placed=keyframes)
+        self.graph = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
         self.timings = {"track": [2.0] * BOX_FRAMES, "map": [70.0]}
         self.finished = False
 

@@ -18,6 +18,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.field import Field
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import load_map, save_map
+from idfslam.mapping.updates import InTurns
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 
@@ -33,7 +34,7 @@ def poses() -> list[NDArray[np.float64]]:
 def taught() -> tuple[Field, list[DepthView]]:
     """A wall 1.2 m ahead, its left half red, its right half blue, learnt from two views."""
     torch.manual_seed(0)
-    learner = Mapper(MapperConfig(), FieldConfig(table_log2=12), torch.device("cpu"), torch.Generator().manual_seed(0))
+    learner = Mapper(MapperConfig(), FieldConfig(table_log2=12), torch.device("cpu"), torch.Generator().manual_seed(0), InTurns())
     depth = np.full((60, 80), 1.2, np.float32)
     x = (np.arange(80) - CAMERA.cx) / CAMERA.fx * 1.2
     keyframes = []

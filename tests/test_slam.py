@@ -58,7 +58,7 @@ def test_one_pose_for_every_frame(run: tuple[Slam, list[FrameResult]]) -> None:
     trajectory = slam.trajectory()
     assert trajectory.shape == (14, 4, 4)
     assert trajectory.dtype == np.float64
-    assert len(results) == len(slam.statuses()) == len(slam.graph) == 14
+    assert len(results) == len(slam.statuses()) == len(slam.frames) == 14
     assert [r.index for r in results] == list(range(14))
     for R in trajectory[:, :3, :3]:
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)

@@ -1,4 +1,4 @@
-"""A camera that is lost in a place it does not know maps that on its own, and the pieces become one where they meet."""
+"""A camera that is lost in a place it does not know maps it in a submap of its own; submaps are merged where they meet."""
 
 import copy
 from collections.abc import Sequence
@@ -14,9 +14,10 @@ from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.submaps import brought_together, far_from
+from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.slam import Slam
 
 CONFIG = replace(FAST, loops=replace(FAST.loops, submap_after=2))
@@ -61,14 +62,14 @@ def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
 
 
 @pytest.mark.slow
-def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     slam, results = walked
     assert slam.figures()["pieces_joined"] == 1
     assert slam.figures()["pieces"] == 1
-    joined = max(r.index for r in results if r.status is Status.LOST)
+    met = max(r.index for r in results if r.status is Status.LOST)
     lost = [r.index for r in results if r.status is Status.LOST]
-    assert lost == list(range(DARK[0], joined + 1))  # from the dark to the meeting, no longer
-    assert joined < len(ORDER) - 5
+    assert lost == list(range(DARK[0], met + 1))  # from the dark to the meeting, no longer
+    assert met < len(ORDER) - 5
     known = [i for i in range(len(ORDER)) if i < DARK[0] or i >= BEGUN]
     np.testing.assert_allclose(slam.trajectory()[known, :3, 3], truth(room, [ORDER[i] for i in known])[:, :3, 3], atol=0.02)
     statuses = slam.statuses()
@@ -78,22 +79,22 @@ def test_pieces_become_one_where_they_meet(walked: tuple[Slam, list[FrameResult]
 
 @pytest.mark.slow
 def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
-    """Surfaces of the second piece lie on the room's walls, in the first one's world."""
+    """Surfaces of the second submap lie on the room's walls, in the first one's world."""
     slam = copied(walked[0], room)
-    views = slam.graph.views()
+    views = slam.coverage.views()
     assert len(views) > 10
     assert max(np.abs(view.T_wc[:3, 3]).max() for view in views) < 10
-    keyframe = max(slam.graph.keyframes, key=lambda k: float(k.T_wk[:3, 3].norm()))  # of the second piece
+    keyframe = max(slam.graph.keyframes, key=lambda k: float(k.T_wk[:3, 3].norm()))  # of the second submap
     slam.finish()
     rows, columns = torch.meshgrid(torch.arange(20, 220, 20), torch.arange(20, 300, 20), indexing="ij")
     depth = keyframe.depth[rows, columns].flatten()
     points = keyframe.camera.backproject(keyframe.depth)[rows, columns].flatten(0, 1)[depth > 0]
-    distance, _ = slam.aligner.query(se3.transform(keyframe.T_wk.float(), points))
+    distance, _ = slam.front_end.aligner.query(se3.transform(keyframe.T_wk.float(), points))
     assert float(distance.abs().median()) < 0.01
 
 
 @pytest.mark.slow
-def test_what_is_told_meanwhile_is_where_it_was_last(walked: tuple[Slam, list[FrameResult]]) -> None:
+def test_meanwhile_the_reported_pose_is_the_last_one(walked: tuple[Slam, list[FrameResult]]) -> None:
     _, results = walked
     last, *apart = (r.T_wc for r in results if r.status is Status.LOST)
     assert np.linalg.norm((last - results[DARK[0] - 1].T_wc)[:3, 3]) < 0.05  # one step of the last motion
@@ -102,20 +103,20 @@ def test_what_is_told_meanwhile_is_where_it_was_last(walked: tuple[Slam, list[Fr
 
 
 @pytest.mark.slow
-def test_a_piece_that_meets_no_other_is_left_out(room: Selection) -> None:
+def test_a_submap_that_meets_no_other_is_left_out(room: Selection) -> None:
     slam = Slam(CONFIG)
     shown(room, slam, [*FIRST, -1, *range(75, 60, -1)])
     assert slam.figures()["pieces"] == 2
     assert max(float(k.T_wk[:3, 3].norm()) for k in slam.graph.keyframes) > 90
     slam.finish()
     assert slam.statuses()[len(FIRST) :] == [Status.LOST] * 16
-    assert all(k.index < len(FIRST) for k in slam.graph.placed)
+    assert all(k.index < len(FIRST) for k in slam.graph.first_submap)
     assert np.abs(slam.trajectory()[:, :3, 3]).max() < 1
     assert np.abs(slam.mesh(0.05).vertices).max() < 10
 
 
 @pytest.mark.slow
-def test_without_pieces_it_stays_lost(room: Selection) -> None:
+def test_without_submaps_it_stays_lost(room: Selection) -> None:
     slam = Slam(replace(CONFIG, loops=replace(CONFIG.loops, submap_after=0)))
     results = shown(room, slam, [*FIRST, -1, *range(75, 65, -1)])
     assert [r.status for r in results[len(FIRST) :]] == [Status.LOST] * 11
@@ -123,8 +124,8 @@ def test_without_pieces_it_stays_lost(room: Selection) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_goes_on_from_a_state_joins_alike(room: Selection) -> None:
-    half = 30  # within the second piece
+def test_a_run_that_goes_on_from_a_state_merges_alike(room: Selection) -> None:
+    half = 30  # within the second submap
     before = Slam(CONFIG)
     shown(room, before, ORDER[:half])
     again = copied(before, room)
@@ -134,26 +135,26 @@ def test_a_run_that_goes_on_from_a_state_joins_alike(room: Selection) -> None:
     assert again.figures() == before.figures()
 
 
-def keyframe(x: float, piece: int, anchor: int) -> Keyframe:
+def keyframe(x: float, submap: int, host: int) -> Keyframe:
     camera = Camera(4, 4, 4.0, 4.0, 1.5, 1.5)
-    frame = Frame.blank(anchor, 0.0, camera)
-    T_wk = se3.exp(torch.tensor([0, 0, 0, 0.1 * anchor, 0.2, 0], dtype=torch.float64))
+    frame = Frame.blank(host, 0.0, camera)
+    T_wk = se3.exp(torch.tensor([0, 0, 0, 0.1 * host, 0.2, 0], dtype=torch.float64))
     T_wk[0, 3] = x
     made = Keyframe(frame, T_wk, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
-    made.piece, made.anchor = piece, anchor
+    made.submap, made.host = submap, host
     return made
 
 
-def test_a_piece_begins_far_from_all_others() -> None:
-    T = far_from([keyframe(0.0, 0, 0), keyframe(130.0, 1, 1), keyframe(30.0, 0, 2)])
+def test_a_submap_begins_far_from_all_others() -> None:
+    T = separate_origin([keyframe(0.0, 0, 0), keyframe(130.0, 1, 1), keyframe(30.0, 0, 2)])
     assert T[:3, 3].tolist() == [230.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 2), (2, 0), (1, 3), (3, 1)])
-def test_the_younger_piece_is_brought_to_the_older(a: int, b: int) -> None:
+def test_the_younger_submap_is_moved_to_the_older(a: int, b: int) -> None:
     keyframes = [keyframe(0.0, 0, 0), keyframe(1.0, 0, 1), keyframe(100.0, 2, 2), keyframe(101.0, 2, 3)]
     T_ab = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.2, 0.4, -0.1], dtype=torch.float64))
-    poses = brought_together(keyframes, a, b, T_ab)
+    poses = merged_poses(keyframes, a, b, T_ab)
     torch.testing.assert_close(se3.inverse(poses[a]) @ poses[b], T_ab)
     for i in (0, 1):
         assert torch.equal(poses[i], keyframes[i].T_wk)
@@ -162,20 +163,22 @@ def test_the_younger_piece_is_brought_to_the_older(a: int, b: int) -> None:
 
 
 def test_a_recording_that_begins_outside_the_map_it_starts_in() -> None:
-    graph = KeyframeGraph(FAST.keyframes, torch.Generator(), verify=True)
-    graph.adopt(keyframe(0.0, 0, 0))
-    T_wc = graph.begin_piece()
+    graph = KeyframeGraph(FAST.keyframes, verify=True)
+    frames = FramePoses(graph)
+    graph.load(keyframe(0.0, 0, 0))
+    T_wc = graph.start_submap()
     new = keyframe(float(T_wc[0, 3]), 0, 0)
-    graph.append(0.0, new.T_wk, Status.OK)
-    assert graph.promote(new)
-    assert [k.piece for k in graph.keyframes] == [0, 1]
-    assert graph.placed == graph.keyframes[:1]
-    np.testing.assert_array_equal(graph.trajectory(), np.eye(4)[None])
-    assert graph.statuses() == [Status.LOST]
+    frames.append(0.0, new.T_wk, Status.OK)
+    assert graph.insert(new)
+    frames.attach_last(new)
+    assert [k.submap for k in graph.keyframes] == [0, 1]
+    assert graph.first_submap == graph.keyframes[:1]
+    np.testing.assert_array_equal(frames.trajectory(), np.eye(4)[None])
+    assert frames.statuses() == [Status.LOST]
     T_01 = se3.exp(torch.tensor([1.0, 0, 0, 0, 0, 0], dtype=torch.float64))
-    moved = graph.join(0, 1, T_01)
+    moved = graph.merge_submaps(0, 1, T_01)
     assert moved[0] == 0
     assert moved[1] > 90
-    assert graph.statuses() == [Status.OK]
-    torch.testing.assert_close(torch.from_numpy(graph.trajectory()[0]), graph.keyframes[0].T_wk @ T_01)
-    assert graph.keyframes[1].linked == {0}
+    assert frames.statuses() == [Status.OK]
+    torch.testing.assert_close(torch.from_numpy(frames.trajectory()[0]), graph.keyframes[0].T_wk @ T_01)
+    assert graph.keyframes[1].edges == {0}

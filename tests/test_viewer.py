@@ -96,7 +96,7 @@ def test_loops_are_told_once_and_drawn(box_recording: Path, tmp_path: Path) -> N
     with seen.opened(tmp_path, "box"):
         for i, frame in enumerate(open_recording(box_recording)):
             result = slam.process(frame)
-            slam.loop_closer.loops.closed = [SimpleNamespace(a=0, b=2)] if i >= 11 else []
+            slam.closed = [SimpleNamespace(a=0, b=2)] if i >= 11 else []
             seen.frame(frame, result, slam)  # type: ignore[arg-type]
         seen.finish(slam, slam.mesh(0.1))  # type: ignore[arg-type]
     _, chunks = read(tmp_path)

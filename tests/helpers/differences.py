@@ -7,27 +7,40 @@ import numpy as np
 import torch
 from torch import nn
 
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.storage.frame_memory import FrameMemory
+from idfslam.storage.state import Stateful
+
 # from keyframes' images
 WORKED_OUT_AGAIN = {
-    *("appearance", "landmarks", "pixels", "farthest", "has_depth"),
-    *("_images", "_images_at", "_description", "_description_at", "_archive", "archive"),
+    *("_images", "_images_at", "_features", "_features_at", "_archive", "archive", "farthest", "has_depth"),  # of a keyframe
+    *("_appearances", "_landmarks"),  # of the aligner
+    "_pixels",  # of the mapper
 }
 OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
 
 
-def differences(a: Any, b: Any, where: str) -> Iterator[str]:
-    """The places, each with what was found there; functions are not looked into."""
+def differences(a: Any, b: Any, where: str, compared: set[tuple[int, int]] | None = None) -> Iterator[str]:
+    """The places, each with what was found there; functions are not looked into.
+
+    compared: parts that were compared already: each is compared where it is first met.
+    """
+    compared = set() if compared is None else compared
     if type(a) is not type(b):
         yield f"{where}: {type(a).__name__} and {type(b).__name__}"
         return
+    if isinstance(a, Stateful | KeyframeGraph):
+        if (id(a), id(b)) in compared:
+            return
+        compared.add((id(a), id(b)))
     mine, other = parts(a), parts(b)
     if mine is None or other is None:
         if not equal(a, b):
             yield f"{where}: {a} and {b}"
         return
-    for key in mine.keys() | other.keys():
+    for key in [*mine, *(key for key in other if key not in mine)]:
         if key in mine and key in other:
-            yield from differences(mine[key], other[key], f"{where}.{key}")
+            yield from differences(mine[key], other[key], f"{where}.{key}", compared)
         else:
             yield f"{where}.{key}: in one alone"
 
@@ -38,6 +51,8 @@ def parts(value: Any) -> dict[Any, Any] | None:
         return value
     if isinstance(value, list | tuple):
         return dict(enumerate(value))
+    if isinstance(value, FrameMemory):
+        return value.state()
     if isinstance(value, torch.Generator):
         return {"state": value.get_state()}
     if isinstance(value, torch.optim.Optimizer):

@@ -15,6 +15,7 @@ from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.saved_map import load_map, save_map
+from idfslam.mapping.updates import InTurns
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 from idfslam.storage import atomic_files
@@ -29,7 +30,7 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
     torch.manual_seed(0)
     recording, poses = open_recording(box_recording), box_poses()
     folder.mkdir(parents=True)
-    learner = Mapper(MapperConfig(), FieldConfig(table_log2=13), torch.device("cpu"), torch.Generator().manual_seed(0))
+    learner = Mapper(MapperConfig(), FieldConfig(table_log2=13), torch.device("cpu"), torch.Generator().manual_seed(0), InTurns())
     keyframes = []
     for i in KNOWN_KEYFRAMES:
         frame = recording[i]

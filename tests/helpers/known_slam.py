@@ -19,8 +19,8 @@ RED = (220, 30, 30, 255)
 class KnownSlam:
     def __init__(self, config: Config) -> None:
         keyframes: list[Any] = []
-        self.graph: Any = SimpleNamespace(keyframes=keyframes, placed=keyframes)
-        self.loop_closer: Any = SimpleNamespace(loops=SimpleNamespace(closed=[]))
+        self.graph: Any = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
+        self.closed: list[Any] = []  # loops
         self.timings: dict[str, list[float]] = {"track": [], "map": []}
         self.processed = 0
 
@@ -30,8 +30,8 @@ class KnownSlam:
         self.timings["track"] += [2.0, 3.0]  # called twice a frame
         if keyframe:
             self.timings["map"].append(70.0)
-            neighbours = {len(keyframes) - 1} if keyframes else set()
-            keyframes.append(SimpleNamespace(index=i, T_wk=self.trajectory()[-1], neighbours=neighbours, piece=0))
+            covisible = {len(keyframes) - 1} if keyframes else set()
+            keyframes.append(SimpleNamespace(index=i, T_wk=self.trajectory()[-1], covisible=covisible, submap=0))
         losses = {"sdf": 0.5 / (i + 1)} if keyframe else {}
         return FrameResult(i, frame.timestamp, self.trajectory()[-1], self.statuses()[-1], keyframe, losses)
 
@@ -46,6 +46,9 @@ class KnownSlam:
 
     def figures(self) -> dict[str, Any]:
         return {"links": 2, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
+
+    def loops(self) -> list[Any]:
+        return self.closed
 
     def statuses(self) -> list[Status]:
         odd = {LOST: Status.LOST, DEGENERATE: Status.DEGENERATE}

@@ -87,7 +87,7 @@ class SeeingSlam:
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
         keyframes: list[SimpleNamespace] = []
-        self.graph = SimpleNamespace(keyframes=keyframes, placed=keyframes)
+        self.graph = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
         self.timings: dict[str, list[float]] = {}
 
     def process(self, frame: Frame) -> FrameResult:

@@ -11,6 +11,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.fused import distance_query
 from idfslam.mapping.mapper import Mapper
+from idfslam.mapping.updates import InTurns
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 CORNER = torch.tensor([0.8, 0.6, 1.8], dtype=torch.float64)  # x, y, z of its walls [m]
@@ -41,7 +42,7 @@ def without_depth(keyframe: Keyframe) -> Keyframe:
 def taught(walls: Tensor) -> Mapper:
     """A map that has learnt the walls from three views."""
     torch.manual_seed(0)
-    learner = Mapper(MapperConfig(), FieldConfig(table_log2=14), torch.device("cpu"), torch.Generator().manual_seed(0))
+    learner = Mapper(MapperConfig(), FieldConfig(table_log2=14), torch.device("cpu"), torch.Generator().manual_seed(0), InTurns())
     views = [view(walls, EYE), view(walls, pose(0.1, 0, 0, 0, 0.05, 0)), view(walls, pose(-0.1, 0.05, 0.1, 0.03, -0.05, 0))]
     learner.optimise_map(views, 150)
     return learner

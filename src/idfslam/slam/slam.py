@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ class Slam:
             self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
             self.recovery.close_gap(frame.index, mode)
             selected = self.keyframe_selection.selects(view, tracked.status, tracked.evidence.in_view)  # Sec. III
-            self._pending = None if selected or tracked.is_lost else (view, tracked)
+            self._pending = None if selected or tracked.is_lost else (view, replace(tracked, alignment=None))  # as a state has it
             map_frame = self.back_end.add_keyframe if selected else self.back_end.between_keyframes  # Sec. IV
             return self.history.report(frame, tracked.status, map_frame(view, tracked), keyframe=selected)
 

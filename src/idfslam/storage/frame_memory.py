@@ -40,13 +40,15 @@ class FrameMemory(Generic[Value]):
     def forget(self, frame: Indexed) -> None:
         """The frame's value is worked out anew when it is next asked for."""
         self._values.pop(frame, None)
+        self._restored.pop(frame.index, None)
 
     def state(self) -> State:
         """The values by their frames' indices."""
         return {str(index): value for index, value in sorted(self._by_index().items())}
 
     def restore(self, state: State, load: Callable[[Value], Value] = lambda value: value) -> None:
-        """Takes the values of `state`, each through `load`."""
+        """Takes the values of `state`, each through `load`, in place of its own."""
+        self._values.clear()
         self._restored = {int(index): load(value) for index, value in state.items()}
 
     def _by_index(self) -> dict[int, Value]:
