@@ -25,7 +25,7 @@ from idfslam.runs import result_folder
 from idfslam.storage import atomic_files
 from idfslam.storage.state import State
 
-FORMAT = 6
+FORMAT = 7
 
 log = logging.getLogger(__name__)
 
