@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from idfslam.config import FAST
 from idfslam.datasets import Selection
@@ -24,6 +25,7 @@ def test_the_documentation_shows_the_example_as_it_is() -> None:
     assert len(program.splitlines()) == 40
 
 
+@pytest.mark.slow
 def test_the_example_tracks_a_room_and_a_lost_camera_is_found_again() -> None:
     room = Selection(SyntheticRoom(seed=0, frames=240, width=320, height=240), frames=20, stride=4)
     assert room.ground_truth is not None

@@ -87,6 +87,7 @@ def compiled(box_recording: Path) -> Run:
     return run(box_recording, "cpu", plain=False)
 
 
+@pytest.mark.slow
 def test_the_compiled_run_calls_every_kernel(compiled: Run) -> None:
     assert compiled.kernels == KERNELS
     assert [result.status for result in compiled.results] == [Status.LOST if i == BLANK else Status.OK for i in range(FRAMES)]
@@ -94,6 +95,7 @@ def test_the_compiled_run_calls_every_kernel(compiled: Run) -> None:
     assert len(compiled.keyframes) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "plain"),
     [

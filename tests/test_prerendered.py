@@ -1,6 +1,7 @@
 """Frames made while something else is waited for."""
 
 import threading
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,11 +13,16 @@ from idfslam.errors import FrameError
 from idfslam.frame import Frame
 
 
+@cache
+def room() -> SyntheticRoom:
+    return SyntheticRoom(0, frames=6, width=32, height=24)
+
+
 class Counted(SyntheticRoom):
-    """Says which frames were rendered, and when so many have been; frame `bad` cannot be."""
+    """That room, which says which frames were rendered, and when so many have been; frame `bad` cannot be."""
 
     def __init__(self, until: int, *, bad: int = -1) -> None:
-        super().__init__(0, frames=6, width=32, height=24)
+        vars(self).update(vars(room()))  # built once
         self.asked: list[int] = []
         self.bad, self.until, self.reached = bad, until, threading.Event()
 
@@ -34,7 +40,7 @@ def test_frames_are_made_meanwhile_and_once() -> None:
     with Ahead(counted, most=3) as ahead:
         assert counted.reached.wait(60)
     assert (ahead.name, len(ahead), readers(ahead)) == (counted.name, 6, 2)
-    again = SyntheticRoom(0, frames=6, width=32, height=24)
+    again = room()
     for i in range(6):
         assert np.array_equal(ahead[i].colour, again[i].colour)
     assert counted.asked == [0, 1, 2, 3, 4, 5]

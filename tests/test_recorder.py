@@ -60,6 +60,7 @@ def test_stops_after_seconds(box_recording: Path, tmp_path: Path) -> None:
     assert len(open_recording(tmp_path)) == done.frames
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_and_all_that_was_stored_is_whole(tmp_path: Path) -> None:
     device = HandFed()
 
