@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from helpers.flat_wall import CAMERA, PAPER, at, insert, keyframe, wall_frames
+from helpers.flat_wall import CAMERA, PAPER, at, keyframe, wall_frames
 from idfslam.frame import Frame, Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
