@@ -59,12 +59,14 @@ class Tracked:
 
     def state(self) -> State:
         """Without the alignment, which the next frames do not need."""
-        return {"T_wc": self.T_wc, "status": self.status.value, "source": self.source.value, "evidence": vars(self.evidence).copy()}
+        words = {"status": self.status.value, "source": self.source.value, "confident": self.confident}
+        return {"T_wc": self.T_wc, "evidence": vars(self.evidence).copy(), **words}
 
     @classmethod
     def from_state(cls, state: State) -> "Tracked":
         """What `state` was made of."""
-        return cls(state["T_wc"], Status(state["status"]), Source(state["source"]), Evidence(**state["evidence"]))
+        status, source, evidence = Status(state["status"]), Source(state["source"]), Evidence(**state["evidence"])
+        return cls(state["T_wc"], status, source, evidence, confident=state["confident"])
 
     @property
     def is_lost(self) -> bool:
