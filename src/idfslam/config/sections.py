@@ -78,11 +78,11 @@ class MapperConfig:
     """w_tr: weight of the loss near the surface (Eq. 2)."""
     background: bool = True
     """Optimise the map in a thread of its own while the next frames are tracked; they are aligned to the map of the update before. When
-    off, tracking waits for each map update. Two such threads on two cores ran 1.9 times as fast as one (docs/design.md)."""
+    off, tracking waits for each map update. Two such threads on two cores ran 1.9 times as fast as one (docs/findings.md)."""
     min_mapped_share: float = 0.95
     """If the map explains less than this share of a new keyframe's depth, the map is updated before the next frame instead of in the
     background. Higher values let tracking wait more often. Without such updates the fast walk dining_fast had 1.21 cm instead of 1.04
-    (docs/design.md); no effect where `background` is off."""
+    (docs/findings.md); no effect where `background` is off."""
     redraw: Count = 10
     """Steps between two drawings of pixels. With 1, the losses of each step decide on the pixels of the next, as in the paper; larger
     values are faster."""
@@ -147,7 +147,7 @@ class KeyframeConfig:
     edge_length: float = 4.0
     """Two covisible keyframes count as measured against each other if a path of pose-graph edges of at most this length [m] joins them.
     Beyond it the overlap is tested for a loop instead. Larger values hide more drift: without a limit, two long edges around a block hid
-    8 cm of it (docs/design.md)."""
+    8 cm of it (docs/findings.md)."""
     covisible: float = 0.3
     """sigma_covis: covisibility above which two keyframes are connected (Sec. VI-A)."""
     shared: float = 0.6
@@ -332,17 +332,17 @@ class AlignmentConfig:
     initial poses."""
     level_reach: Positive = 1.5
     """Error of the initial pose [px] that one level of the pyramid can correct. Where recent predictions were more exact, the alignment
-    begins on a finer level, which halves its steps in a slow walk (docs/design.md)."""
+    begins on a finer level, which halves its steps in a slow walk (docs/findings.md)."""
     steps_a_level: Count = 2
     """Steps on each level except the finest, which takes all others."""
     references: int = 2
     """Keyframes whose images a frame is compared with: the last one, and the earliest that shares most of the view. 0: depth alone."""
     prior_information: float = 8e-3
     """Information per unit weight of depth below which a direction stays at the initial pose, because nothing measures it: a bare wall
-    leaves three directions open. Larger values trust the predicted motion more (solution remapping, docs/design.md)."""
+    leaves three directions open. Larger values trust the predicted motion more (solution remapping, docs/findings.md)."""
     registration_prior_information: float = 0.1
     """The same for a new keyframe that the tracker has registered with the last one: directions with less information stay at the
-    registered pose. With 0, keyframes are not registered; bookstore then had 3.45 cm instead of 1.28 (docs/design.md)."""
+    registered pose. With 0, keyframes are not registered; bookstore then had 3.45 cm instead of 1.28 (docs/findings.md)."""
     converged: float = 3e-4
     """Gauss-Newton ends when a step is shorter than this [m, rad]. Smaller values take more steps."""
     min_points: int = 100
@@ -373,7 +373,7 @@ class RefinementConfig:
     seconds: Positive = 60.0
     """Time limit of the refinement after the last frame [s]. A run that reaches it is not repeatable bit by bit."""
     poses_per_update: int = 1
-    """Replayed keyframes that are aligned anew with each map update during the run. Each costs one short alignment (docs/design.md)."""
+    """Replayed keyframes that are aligned anew with each map update during the run. Each costs one short alignment (docs/findings.md)."""
     max_shift: float = 0.02
     """A keyframe that would move farther than this [m] in one refinement keeps its pose: so large a step is a wrong alignment."""
 
@@ -390,7 +390,7 @@ class LoopConfig:
     """Stored keyframes that a new keyframe is registered with in search of a loop. More tries find more loops and cost more time."""
     relocalisation_tries: int = 4
     """Stored keyframes that a lost frame is registered with, or a keyframe of another submap. The five most similar
-    ones contain an overlapping one in 82 to 84 % of cases (docs/design.md)."""
+    ones contain an overlapping one in 82 to 84 % of cases (docs/findings.md)."""
     submap_after: int = 30
     """Frames with depth for which a lost camera is searched for before a new submap is started; 0: no submap is ever started."""
     merge_confirmations: int = 3
