@@ -189,7 +189,7 @@ def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 SLOW = """
 import time
 from pathlib import Path
-from idfslam.runs.runner import stop_on_interrupt
+from idfslam.compute.interrupt import stop_on_interrupt
 
 def main(arguments):
     with stop_on_interrupt() as stop:

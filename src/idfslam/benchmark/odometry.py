@@ -16,7 +16,8 @@ from idfslam.benchmark.runs import Figure, Spread, machine, markdown_table
 from idfslam.config import Config
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, DivergedError, RecordingError
-from idfslam.runs.runner import counts, evaluation, frames
+from idfslam.runs.metrics import keyframe_counts, pose_errors
+from idfslam.runs.source import read_frames
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
 
@@ -94,16 +95,16 @@ def _run(recording: Dataset, config: Config) -> dict[str, Any]:
     """The figures of one run, or why there are none."""
     slam = Slam(config)
     try:
-        for frame, _ in frames(recording):
+        for frame, _ in read_frames(recording):
             slam.process(frame)
     except DivergedError as error:
         return {"seed": config.seed, "failed": str(error)}
-    errors = evaluation(slam, recording)
+    errors = pose_errors(slam, recording)
     assert errors is not None
     rpe = {f"rpe_{e.delta}_{unit}": value for e in errors.rpe for unit, value in (("m", e.translation.rmse), ("deg", e.rotation.rmse))}
     ms = {stage: sum(times) / len(recording) for stage, times in slam.timings.items()}
     times = {"ms_a_frame": sum(ms.values()), "ms_finetuning": ms.get("finetune", 0.0) + ms.get("map", 0.0)}
-    return {"seed": config.seed, "frames": len(recording), "ate_m": errors.ate.translation.rmse, **rpe, **counts(slam), **times}
+    return {"seed": config.seed, "frames": len(recording), "ate_m": errors.ate.translation.rmse, **rpe, **keyframe_counts(slam), **times}
 
 
 def _summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from idfslam.errors import ConfigError, FrameError, IdfSlamError
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.runs.metrics import peak_memory
+from idfslam.runs.meter import peak_memory
 from idfslam.storage import atomic_files
 
 _UNITS = 5000.0  # of the uint16 depth images handed to Open3D, per metre: up to 13.1 m in steps of 0.2 mm

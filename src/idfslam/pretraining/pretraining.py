@@ -5,6 +5,7 @@ would have seen, and two processes see those that one alone would have.
 """
 
 import json
+import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,7 @@ from safetensors.torch import save_file
 
 from idfslam import __version__
 from idfslam.compute.devices import resolve_device
-from idfslam.compute.interrupt import interruptions
+from idfslam.compute.interrupt import stop_on_interrupt
 from idfslam.config import PretrainConfig
 from idfslam.datasets import Dataset
 from idfslam.errors import ConfigError, RecordingError, ResultError
@@ -166,7 +167,7 @@ def _run(
     report: Report,
 ) -> None:
     steps = training.config.steps
-    with interruptions() as interrupted:
+    with stop_on_interrupt(signal.SIGTERM) as interrupted:  # SIGTERM: how a cluster's scheduler ends a job
         while training.step < steps:
             figures = training.advance(footage)
             done = training.step
@@ -175,7 +176,7 @@ def _run(
             if crew.first:
                 log.add(done, {**figures, "learning_rate": float(training.optimiser.param_groups[0]["lr"])})
                 report(done, figures)
-            stop = crew.any(interrupted(), training.device)
+            stop = crew.any(interrupted.is_set(), training.device)
             if crew.first and (stop or _due(done, outputs.checkpoint_every, steps)):
                 _write(training, outputs, made)
             if stop:
