@@ -353,7 +353,7 @@ def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
 def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     died(box_recording, tmp_path)
     died(box_recording, tmp_path, every=0)
-    assert "held a run that was not over" in caplog.text
+    assert "replaces an unfinished run" in caplog.text
     assert [p.name for p in tmp_path.iterdir()] == [result_folder.CONFIG]
 
 
