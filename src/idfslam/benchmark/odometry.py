@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from idfslam.batch.recordings import Entry, listed
-from idfslam.benchmark.runs import Figure, Spread, machine, markdown_table
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
+from idfslam.benchmark.runs import Column, MeanStd, machine, markdown_table
 from idfslam.config import Config
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, DivergedError, RecordingError
@@ -22,17 +22,17 @@ from idfslam.slam import Slam
 from idfslam.storage import atomic_files
 
 REPORT, TABLE = "odometry.json", "odometry.md"
-FIGURES = (
-    Figure("ate_m", "ATE RMSE [cm]", 100),
-    Figure("rpe_1_m", "RPE, 1 frame [cm]", 100),
-    Figure("rpe_1_deg", "[°]"),
-    Figure("rpe_30_m", "30 frames [cm]", 100),
-    Figure("rpe_30_deg", "[°]"),
-    Figure("lost_frames", "lost frames", digits=1),
-    Figure("keyframes", "keyframes", digits=1),
-    Figure("finetuning_undone", "undone", digits=1),
-    Figure("ms_a_frame", "ms a frame", digits=0),
-    Figure("ms_finetuning", "of these finetuning", digits=0),
+COLUMNS = (
+    Column("ate_m", "ATE RMSE [cm]", 100),
+    Column("rpe_1_m", "RPE, 1 frame [cm]", 100),
+    Column("rpe_1_deg", "[°]"),
+    Column("rpe_30_m", "30 frames [cm]", 100),
+    Column("rpe_30_deg", "[°]"),
+    Column("lost_frames", "lost frames", digits=1),
+    Column("keyframes", "keyframes", digits=1),
+    Column("finetuning_undone", "undone", digits=1),
+    Column("ms_a_frame", "ms a frame", digits=0),
+    Column("ms_finetuning", "of these finetuning", digits=0),
 )
 
 
@@ -65,7 +65,7 @@ def bench_odometry(
     """
     if seeds < 1:
         raise ConfigError(f"--seeds {seeds}, expected at least 1")
-    opened = [(entry, _with_poses(entry)) for entry in listed(recordings)]
+    opened = [(entry, _with_poses(entry)) for entry in parse_recordings(recordings)]
     if folder is not None:
         atomic_files.prepare(folder)
     found: dict[str, Any] = {"machine": machine(), "preset": config.preset, "rows": []}
@@ -76,7 +76,7 @@ def bench_odometry(
         runs = [_run(recording, replace(values, seed=config.seed + i)) for i in range(seeds if random else 1)]
         row = {"recording": entry.name, "finetuning": finetune, "grid": grid, "runs": runs, "summary": _summary(runs)}
         found["rows"].append(row)
-        report(" ".join(_cells(row)[:4]) + ": " + ", ".join(_told(run) for run in runs))
+        report(" ".join(_cells(row)[:4]) + ": " + ", ".join(_result_text(run) for run in runs))
         if folder is not None:
             atomic_files.write_json(folder / REPORT, found)
             with atomic_files.replacing(folder / TABLE) as part:
@@ -84,7 +84,7 @@ def bench_odometry(
     return found
 
 
-def _with_poses(entry: Entry) -> Dataset:
+def _with_poses(entry: RecordingSpec) -> Dataset:
     recording = open_recording(entry.path, frames=entry.frames)
     if recording.ground_truth is None or not np.isfinite(recording.ground_truth).all((1, 2)).any():
         raise RecordingError(f"{recording.name}: has no ground truth, expected poses to compare with; choose a recording that has them")
@@ -109,10 +109,10 @@ def _run(recording: Dataset, config: Config) -> dict[str, Any]:
 
 def _summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     finished = [run for run in runs if "failed" not in run]
-    return {f.key: asdict(Spread.of([run[f.key] for run in finished])) for f in FIGURES if any(f.key in run for run in finished)}
+    return {f.key: asdict(MeanStd.of([run[f.key] for run in finished])) for f in COLUMNS if any(f.key in run for run in finished)}
 
 
-def _told(run: Mapping[str, Any]) -> str:
+def _result_text(run: Mapping[str, Any]) -> str:
     return f"failed: {run['failed']}" if "failed" in run else f"ATE {run['ate_m'] * 100:.2f} cm, {run['lost_frames']} lost"
 
 
@@ -121,7 +121,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     runs, summary = row["runs"], row["summary"]
     finished = sum("failed" not in run for run in runs)
     features = "finetuned" if row["finetuning"] else "as trained"
-    figures = [Spread(**summary[f.key]).text(f.unit, f.digits) if f.key in summary else "-" for f in FIGURES]
+    figures = [MeanStd(**summary[f.key]).text(f.unit, f.digits) if f.key in summary else "-" for f in COLUMNS]
     return [row["recording"], features, f"grid {row['grid']}", f"{finished} of {len(runs)}", *figures]
 
 
@@ -130,7 +130,7 @@ def markdown(found: Mapping[str, Any]) -> str:
     rows, m = found["rows"], found["machine"]
     head = f"idf-slam {m['idf-slam']}, preset {found['preset']}, the tracker alone, {m['processor']}, {m['cores']} cores. "
     about = "Mean ± standard deviation over the seeds; a row without anything random ran once."
-    table = markdown_table(["recording", "features", "matches", "runs", *(f.title for f in FIGURES)], [_cells(row) for row in rows])
+    table = markdown_table(["recording", "features", "matches", "runs", *(f.title for f in COLUMNS)], [_cells(row) for row in rows])
     failed = [
         f"Failed: {' '.join(_cells(row)[:3])}, seed {run['seed']}: {run['failed']}"
         for row in rows

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.batch.recordings import listed
+from idfslam.batch.recordings import parse_recordings
 from idfslam.benchmark.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
 from idfslam.benchmark.keypoints import KeypointDetector, Keypoints, Kind
 from idfslam.benchmark.match_figure import MatchPicture, draw_matches
@@ -213,7 +213,7 @@ def bench_pairs(
     """
     if pairs < 1 or not gaps or min(gaps) < 1:
         raise ConfigError(f"--pairs {pairs} --gap {' '.join(map(str, gaps))}, expected at least 1 pair and gaps of at least 1 frame")
-    opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in listed(recordings)}
+    opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in parse_recordings(recordings)}
     samples = [sample(recording, gap, pairs) for recording in opened.values() for gap in gaps]
     if folder is not None:
         atomic_files.prepare(folder)

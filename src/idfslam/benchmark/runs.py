@@ -18,7 +18,7 @@ import yaml
 from idfslam import __version__
 from idfslam.batch.executor import Executor
 from idfslam.batch.local_executor import LocalExecutor
-from idfslam.batch.recordings import Entry, listed
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.compute.host import cores, processor
 from idfslam.config import Config, dump
 from idfslam.errors import ConfigError, IdfSlamError, ResultError
@@ -30,7 +30,7 @@ _BLOCK = 100  # frames over which metrics.json gives the course of the speed
 
 
 @dataclass(frozen=True)
-class Figure:
+class Column:
     """One figure of a run: its name in the JSON, and its column."""
 
     key: str
@@ -39,22 +39,22 @@ class Figure:
     digits: int = 2
 
 
-FIGURES = (
-    Figure("ate_m", "ATE RMSE [cm]", 100),
-    Figure("accuracy_m", "accuracy [cm]", 100),
-    Figure("completion_m", "completion [cm]", 100),
-    Figure("completion_ratio", "ratio < 5 cm [%]", 100, 1),
-    Figure("frames_per_second", "frames/s"),
-    Figure("speed_kept", "speed kept"),
-    Figure("peak_memory_mb", "peak memory [MiB]", digits=0),
-    Figure("peak_memory_above_imports_mb", "above imports [MiB]", digits=0),
-    Figure("keyframes", "keyframes", digits=1),
-    Figure("lost_frames", "lost frames", digits=1),
+COLUMNS = (
+    Column("ate_m", "ATE RMSE [cm]", 100),
+    Column("accuracy_m", "accuracy [cm]", 100),
+    Column("completion_m", "completion [cm]", 100),
+    Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
+    Column("frames_per_second", "frames/s"),
+    Column("speed_kept", "speed kept"),
+    Column("peak_memory_mb", "peak memory [MiB]", digits=0),
+    Column("peak_memory_above_imports_mb", "above imports [MiB]", digits=0),
+    Column("keyframes", "keyframes", digits=1),
+    Column("lost_frames", "lost frames", digits=1),
 )
 
 
 @dataclass(frozen=True)
-class Spread:
+class MeanStd:
     """Mean and sample standard deviation; of one value there is no deviation."""
 
     mean: float
@@ -62,7 +62,7 @@ class Spread:
     count: int
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Spread":
+    def of(cls, values: Sequence[float]) -> "MeanStd":
         """Raises statistics.StatisticsError for no values."""
         return cls(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None, len(values))
 
@@ -94,7 +94,7 @@ def bench(
     """
     if seeds < 1 or (frames is not None and frames < 1):
         raise ConfigError(f"--seeds {seeds} --frames {frames}, expected at least 1")
-    entries = listed(recordings, frames)
+    entries = parse_recordings(recordings, frames)
     if against is not None:
         from idfslam.benchmark.open3d_baseline import require_open3d
 
@@ -106,7 +106,7 @@ def bench(
         for entry in entries:
             baseline = _open3d(place, entry, folder, report) if against else None
             one = partial(_run, place, entry, folder=folder, mesh=mesh, report=report)
-            runs = sorted(place.each(one, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
+            runs = sorted(place.map_unordered(one, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
             found["recordings"].append({**asdict(entry), "runs": runs, **summary(runs), "open3d": baseline})
             atomic_files.write_json(folder / REPORT, found)
             with atomic_files.replacing(folder / TABLE) as part:
@@ -114,7 +114,7 @@ def bench(
     return found
 
 
-def _run(executor: Executor, entry: Entry, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
+def _run(executor: Executor, entry: RecordingSpec, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
     """One run and its evaluation: the figures, or why there are none."""
     out = folder / f"{entry.name}-{seed}"
     count = [] if entry.frames is None else ["--frames", str(entry.frames)]
@@ -130,13 +130,18 @@ def _run(executor: Executor, entry: Entry, seed: int, *, folder: Path, mesh: boo
     except BenchError as error:
         report(f"{entry.name}, seed {seed}: failed: {error}")
         return {"seed": seed, "failed": str(error)}
-    run = {"seed": seed, **figures(metrics, evaluation.get("mesh")), "frames": metrics["frames"], "ms_per_frame": metrics["ms_per_frame"]}
+    run = {
+        "seed": seed,
+        **column_values(metrics, evaluation.get("mesh")),
+        "frames": metrics["frames"],
+        "ms_per_frame": metrics["ms_per_frame"],
+    }
     ate = f", ATE {run['ate_m'] * 100:.2f} cm" if "ate_m" in run else ""
     report(f"{entry.name}, seed {seed}: {run['frames']} frames, {run['frames_per_second']:.2f} frames/s{ate}")
     return run
 
 
-def _open3d(executor: Executor, entry: Entry, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
+def _open3d(executor: Executor, entry: RecordingSpec, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
     out = folder / f"{entry.name}-open3d.json"
     count = [] if entry.frames is None else ["--frames", str(entry.frames)]
     try:
@@ -155,14 +160,14 @@ class BenchError(IdfSlamError):
 
 
 def _process(executor: Executor, module: str, *arguments: str) -> None:
-    done = executor.execute(module, *arguments)
+    done = executor.run_module(module, *arguments)
     if done.error is not None:
         raise BenchError(done.error)
 
 
-def figures(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) -> dict[str, float]:
-    """The values of FIGURES that a run has, from its metrics.json and the mesh part of its evaluation.json."""
-    found = {f.key: metrics.get(f.key) for f in FIGURES} | {
+def column_values(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) -> dict[str, float]:
+    """The values of COLUMNS that a run has, from its metrics.json and the mesh part of its evaluation.json."""
+    found = {f.key: metrics.get(f.key) for f in COLUMNS} | {
         "speed_kept": speed_kept(metrics["frames_per_second_by_100"], metrics["frames"])
     }
     found["ate_m"] = metrics["ate_m"]["rmse"] if "ate_m" in metrics else None
@@ -180,11 +185,11 @@ def speed_kept(speeds: Sequence[float], frames: int) -> float | None:
 def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Mean and deviation over the finished runs, of each figure and of each stage [ms a frame]."""
     finished = [run for run in runs if "failed" not in run]
-    keys = [f.key for f in FIGURES if any(f.key in run for run in finished)]
+    keys = [f.key for f in COLUMNS if any(f.key in run for run in finished)]
     stages = dict.fromkeys(stage for run in finished for stage in run["ms_per_frame"])
     return {
-        "summary": {key: asdict(Spread.of([run[key] for run in finished if key in run])) for key in keys},
-        "ms_per_frame": {stage: asdict(Spread.of([run["ms_per_frame"].get(stage, 0.0) for run in finished])) for stage in stages},
+        "summary": {key: asdict(MeanStd.of([run[key] for run in finished if key in run])) for key in keys},
+        "ms_per_frame": {stage: asdict(MeanStd.of([run["ms_per_frame"].get(stage, 0.0) for run in finished])) for stage in stages},
     }
 
 
@@ -192,7 +197,7 @@ def markdown(found: Mapping[str, Any]) -> str:
     """The report as text: figures, stages, the comparison with Open3D, and the runs that failed."""
     recordings = found["recordings"]
     m = found["machine"]
-    used = [f for f in FIGURES if any(f.key in r["summary"] for r in recordings)]
+    used = [f for f in COLUMNS if any(f.key in r["summary"] for r in recordings)]
     head = (
         f"idf-slam {m['idf-slam']}, preset {found['preset']}, {m['processor']}, {m['cores']} cores{', ' + m['gpu'] if m['gpu'] else ''}. "
     )
@@ -232,7 +237,7 @@ def _comparison(recording: Mapping[str, Any]) -> list[str]:
 
 
 def _cell(spread: Mapping[str, Any] | None, unit: float, digits: int) -> str:
-    return "-" if spread is None else Spread(**spread).text(unit, digits)
+    return "-" if spread is None else MeanStd(**spread).text(unit, digits)
 
 
 def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
