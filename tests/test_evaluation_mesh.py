@@ -4,12 +4,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.cli.commands.eval import Eval
 from idfslam.config import FAST
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, ResultError
 from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
@@ -344,3 +346,7 @@ def test_damaged_meshes(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "mesh.ply").write_bytes(content)
     with pytest.raises(IdfSlamError, match=r"mesh\.ply"):
         load_mesh(tmp_path / "mesh.ply")
+
+
+def test_the_command_offers_every_protocol() -> None:
+    assert get_args(get_type_hints(Eval)["protocol"]) == tuple(PROTOCOLS)

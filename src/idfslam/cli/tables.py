@@ -63,7 +63,7 @@ def print_examination(examination: Examination, console: Console) -> None:
     """Prints the properties of the machine, the extras, and what should be fixed."""
     e = examination.found
     processor, torch, memory, cache = e["processor"], e["torch"], e["memory_bytes"], e["numba_cache"]
-    unknown = "not told by the system"
+    unknown = "unknown"
     free = unknown if memory is None else f"{memory['available'] / GIB:.1f} of {memory['total'] / GIB:.1f} GiB available"
     kernels = f"{cache['kernels']} kernels in {cache['folder']}" if cache["kernels"] else "nothing yet: the first run takes a minute more"
     rows = [

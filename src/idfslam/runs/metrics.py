@@ -1,4 +1,4 @@
-"""metrics.json: what a run measures of itself, and how other programs read it."""
+"""The measured values of a run in metrics.json, and reading them again."""
 
 import json
 from collections import Counter

@@ -1,4 +1,4 @@
-"""What changes while a run goes on, and what a checkpoint therefore stores: the SLAM system, the clock and the log of frames."""
+"""The changing state of a run, which a checkpoint stores: the SLAM system, the clock and the log of frames."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Shows a run while it goes on, with rerun: in a window or a browser, and as the file recording.rrd (`pip install 'idf-slam[viewer]'`)."""
+"""Shows a run live with rerun, in a window or a browser, and records it as recording.rrd (`pip install 'idf-slam[viewer]'`)."""
 
 import os
 import subprocess

@@ -95,7 +95,7 @@ class CheckpointFlags:
     """Frames between two checkpoints in the result folder; 0: none. The checkpoint is deleted at the end of the run. Live cameras and runs
     with --map have none."""
     resume: Path | None = None
-    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; the run goes on. Given instead of a recording."""
+    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; it is continued. Given instead of a recording."""
 
 
 _USAGE = 2
@@ -156,7 +156,7 @@ class Run:
         given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
         if given:
             _wrong_usage(
-                f"--resume goes on with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
+                f"--resume continues with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
             )
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
