@@ -207,7 +207,7 @@ def test_viewer_with_and_without_a_place() -> None:
         command = command_line.parse(["run", *arguments])
         assert isinstance(command, command_line.Run)
         assert command.path == Path("recording")
-        return command.viewer
+        return command.live_view.viewer
 
     assert place("recording") == "none"
     assert place("recording", "--viewer") == "auto"

@@ -156,7 +156,7 @@ class Run:
         given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
         if given:
             _wrong_usage(
-                f"--resume continues with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
+                f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
             )
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
