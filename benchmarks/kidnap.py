@@ -21,7 +21,7 @@ from idfslam.config import FAST  # noqa: E402
 from idfslam.datasets import Kidnapped, open_recording  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.frame import Status  # noqa: E402
-from idfslam.runs.runner import frames  # noqa: E402
+from idfslam.runs.source import read_frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
 
@@ -38,7 +38,7 @@ def main() -> None:
     torch.set_num_threads(1)
     for seed in [int(s) for s in seeds] or [0]:
         recording, slam = Kidnapped(open_recording(name), seed=seed), Slam(replace(FAST, seed=seed))
-        live = [slam.process(frame).status for frame, _ in frames(recording)]
+        live = [slam.process(frame).status for frame, _ in read_frames(recording)]
         slam.finish()
         assert recording.ground_truth is not None
         kept = [i for i, status in enumerate(slam.statuses()) if status in (Status.OK, Status.DEGENERATE)]

@@ -23,7 +23,7 @@ from idfslam.datasets import open_recording  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.geometry import se3  # noqa: E402
 from idfslam.graph.loop_consistency import Loop  # noqa: E402
-from idfslam.runs.runner import frames  # noqa: E402
+from idfslam.runs.source import read_frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
 
@@ -56,7 +56,7 @@ def main() -> None:
     for name in names:
         recording, slam = open_recording(name), Slam(config)
         truth = np.asarray(recording.ground_truth)
-        for frame, _ in frames(recording):
+        for frame, _ in read_frames(recording):
             slam.process(frame)
         slam.finish()
         poses = slam.trajectory()

@@ -2,8 +2,10 @@
 
 # ruff: noqa: E402
 from idfslam.compute.process import prepare_process
+from idfslam.compute.torch_threads import limit_torch_threads
 
 prepare_process()  # before torch or numba is imported
+limit_torch_threads("grid")  # for all tests: a command that runs SLAM would do it for the tests after its own
 
 from pathlib import Path
 

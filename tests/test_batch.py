@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import threading
 import time
 from collections.abc import Callable
@@ -11,8 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from idfslam.batch.batch import DONE, FAILED, Row, batch, check_done, told
-from idfslam.batch.batch_file import Item, read_batch
+from idfslam.batch.batch import DONE, FAILED, Row, batch, check_done, progress_line
+from idfslam.batch.batch_file import BatchJob, read_batch
 from idfslam.batch.executor import Crash, Executor, JobOutcome, thread_share
 from idfslam.batch.local_executor import LocalExecutor
 from idfslam.batch.open_executor import open_executor
@@ -24,11 +25,11 @@ from idfslam.errors import ConfigError, RecordingError, ResultError
 QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--refinement.updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
 
 
-def items(recording: Path, count: int = 3) -> list[Item]:
-    return [Item(f"box-{i}", str(recording), (*QUICK, "--seed", str(i))) for i in range(count)]
+def items(recording: Path, count: int = 3) -> list[BatchJob]:
+    return [BatchJob(f"box-{i}", str(recording), (*QUICK, "--seed", str(i))) for i in range(count)]
 
 
-class ToldEngine(Executor):
+class ScriptedExecutor(Executor):
     """Answers for each recording what is written for it: an error, or how often it is killed before it ends well."""
 
     def __init__(self, *, crashes: int = 0, error: str | None = None, retries: int = 2) -> None:
@@ -47,10 +48,10 @@ def test_text_list(box_recording: Path, tmp_path: Path) -> None:
     noisy = "synthetic:3:kinect seed=1 out=noisy mapper.active_sampling=false"
     (tmp_path / "list.txt").write_text(f"# all of them\n\n'my room' frames=5 camera.fx=525 # wide\n{noisy}\n'my room'\n")
     first, second, third, fourth = read_batch([str(tmp_path / "list.txt"), f"{box_recording}@7"], FAST)
-    assert first == Item("box", str(box_recording), ("--frames", "5", "--camera.fx", "525"))
-    assert second == Item("noisy", "synthetic:3:kinect", ("--seed", "1", "--mapper.no-active-sampling"))
-    assert third == Item("box-2", str(box_recording))
-    assert fourth == Item("box-3", str(box_recording), ("--frames", "7"))
+    assert first == BatchJob("box", str(box_recording), ("--frames", "5", "--camera.fx", "525"))
+    assert second == BatchJob("noisy", "synthetic:3:kinect", ("--seed", "1", "--mapper.no-active-sampling"))
+    assert third == BatchJob("box-2", str(box_recording))
+    assert fourth == BatchJob("box-3", str(box_recording), ("--frames", "7"))
     run = command_line.parse(["run", second.path, *second.flags])
     assert isinstance(run, command_line.Run)
     assert (run.values.seed, run.values.mapper.active_sampling) == (1, False)
@@ -59,8 +60,8 @@ def test_text_list(box_recording: Path, tmp_path: Path) -> None:
 def test_yaml_list(tmp_path: Path) -> None:
     (tmp_path / "list.yaml").write_text("- synthetic:1\n- {path: synthetic, frames: 9, mapper: {pixels: 64}, camera.depth_scale: 5000}\n")
     first, second = read_batch([str(tmp_path / "list.yaml")], FAST)
-    assert first == Item("synthetic-1", "synthetic:1")
-    assert second == Item("synthetic", "synthetic", ("--frames", "9", "--mapper.pixels", "64", "--camera.depth-scale", "5000"))
+    assert first == BatchJob("synthetic-1", "synthetic:1")
+    assert second == BatchJob("synthetic", "synthetic", ("--frames", "9", "--mapper.pixels", "64", "--camera.depth-scale", "5000"))
 
 
 @pytest.mark.parametrize(
@@ -68,13 +69,13 @@ def test_yaml_list(tmp_path: Path) -> None:
     [
         ("l.txt", "synthetic frames", r"l.txt:1: 'frames', expected NAME=VALUE"),
         ("l.txt", "synthetic 'x", r"l.txt:1: No closing quotation"),
-        ("l.txt", "# nothing\n", "no recordings in it"),
+        ("l.txt", "# nothing\n", "lists no recordings"),
         ("l.txt", "synthetic\nsynthetic frames=0", "l.txt:2: start 0, stride 1, frames 0"),
         ("l.txt", "synthetic frames=many", "l.txt:1: 'frames' is 'many'"),
         ("l.txt", "synthetic mapper.pixel=4", "l.txt:1: unknown key 'pixel'"),
         ("l.txt", "synthetic mapper.pixels=0", "mapper.pixels is 0"),
         ("l.txt", "synthetic preset=paper", "give it as --preset"),
-        ("l.txt", "synthetic out=../elsewhere", "a folder's name inside --out"),
+        ("l.txt", "synthetic out=../elsewhere", "the name of a folder inside --out"),
         ("l.yaml", "path: synthetic", "found dict, expected a list"),
         ("l.yaml", "- {frames: 4}", "entry 1: .*with 'path'"),
         ("l.yaml", "- [", "is not YAML"),
@@ -95,17 +96,17 @@ def test_missing_recordings_and_lists_are_told_before_the_first_run(tmp_path: Pa
 
 
 def test_a_killed_process_is_started_again_and_one_with_an_error_is_not() -> None:
-    assert ToldEngine(crashes=2).execute("m", "run", "x").attempts == 3
-    given_up = ToldEngine(crashes=3).execute("m", "run", "x")
+    assert ScriptedExecutor(crashes=2).run_module("m", "run", "x").attempts == 3
+    given_up = ScriptedExecutor(crashes=3).run_module("m", "run", "x")
     assert (given_up.error, given_up.attempts) == ("killed by SIGKILL", 3)
-    told_why = ToldEngine(error="x: no such file").execute("m", "run", "x")
-    assert (told_why.error, told_why.where, told_why.attempts) == ("x: no such file", "node-7", 1)
+    failed = ScriptedExecutor(error="x: no such file").run_module("m", "run", "x")
+    assert (failed.error, failed.host, failed.attempts) == ("x: no such file", "node-7", 1)
 
 
 def test_after_a_stop_nothing_begins() -> None:
-    executor = ToldEngine()
+    executor = ScriptedExecutor()
     executor.stop()
-    assert executor.execute("m", "run", "x") == JobOutcome("interrupted", 0.0, executor.execute("m").where, 0)
+    assert executor.run_module("m", "run", "x") == JobOutcome("interrupted", 0.0, platform.node(), 0)
 
 
 def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +139,7 @@ def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.Captur
 
 def test_failures_are_told() -> None:
     rows = [Row("a", "/a", DONE, None, 10, 0.0123, 5.0, 0), Row("b", "/b", FAILED, "no depth")]
-    assert [told(row) for row in rows] == ["a: 10 frames, 5.00 frames/s, ATE 1.23 cm", "b: failed: no depth"]
+    assert [progress_line(row) for row in rows] == ["a: 10 frames, 5.00 frames/s, ATE 1.23 cm", "b: failed: no depth"]
     check_done(rows[:1], Path("out"))
     with pytest.raises(ResultError, match=r"1 of 2 runs failed \(b: no depth\)"):
         check_done(rows, Path("out"))
@@ -189,7 +190,7 @@ def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 SLOW = """
 import time
 from pathlib import Path
-from idfslam.runs.runner import stop_on_interrupt
+from idfslam.compute.interrupt import stop_on_interrupt
 
 def main(arguments):
     with stop_on_interrupt() as stop:
@@ -208,7 +209,7 @@ def test_a_stop_on_ray_lets_runs_write_their_results(tmp_path: Path, monkeypatch
     monkeypatch.setenv("RAY_worker_niceness", "0")
     ended: list[JobOutcome] = []
     with open_executor("auto", 1, jobs=1) as executor:
-        run = threading.Thread(target=lambda: ended.append(executor.execute("slow_run", str(tmp_path))))
+        run = threading.Thread(target=lambda: ended.append(executor.run_module("slow_run", str(tmp_path))))
         run.start()
         while not (tmp_path / "begun").exists():
             time.sleep(0.1)
@@ -226,7 +227,7 @@ def test_a_ray_worker_killed_in_the_middle_is_replaced(box_recording: Path, tmp_
     monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     monkeypatch.setenv("RAY_worker_niceness", "0")  # 15 otherwise: beside another program hardly anything would be left for the workers
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
-    too_many = Item("too-many", str(box_recording), ("--frames", "99"))
+    too_many = BatchJob("too-many", str(box_recording), ("--frames", "99"))
     with open_executor("auto", 2, jobs=4, retries=2) as executor:
         killer = kill_once(lambda: children_with("ray::run_here"))
         rows = batch([*items(box_recording, 3), too_many], FAST, tmp_path, executor)

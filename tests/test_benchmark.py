@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from helpers.box_room import BOX, write_box_recording
-from idfslam.batch.recordings import Entry, listed
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.benchmark import runs
 from idfslam.benchmark.open3d_baseline import measure, require_open3d
-from idfslam.benchmark.runs import Spread, figures, markdown, speed_kept, summary
+from idfslam.benchmark.runs import MeanStd, column_values, markdown, speed_kept, summary
 from idfslam.cli import command_line
 from idfslam.config import FAST, PRETRAIN
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -33,10 +33,10 @@ def report_of(*runs: dict[str, Any], open3d: dict[str, Any] | None = None) -> di
 
 
 def test_spread_by_hand() -> None:
-    spread = Spread.of([1.0, 2.0, 6.0])  # mean 3, squared deviations 4 + 1 + 9 = 14, over 2: 7
+    spread = MeanStd.of([1.0, 2.0, 6.0])  # mean 3, squared deviations 4 + 1 + 9 = 14, over 2: 7
     assert (spread.mean, spread.deviation, spread.count) == (3.0, pytest.approx(7**0.5), 3)
     assert spread.text(100, 1) == "300.0 ± 264.6"
-    assert Spread.of([0.0123]).text(100) == "1.23"
+    assert MeanStd.of([0.0123]).text(100) == "1.23"
 
 
 def test_speed_kept_is_the_last_whole_hundred_over_the_second() -> None:
@@ -47,9 +47,9 @@ def test_speed_kept_is_the_last_whole_hundred_over_the_second() -> None:
 
 def test_figures_of_a_run() -> None:
     metrics = {"frames": 14, "frames_per_second": 7.0, "frames_per_second_by_100": [7.0], "lost_frames": 1, "peak_memory_mb": None}
-    assert figures(metrics, None) == {"frames_per_second": 7.0, "lost_frames": 1.0}
+    assert column_values(metrics, None) == {"frames_per_second": 7.0, "lost_frames": 1.0}
     mesh = {"accuracy": 0.01, "completion": 0.02, "completion_ratio": 0.97, "protocol": "seen"}
-    found = figures(metrics | {"ate_m": {"rmse": 0.005}}, mesh)
+    found = column_values(metrics | {"ate_m": {"rmse": 0.005}}, mesh)
     assert (found["ate_m"], found["accuracy_m"], found["completion_m"], found["completion_ratio"]) == (0.005, 0.01, 0.02, 0.97)
 
 
@@ -83,12 +83,12 @@ def test_list_of_recordings(tmp_path: Path) -> None:
     for name in ("a/room", "b/room", "at@5"):
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "a/room/gt_mesh.ply").touch()
-    first, second, third, fourth = listed(
+    first, second, third, fourth = parse_recordings(
         [f"{tmp_path}/a/room@40", f"{tmp_path}/b/room", "synthetic:3:kinect@600", f"{tmp_path}/at@5"], frames=9
     )
     assert (first.name, first.frames, first.gt_mesh) == ("a-room", 40, tmp_path / "a/room/gt_mesh.ply")
     assert (second.name, second.frames, second.gt_mesh) == ("b-room", 9, None)
-    assert third == Entry("synthetic-3-kinect", "synthetic:3:kinect", 600)
+    assert third == RecordingSpec("synthetic-3-kinect", "synthetic:3:kinect", 600)
     assert (fourth.name, fourth.frames) == ("at@5", 9)  # a folder of that name
 
 
@@ -97,7 +97,7 @@ def test_list_of_recordings(tmp_path: Path) -> None:
 )
 def test_lists_that_cannot_be_run(recordings: list[str], error: str) -> None:
     with pytest.raises(ConfigError, match=error):
-        listed(recordings)
+        parse_recordings(recordings)
 
 
 def test_missing_recording_ends_before_the_first_run(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from idfslam.errors import RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.graph.loop_consistency import Loop
 from idfslam.runs import result_folder
-from idfslam.runs.checkpoint import FORMAT, Checkpoints, made_of
+from idfslam.runs.checkpoint import FORMAT, Checkpoints, fingerprint
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.runner import resume, run
 from idfslam.slam import Slam
@@ -63,13 +63,13 @@ class Unbroken:
         self.config, data = busy(), open_recording(recording)
         self.slam, self.restored, self.lost, self.tables = Slam(self.config), list[Slam](), list[str](), list[int]()
         self.results: list[FrameResult] = []
-        with Checkpoints(folder, made_of(self.config, data, torch.device("cpu"))) as checkpoints:
+        with Checkpoints(folder, fingerprint(self.config, data, torch.device("cpu"))) as checkpoints:
             for i in range(BOX_FRAMES):
                 frame = blanked(data[i])
                 for slam in self.restored:
                     slam.process(frame)
                 self.results.append(self.slam.process(frame))
-                checkpoints.keep(i + 1, self.slam.state())
+                checkpoints.save(i + 1, self.slam.state())
                 checkpoints.wait()
                 again, state = Slam(self.config), checkpoints.read()
                 assert state is not None
@@ -156,7 +156,7 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     slam.graph.unverified_from = 0
     slam.back_end.relearn.add(slam.graph.keyframes)
     with Checkpoints(tmp_path, {}) as checkpoints:
-        checkpoints.keep(1, slam.state())
+        checkpoints.save(1, slam.state())
         checkpoints.wait()
         state = checkpoints.read()
     assert state is not None
@@ -192,7 +192,7 @@ nested = st.recursive(plain | tensors, lambda inner: st.lists(inner, max_size=3)
 @given(state=st.dictionaries(st.sampled_from(["a", "b/c", "d"]), nested))
 def test_states_come_back(state: State, tmp_path_factory: pytest.TempPathFactory) -> None:
     with Checkpoints(tmp_path_factory.mktemp("c"), MADE) as checkpoints:
-        checkpoints.keep(1, state)
+        checkpoints.save(1, state)
         checkpoints.wait()
         assert list(differences(state, checkpoints.read(), "state")) == []
 
@@ -200,7 +200,7 @@ def test_states_come_back(state: State, tmp_path_factory: pytest.TempPathFactory
 def test_a_copy_is_kept(tmp_path: Path) -> None:
     values = torch.zeros(100_000)
     with Checkpoints(tmp_path, MADE) as checkpoints:
-        checkpoints.keep(1, {"values": values})
+        checkpoints.save(1, {"values": values})
         values += 1  # the run goes on
         checkpoints.wait()
         state = checkpoints.read()
@@ -211,7 +211,7 @@ def test_a_copy_is_kept(tmp_path: Path) -> None:
 @pytest.fixture
 def kept(tmp_path: Path) -> Checkpoints:
     checkpoints = Checkpoints(tmp_path, MADE)
-    checkpoints.keep(5, {"values": torch.arange(1000), "n": 5})
+    checkpoints.save(5, {"values": torch.arange(1000), "n": 5})
     checkpoints.wait()
     return checkpoints
 
@@ -220,7 +220,7 @@ def test_a_truncated_checkpoint_is_refused(kept: Checkpoints) -> None:
     whole = kept.path.read_bytes()
     for length in (0, 4, 100, len(whole) // 2, len(whole) - 1):
         kept.path.write_bytes(whole[:length])
-        with pytest.raises(ResultError, match=r"checkpoint\.safetensors: is damaged .*; start the run anew"):
+        with pytest.raises(ResultError, match=r"checkpoint\.safetensors: is damaged .*; start a new run"):
             kept.read()
     kept.path.write_bytes(whole)
     assert kept.read() is not None
@@ -247,15 +247,15 @@ def test_a_full_disk_leaves_the_checkpoint_before(kept: Checkpoints, caplog: pyt
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))  # no file grows beyond: what writes there fails half way
     try:
-        kept.keep(6, {"values": torch.zeros(100_000)})
+        kept.save(6, {"values": torch.zeros(100_000)})
         kept.wait()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert kept.path.read_bytes() == before
     assert [path.name for path in kept.path.parent.iterdir()] == [result_folder.CHECKPOINT]
     assert "the checkpoint after frame 6 could not be written" in caplog.text
-    assert "the one before stays, and the run goes on" in caplog.text
-    kept.keep(7, {"n": 7})
+    assert "the previous one stays, and the run continues" in caplog.text
+    kept.save(7, {"n": 7})
     kept.wait()
     assert kept.read() == {"n": 7}
 
@@ -353,7 +353,7 @@ def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
 def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     died(box_recording, tmp_path)
     died(box_recording, tmp_path, every=0)
-    assert "held a run that was not over" in caplog.text
+    assert "replaces an unfinished run" in caplog.text
     assert [p.name for p in tmp_path.iterdir()] == [result_folder.CONFIG]
 
 

@@ -11,12 +11,12 @@ pytestmark = pytest.mark.slow
 
 BESIDE = """
 from idfslam.config import FAST
-from idfslam.demo.compile_ahead import compiled, compiling_beside
+from idfslam.demo.compile_ahead import compiled, compiling_ahead
 print(compiled())
-with compiling_beside(FAST) as until_compiled:
+with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())
 print(compiled())
-with compiling_beside(FAST) as until_compiled:
+with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())
 """
 

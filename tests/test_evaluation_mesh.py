@@ -4,12 +4,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.cli.commands.eval import Eval
 from idfslam.config import FAST
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, ResultError
 from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
@@ -22,7 +24,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.ray_casting import RayCaster, render_depth
 from idfslam.geometry.trajectory import Trajectory, save_tum
-from idfslam.pictures.mesh_renderer import Picture, draw_mesh, looking_at, overview_pose, render_mesh, up_direction
+from idfslam.pictures.mesh_renderer import Picture, draw_mesh, looking_at, overview_pose, up_direction
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 
@@ -241,12 +243,14 @@ def test_rendered_depth_and_colour_by_hand() -> None:
     mesh = room()
     mesh.visual.vertex_colors = np.tile(np.array([200, 100, 50, 255], np.uint8), (8, 1))
     T_wc = looking_at(np.array([1.0, 0.0, 0.0]), np.zeros(3), -DOWN)
-    rgb, depth = render_mesh(mesh, T_wc, CAMERA)
+    picture = Picture(mesh)
+    rgb, depth = picture.draw(T_wc, CAMERA), picture.depth(T_wc, CAMERA)
     # Wall at 2 m: z-depth 2 over the whole image but the last rows (1.25 m / 2 m * 40 = 25 px > 24: all rows) and columns (30 px of 32)
     assert depth[:, 2:-2] == pytest.approx(2.0, abs=1e-5)
     assert (rgb == [200, 100, 50]).all()
     assert render_depth(RayCaster(mesh), T_wc, CAMERA) == pytest.approx(depth)
-    empty_rgb, empty_depth = render_mesh(mesh, looking_at(np.array([100.0, 0, 0]), np.array([50.0, 0, 0]), -DOWN), CAMERA)
+    T_away = looking_at(np.array([100.0, 0, 0]), np.array([50.0, 0, 0]), -DOWN)
+    empty_rgb, empty_depth = picture.draw(T_away, CAMERA), picture.depth(T_away, CAMERA)
     assert (empty_depth == 0).all() and (empty_rgb == 0).all()
 
 
@@ -255,7 +259,7 @@ def test_overview_looks_through_the_near_walls() -> None:
     assert np.abs(up_direction(mesh, poses) @ DOWN) > 0.999
     T_wc = overview_pose(mesh, poses, camera)
     depth = Picture(mesh, inside=poses[:, :3, 3]).depth(T_wc, camera)
-    _, outside = render_mesh(mesh, T_wc, camera)
+    outside = Picture(mesh).depth(T_wc, camera)
     assert depth[30, 40] > outside[30, 40] + 1
     assert outside[0].max() == outside[-1].max() == outside[:, 0].max() == outside[:, -1].max() == 0  # all of it fits
     assert (outside > 0).mean() > 0.2
@@ -300,7 +304,7 @@ def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.
     result_folder.write_config(tmp_path, FAST, result_folder.Source(str(tmp_path / "gone")))
     alone = evaluate_folder(tmp_path, gt=tmp_path / "truth.txt", gt_mesh=tmp_path / "truth.ply", **FEW).mesh
     assert alone is not None and (alone.near, alone.far, alone.range_from) == (0.1, 10, "protocol")
-    assert "no depth image of its recording is at hand" in caplog.text and "gone: no such file" in caplog.text
+    assert "no depth image of its recording can be read" in caplog.text and "gone: no such file" in caplog.text
 
 
 def test_incomplete_result_folders(tmp_path: Path) -> None:
@@ -342,3 +346,7 @@ def test_damaged_meshes(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "mesh.ply").write_bytes(content)
     with pytest.raises(IdfSlamError, match=r"mesh\.ply"):
         load_mesh(tmp_path / "mesh.ply")
+
+
+def test_the_command_offers_every_protocol() -> None:
+    assert get_args(get_type_hints(Eval)["protocol"]) == tuple(PROTOCOLS)

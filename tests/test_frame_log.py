@@ -30,7 +30,7 @@ def test_statuses_of_the_end_take_the_place_of_those_told() -> None:
     """The frame that a diverging map broke off has a pose, and no line."""
     log = known_log()
     statuses = [Status.INTERPOLATED if line.status is Status.LOST else line.status for line in log.lines]
-    log.settle([*statuses, Status.OK])
+    log.set_final_statuses([*statuses, Status.OK])
     assert [line.status for line in log.lines] == statuses
     assert log.lines[4].status is Status.INTERPOLATED
     assert log.lines[4].ms == 104
@@ -46,5 +46,5 @@ def test_no_frames(tmp_path: Path) -> None:
 )
 def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "frames.csv").write_text(text)
-    with pytest.raises(ResultError, match=r"frames\.csv: not as a run writes it"):
+    with pytest.raises(ResultError, match=r"frames\.csv: not the log of a run"):
         FrameLog.load(tmp_path / "frames.csv")

@@ -14,6 +14,7 @@ from helpers.box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_vi
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.trajectory import load_tum
 from idfslam.ros2.node import SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map
+from idfslam.runs.frame_log import FrameLog
 
 
 class Message(SimpleNamespace):
@@ -131,9 +132,13 @@ def test_frames_come_out_as_poses_and_a_result_folder(monkeypatch: pytest.Monkey
     assert np.allclose(written.timestamps, [100, 100.033, 100.066, 100.099])
     assert np.allclose(written.poses, T_wc, atol=0.01)
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        *("trajectory.txt", "keyframes.json", "config.yaml", "map.safetensors", "mesh.ply", "metrics.json")
+        *("trajectory.txt", "trajectory.png", "keyframes.json", "config.yaml", "map.safetensors", "mesh.ply", "frames.csv", "metrics.json")
     }
-    assert json.loads((tmp_path / "out/metrics.json").read_text())["dropped_frames"] == 0
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    expected = {"frames": 4, "dropped_frames": 0, "keyframes": 2, "lost_frames": 0}  # the first frame and, at the end, the last one
+    assert {name: metrics[name] for name in expected} == expected
+    log = FrameLog.load(tmp_path / "out/frames.csv")
+    assert [(line.index, line.status.value) for line in log.lines] == [(i, "ok") for i in range(4)]
     assert node.destroyed
     assert seen["ended"]
 

@@ -5,12 +5,12 @@ import os
 import shutil
 import signal
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import torch
 import trimesh
 import yaml
 from numpy.typing import NDArray
@@ -18,14 +18,15 @@ from rich.console import Console
 
 from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.cli.tables import print_evaluation
-from idfslam.config import FAST, Config, load
+from idfslam.compute.torch_threads import limit_torch_threads
+from idfslam.config import FAST, PAPER, Config, load
 from idfslam.datasets import open_recording
 from idfslam.errors import DivergedError, RecordingError, ResultError
-from idfslam.frame import Frame, FrameResult, Status
+from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
-from idfslam.runs.metrics import speed_by_block
+from idfslam.runs.meter import speed_by_block
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.storage import atomic_files
@@ -36,8 +37,7 @@ class KnownSlam:
 
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
-        keyframes: list[SimpleNamespace] = []
-        self.graph = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
+        self.keyframes: list[StoredKeyframe] = []
         self.timings = {"track": [2.0] * BOX_FRAMES, "map": [70.0]}
         self.finished = False
 
@@ -46,11 +46,14 @@ class KnownSlam:
         pose, status = self.trajectory()[-1], self.statuses()[-1]
         keyframe = status is Status.OK and frame.index % 5 == 0
         if keyframe:
-            self.graph.keyframes.append(SimpleNamespace(index=frame.index, T_wk=pose))
+            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0))
         return FrameResult(frame.index, frame.timestamp, pose, status, keyframe, {"sdf": 0.1} if keyframe else {})
 
     def finish(self) -> None:
         self.finished = True
+
+    def stored_keyframes(self) -> list[StoredKeyframe]:
+        return self.keyframes
 
     def trajectory(self) -> NDArray[np.float64]:
         poses = box_poses()[: len(self.frames)]
@@ -246,3 +249,17 @@ def test_speed_by_block() -> None:
     assert speed_by_block([0.5, 1.0, 3.0, 5.0, 5.5], block=2) == [2.0, 0.5, 2.0]
     assert speed_by_block([0.5, 1.0], block=2) == [2.0]
     assert speed_by_block([]) == []
+
+
+def test_run_leaves_the_number_of_torch_threads_alone(box_recording: Path, tmp_path: Path) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        run_known(box_recording, tmp_path)  # FAST, whose map is a grid
+        assert torch.get_num_threads() == 2
+        limit_torch_threads(PAPER.field.encoding)  # its map is no grid
+        assert torch.get_num_threads() == 2
+        limit_torch_threads(FAST.field.encoding)
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)

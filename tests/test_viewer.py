@@ -97,8 +97,8 @@ def test_loops_are_told_once_and_drawn(box_recording: Path, tmp_path: Path) -> N
         for i, frame in enumerate(open_recording(box_recording)):
             result = slam.process(frame)
             slam.closed = [SimpleNamespace(a=0, b=2)] if i >= 11 else []
-            seen.frame(frame, result, slam)  # type: ignore[arg-type]
-        seen.finish(slam, slam.mesh(0.1))  # type: ignore[arg-type]
+            seen.frame(frame, result, slam)
+        seen.finish(slam, slam.mesh(0.1))
     _, chunks = read(tmp_path)
     assert values(chunks, "/events", "TextLog:text") == [["loop closed between frames 0 and 10"]]
     assert [len(edges or []) for edges in values(chunks, "/world/graph/loop", "LineStrips3D:strips")][-2:] == [1, 1]  # at once, and the end
@@ -168,7 +168,7 @@ def test_a_port_in_use(box_recording: Path, tmp_path: Path, capsys: pytest.Captu
     assert caught.value.code == 1
     message = capsys.readouterr().err
     assert message.count("\n") == 1
-    assert f"port {port} cannot be served on" in message
+    assert f"port {port} cannot be used" in message
     assert "--port" in message
     assert not (tmp_path / "out").exists()  # said before the run
     with pytest.raises(ConfigError, match="port 70000"):
@@ -207,7 +207,7 @@ def test_viewer_with_and_without_a_place() -> None:
         command = command_line.parse(["run", *arguments])
         assert isinstance(command, command_line.Run)
         assert command.path == Path("recording")
-        return command.viewer
+        return command.live_view.viewer
 
     assert place("recording") == "none"
     assert place("recording", "--viewer") == "auto"

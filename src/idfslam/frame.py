@@ -53,3 +53,13 @@ class FrameResult:
     status: Status
     keyframe: bool
     losses: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredKeyframe:
+    """A keyframe as the viewer and the result folder see it; `Slam.stored_keyframes` numbers them from 0."""
+
+    index: int  # its frame
+    T_wk: NDArray[np.float64]  # (4, 4)
+    covisible: frozenset[int]  # numbers of the stored keyframes that see the same surface
+    submap: int  # 0: the first, whose poses are in the world; others have not been merged with it yet

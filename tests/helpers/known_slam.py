@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from helpers.box_room import box_poses
 from idfslam.config import Config
-from idfslam.frame import Frame, FrameResult, Status
+from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 
 LOST, DEGENERATE = 6, 9  # frames
 RED = (220, 30, 30, 255)
@@ -18,24 +18,29 @@ RED = (220, 30, 30, 255)
 
 class KnownSlam:
     def __init__(self, config: Config) -> None:
-        keyframes: list[Any] = []
-        self.graph: Any = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
-        self.closed: list[Any] = []  # loops
+        self.keyframes: list[StoredKeyframe] = []
+        self.closed: list[SimpleNamespace] = []
         self.timings: dict[str, list[float]] = {"track": [], "map": []}
         self.processed = 0
 
     def process(self, frame: Frame) -> FrameResult:
         i, self.processed = self.processed, self.processed + 1
-        keyframe, keyframes = i % 5 == 0, self.graph.keyframes
+        keyframe, keyframes = i % 5 == 0, self.keyframes
         self.timings["track"] += [2.0, 3.0]  # called twice a frame
         if keyframe:
             self.timings["map"].append(70.0)
-            covisible = {len(keyframes) - 1} if keyframes else set()
-            keyframes.append(SimpleNamespace(index=i, T_wk=self.trajectory()[-1], covisible=covisible, submap=0))
+            covisible = frozenset({len(keyframes) - 1} if keyframes else ())
+            keyframes.append(StoredKeyframe(i, self.trajectory()[-1], covisible, submap=0))
         losses = {"sdf": 0.5 / (i + 1)} if keyframe else {}
         return FrameResult(i, frame.timestamp, self.trajectory()[-1], self.statuses()[-1], keyframe, losses)
 
     def finish(self) -> None: ...
+
+    def stored_keyframes(self) -> list[StoredKeyframe]:
+        return self.keyframes
+
+    def loops(self) -> list[SimpleNamespace]:
+        return self.closed
 
     def trajectory(self) -> NDArray[np.float64]:
         poses = box_poses()
@@ -46,9 +51,6 @@ class KnownSlam:
 
     def figures(self) -> dict[str, Any]:
         return {"links": 2, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
-
-    def loops(self) -> list[Any]:
-        return self.closed
 
     def statuses(self) -> list[Status]:
         odd = {LOST: Status.LOST, DEGENERATE: Status.DEGENERATE}

@@ -3,7 +3,6 @@
 import queue
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.errors import CameraError
-from idfslam.frame import Frame, FrameResult, Status
+from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.camera import Camera
 from idfslam.live import Capture
 from idfslam.live.replay import Replay
@@ -86,8 +85,7 @@ class SeeingSlam:
 
     def __init__(self, config: Config) -> None:
         self.frames: list[Frame] = []
-        keyframes: list[SimpleNamespace] = []
-        self.graph = SimpleNamespace(keyframes=keyframes, first_submap=keyframes)
+        self.keyframes: list[StoredKeyframe] = []
         self.timings: dict[str, list[float]] = {}
 
     def process(self, frame: Frame) -> FrameResult:
@@ -95,10 +93,13 @@ class SeeingSlam:
         self.frames.append(frame)
         pose = self.trajectory()[-1]
         if len(self.frames) == 1:
-            self.graph.keyframes.append(SimpleNamespace(index=frame.index, T_wk=pose))
+            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0))
         return FrameResult(frame.index, frame.timestamp, pose, Status.OK, len(self.frames) == 1, {})
 
     def finish(self) -> None: ...
+
+    def stored_keyframes(self) -> list[StoredKeyframe]:
+        return self.keyframes
 
     def trajectory(self) -> NDArray[np.float64]:
         return box_poses()[[round(frame.timestamp * 30) % BOX_FRAMES for frame in self.frames]]

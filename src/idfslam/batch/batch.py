@@ -1,20 +1,18 @@
-"""Many recordings, each a run of its own, on this machine or a cluster; one table of them all."""
+"""Runs many recordings, on this machine or on a cluster, and collects the results in one table."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from json import loads
 from pathlib import Path
-from typing import Any
 
 import yaml
 
-from idfslam.batch.batch_file import Item
+from idfslam.batch.batch_file import BatchJob
 from idfslam.batch.executor import INTERRUPTED, Executor
 from idfslam.config import Config, dump
 from idfslam.errors import ResultError
-from idfslam.runs import result_folder
+from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.storage import atomic_files
 
 REPORT, VALUES = "batch.json", "values.yaml"
@@ -23,81 +21,80 @@ DONE, FAILED = "done", "failed"
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a recording."""
+    """The outcome of one recording, as batch.json stores it."""
 
     name: str
     path: str
     status: str  # DONE, FAILED or INTERRUPTED
     error: str | None = None
     frames: int | None = None
-    ate_m: float | None = None  # RMSE, where the truth is known
+    ate_m: float | None = None  # RMSE [m], if ground truth is known
     frames_per_second: float | None = None
     lost_frames: int | None = None
-    seconds: float = 0.0  # of the process, with its start-up
-    where: str = ""
+    seconds: float = 0.0  # of the process, including its start-up
+    where: str = ""  # the host
     attempts: int = 1
 
 
 def batch(
-    items: Sequence[Item], config: Config, folder: Path, executor: Executor, *, report: Callable[[str], None] = lambda line: None
+    jobs: Sequence[BatchJob], config: Config, folder: Path, executor: Executor, *, report: Callable[[str], None] = lambda line: None
 ) -> list[Row]:
-    """Runs every item with its flags over `config`; results in FOLDER/NAME, FOLDER/batch.json written anew after each.
+    """Runs every job with its flags over `config`. Results go to FOLDER/NAME, and FOLDER/batch.json is rewritten after each run.
 
-    A run that fails is a row that says why, and the others go on. After Ctrl-C those that run write their results so far, no other begins,
-    and the rows of all are returned. Raises ResultError where the folder cannot be written to.
+    If a run fails, its row says why and the others continue. After Ctrl-C no further run is started, running ones write their results so
+    far, and the rows of all jobs are returned. Raises ResultError if the folder cannot be written to.
     """
     atomic_files.prepare(folder)
     with atomic_files.replacing(folder / VALUES) as part:
         part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
-    rows = {item.name: Row(item.name, item.path, INTERRUPTED, INTERRUPTED, attempts=0) for item in items}
+    rows = {job.name: Row(job.name, job.path, INTERRUPTED, INTERRUPTED, attempts=0) for job in jobs}
     lock = threading.Lock()
 
-    def one(item: Item) -> Row:
-        row = _run(executor, item, folder.absolute())
+    def run_one(job: BatchJob) -> Row:
+        row = _run(executor, job, folder.absolute())
         with lock:
-            rows[item.name] = row
+            rows[job.name] = row
             atomic_files.write_json(folder / REPORT, [asdict(r) for r in rows.values() if r.attempts])
         return row
 
     try:
-        for count, row in enumerate(executor.each(one, items), 1):
-            report(f"{count} of {len(items)}: {told(row)}")
+        for count, row in enumerate(executor.map_unordered(run_one, jobs), 1):
+            report(f"{count} of {len(jobs)}: {progress_line(row)}")
     except KeyboardInterrupt:
-        report("interrupted: runs that had begun end with their results so far, no other begins")
+        report("interrupted: running jobs write their results so far, no other is started")
     return list(rows.values())
 
 
-def _run(executor: Executor, item: Item, folder: Path) -> Row:
-    out = folder / item.name
-    done = executor.execute("idfslam.cli", "run", item.path, "--out", str(out), "--config", str(folder / VALUES), *item.flags)
-    row = partial(Row, item.name, item.path, seconds=done.seconds, where=done.where, attempts=done.attempts)
-    if done.error is not None:
-        return row(INTERRUPTED if done.error == INTERRUPTED else FAILED, done.error)
+def _run(executor: Executor, job: BatchJob, folder: Path) -> Row:
+    out = folder / job.name
+    outcome = executor.run_module("idfslam.cli", "run", job.path, "--out", str(out), "--config", str(folder / VALUES), *job.flags)
+    row = partial(Row, job.name, job.path, seconds=outcome.seconds, where=outcome.host, attempts=outcome.attempts)
+    if outcome.error is not None:
+        return row(INTERRUPTED if outcome.error == INTERRUPTED else FAILED, outcome.error)
     try:
-        metrics: Mapping[str, Any] = loads((out / result_folder.METRICS).read_text(encoding="utf-8"))
-    except OSError:
-        return row(FAILED, f"{out} is not to be seen from here; expected --out on a file system that all nodes share")
+        metrics = read_metrics(out)
+    except ResultError:
+        return row(FAILED, f"{out} is not visible from this machine; expected --out on a file system that all nodes share")
     return row(
         INTERRUPTED if metrics["interrupted"] else DONE,
         frames=metrics["frames"],
-        ate_m=metrics["ate_m"]["rmse"] if "ate_m" in metrics else None,
+        ate_m=ate_rmse(metrics),
         frames_per_second=metrics["frames_per_second"],
         lost_frames=metrics["lost_frames"],
     )
 
 
-def told(row: Row) -> str:
-    """A row as one line."""
-    if row.error is not None:
+def progress_line(row: Row) -> str:
+    """A row as one line of text."""
+    if row.frames is None or row.frames_per_second is None:
         return f"{row.name}: {row.status}: {row.error}"
-    ate = "" if row.ate_m is None else f", ATE {row.ate_m * 100:.2f} cm"
-    return f"{row.name}: {row.frames} frames, {row.frames_per_second:.2f} frames/s{ate}"
+    return f"{row.name}: {headline(row.frames, row.frames_per_second, row.ate_m)}"
 
 
 def check_done(rows: Sequence[Row], folder: Path) -> None:
-    """Raises ResultError if a run failed, so that a script notices, and KeyboardInterrupt if the batch was interrupted."""
+    """Raises ResultError if a run failed, and KeyboardInterrupt if the batch was interrupted, so that the exit status shows it."""
     failed = [row for row in rows if row.status == FAILED]
     if failed:
-        raise ResultError(f"{len(failed)} of {len(rows)} runs failed ({failed[0].name}: {failed[0].error}); {folder / REPORT} tells of all")
+        raise ResultError(f"{len(failed)} of {len(rows)} runs failed ({failed[0].name}: {failed[0].error}); {folder / REPORT} lists all")
     if any(row.status == INTERRUPTED for row in rows):
         raise KeyboardInterrupt

@@ -1,11 +1,11 @@
-"""The list of a batch: recordings, each with values of its own, in a text or YAML file, or named one by one.
+"""Reads the recordings of a batch, each with its own values, from the command line and from text or YAML files.
 
-    # recording              what `run` takes, without the dashes
+    # recording              options of `run`, without the dashes
     /data/kitchen
     "/data/my office"        frames=500 camera.fx=525 camera.fy=525 camera.cx=319.5 camera.cy=239.5
     synthetic:3:kinect       seed=1 out=room-3 mapper.pixels=256
 
-In YAML an entry is a path, or a mapping with `path` and the same names, nested or with dots. Relative paths count from the list's folder.
+In YAML an entry is a path, or a mapping with `path` and the same names, nested or with dots. Relative paths start at the file's folder.
 """
 
 import shlex
@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from idfslam.batch.recordings import Entry, listed
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.config import Config, check, update
 from idfslam.datasets import generated
 from idfslam.errors import ConfigError
@@ -25,8 +25,8 @@ _SUFFIXES = (".txt", ".yaml", ".yml")
 
 
 @dataclass(frozen=True)
-class Pinhole:
-    """What `run` takes as --camera.*; 0: not given."""
+class CameraOptions:
+    """The options --camera.* of `run`; 0: not given."""
 
     fx: float = 0.0
     fy: float = 0.0
@@ -36,20 +36,20 @@ class Pinhole:
 
 
 @dataclass(frozen=True)
-class Options:
-    """What an entry may say beside config values."""
+class RunOptions:
+    """The options that an entry may have besides config values."""
 
     out: str = ""
     start: int = 0
     frames: int = 0
     stride: int = 1
     format: str = ""
-    camera: Pinhole = Pinhole()
+    camera: CameraOptions = CameraOptions()
 
 
 @dataclass(frozen=True)
-class Item:
-    """A recording of the batch, the name of its result folder, and the flags of its run."""
+class BatchJob:
+    """One run of the batch: the recording, the name of its result folder, and the command-line flags."""
 
     name: str
     path: str
@@ -57,56 +57,58 @@ class Item:
 
 
 @dataclass(frozen=True)
-class _Line:
-    where: str
+class _ListEntry:
+    """A recording as it is written in a list."""
+
+    where: str  # file and line, for messages
     path: str
-    values: dict[str, Any] = field(default_factory=dict)  # nested
+    values: dict[str, Any] = field(default_factory=dict)  # options and config values, nested by section
 
 
-def read_batch(arguments: Sequence[str], config: Config) -> list[Item]:
-    """The recordings of `arguments`: paths, synthetic[:SEED][:kinect], PATH@FRAMES, or files that list such (.txt, .yaml, .yml).
+def read_batch(arguments: Sequence[str], config: Config) -> list[BatchJob]:
+    """The runs of `arguments`: recordings as `parse_recordings` takes them, or files that list such (.txt, .yaml, .yml).
 
-    Raises ConfigError for a list that cannot be read and a value that cannot be, RecordingError for a missing recording.
+    Raises ConfigError for an unreadable list or an invalid value, RecordingError for a missing recording.
     """
-    lines = [line for argument in arguments for line in _lines(argument)]
-    given = [_options(line, config) for line in lines]
-    entries = listed([line.path for line in lines], unique=False)
-    names = [str(options.get("out") or entry.name) for options, entry in zip(given, entries)]
-    return [_item(entry, options) for entry, options in zip(_unique(entries, names), given)]
+    entries = [entry for argument in arguments for entry in _read_entries(argument)]
+    options = [_checked_options(entry, config) for entry in entries]
+    recordings = parse_recordings([entry.path for entry in entries], unique=False)
+    names = _unique_names([str(values.get("out") or recording.name) for values, recording in zip(options, recordings)])
+    return [_job(name, recording, values) for name, recording, values in zip(names, recordings, options)]
 
 
-def _unique(entries: list[Entry], names: list[str]) -> list[Entry]:
-    """Entries by these names, a number behind those that come again: one recording may be run with several values."""
-    found: list[Entry] = []
-    for entry, name in zip(entries, names):
-        taken = {e.name for e in found}
-        candidates = (name if i == 1 else f"{name}-{i}" for i in range(1, len(entries) + 1))
-        found.append(replace(entry, name=next(c for c in candidates if c not in taken)))
-    return found
+def _unique_names(names: Sequence[str]) -> list[str]:
+    """The names, with a number behind a repeated one: a recording may be run several times with different values."""
+    unique: list[str] = []
+    for name in names:
+        candidates = (name if i == 1 else f"{name}-{i}" for i in range(1, len(names) + 1))
+        unique.append(next(candidate for candidate in candidates if candidate not in unique))
+    return unique
 
 
-def _item(entry: Entry, options: Mapping[str, Any]) -> Item:
-    given = {"frames": entry.frames, **options} if entry.frames is not None else dict(options)
-    given.pop("out", None)
-    return Item(entry.name, entry.path, tuple(_flags(given)))
+def _job(name: str, recording: RecordingSpec, options: Mapping[str, Any]) -> BatchJob:
+    flags = {"frames": recording.frames, **options} if recording.frames is not None else dict(options)
+    flags.pop("out", None)
+    return BatchJob(name, recording.path, tuple(_flags(flags)))
 
 
-def _lines(argument: str) -> Iterator[_Line]:
+def _read_entries(argument: str) -> Iterator[_ListEntry]:
+    """The entries of a list, or the recording that the argument names itself."""
     path = Path(argument)
     if path.suffix not in _SUFFIXES:
-        yield _Line(argument, argument)
+        yield _ListEntry(argument, argument)
         return
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}); expected a list of recordings") from error
-    found = list(_text_lines(path, text) if path.suffix == ".txt" else _yaml_lines(path, text))
-    if not found:
-        raise ConfigError(f"{path}: no recordings in it, expected one a line, with options such as frames=500")
-    yield from (replace(line, path=_place(line.path, path.parent)) for line in found)
+    entries = list(_text_entries(path, text) if path.suffix == ".txt" else _yaml_entries(path, text))
+    if not entries:
+        raise ConfigError(f"{path}: lists no recordings, expected one on each line, with options such as frames=500")
+    yield from (replace(entry, path=_absolute(entry.path, path.parent)) for entry in entries)
 
 
-def _text_lines(path: Path, text: str) -> Iterator[_Line]:
+def _text_entries(path: Path, text: str) -> Iterator[_ListEntry]:
     for number, line in enumerate(text.splitlines(), 1):
         where = f"{path}:{number}"
         try:
@@ -118,67 +120,67 @@ def _text_lines(path: Path, text: str) -> Iterator[_Line]:
         pairs = [word.partition("=") for word in words[1:]]
         wrong = [name for name, mark, _ in pairs if not mark]
         if wrong:
-            raise ConfigError(f"{where}: '{wrong[0]}', expected NAME=VALUE; a path with spaces stands in quotes")
-        yield _Line(where, words[0], _nested({name: yaml.safe_load(value) for name, _, value in pairs}, where))
+            raise ConfigError(f"{where}: '{wrong[0]}', expected NAME=VALUE; put a path with spaces in quotes")
+        yield _ListEntry(where, words[0], _nested({name: yaml.safe_load(value) for name, _, value in pairs}, where))
 
 
-def _yaml_lines(path: Path, text: str) -> Iterator[_Line]:
+def _yaml_entries(path: Path, text: str) -> Iterator[_ListEntry]:
     try:
-        found = yaml.safe_load(text)
+        entries = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: is not YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(found, list):
+    if not isinstance(entries, list):
         raise ConfigError(
-            f"{path}: found {type(found).__name__}, expected a list of recordings: '- PATH' or '- {{path: PATH, frames: 500}}'"
+            f"{path}: found {type(entries).__name__}, expected a list of recordings: '- PATH' or '- {{path: PATH, frames: 500}}'"
         )
-    for number, entry in enumerate(found, 1):
+    for number, entry in enumerate(entries, 1):
         where = f"{path}: entry {number}"
         values = {"path": entry} if isinstance(entry, str) else dict(entry) if isinstance(entry, dict) else {}
-        place = values.pop("path", None)
-        if not isinstance(place, str):
+        recording = values.pop("path", None)
+        if not isinstance(recording, str):
             raise ConfigError(f"{where}: {entry!r}, expected a path or a mapping with 'path'")
-        yield _Line(where, place, _nested(values, where))
+        yield _ListEntry(where, recording, _nested(values, where))
 
 
-def _place(path: str, folder: Path) -> str:
+def _absolute(path: str, folder: Path) -> str:
     inner = generated.kidnapped_path(path)
     if inner is not None:
-        return generated.KIDNAP + _place(inner, folder)
+        return generated.KIDNAP + _absolute(inner, folder)
     return path if generated.kind_of(path.partition("@")[0]) is not None else str(folder / Path(path).expanduser())
 
 
 def _nested(values: Mapping[Any, Any], where: str) -> dict[str, Any]:
     """`{a.b: 1}` -> `{a: {b: 1}}`."""
-    found: dict[str, Any] = {}
+    nested: dict[str, Any] = {}
     for name, value in values.items():
         *sections, last = str(name).split(".")
-        place = found
+        inner = nested
         for section in sections:
-            place = place.setdefault(section, {})
-            if not isinstance(place, dict):
-                raise ConfigError(f"{where}: '{section}' is a value and a section")
-        place[last] = value
-    return found
+            inner = inner.setdefault(section, {})
+            if not isinstance(inner, dict):
+                raise ConfigError(f"{where}: '{section}' is given as a value and as a section")
+        inner[last] = value
+    return nested
 
 
-def _options(line: _Line, config: Config) -> dict[str, Any]:
-    """What the entry gives, checked as `run` would."""
-    of_run = {key: value for key, value in line.values.items() if key in Options.__dataclass_fields__}
-    of_config = {key: value for key, value in line.values.items() if key not in of_run}
+def _checked_options(entry: _ListEntry, config: Config) -> dict[str, Any]:
+    """The entry's values, checked as `run` would check them."""
+    of_run = {key: value for key, value in entry.values.items() if key in RunOptions.__dataclass_fields__}
+    of_config = {key: value for key, value in entry.values.items() if key not in of_run}
     if "preset" in of_config:
-        raise ConfigError(f"{line.where}: 'preset' holds for the whole batch: give it as --preset")
-    options: Options = update(Options(), of_run, line.where)
+        raise ConfigError(f"{entry.where}: 'preset' is the same for the whole batch: give it as --preset")
+    options: RunOptions = update(RunOptions(), of_run, entry.where)
     if options.start < 0 or options.stride < 1 or ("frames" in of_run and options.frames < 1):
-        raise ConfigError(
-            f"{line.where}: start {options.start}, stride {options.stride}, frames {options.frames}, expected at least 0, 1 and 1"
-        )
+        values = f"start {options.start}, stride {options.stride}, frames {options.frames}"
+        raise ConfigError(f"{entry.where}: {values}, expected at least 0, 1 and 1")
     if Path(options.out).is_absolute() or ".." in Path(options.out).parts:
-        raise ConfigError(f"{line.where}: out '{options.out}', expected a folder's name inside --out")
-    check(update(config, of_config, line.where))
-    return line.values
+        raise ConfigError(f"{entry.where}: out '{options.out}', expected the name of a folder inside --out")
+    check(update(config, of_config, entry.where))
+    return entry.values
 
 
 def _flags(values: Mapping[str, Any], section: str = "") -> Iterator[str]:
+    """Command-line flags that set nested values."""
     for name, value in values.items():
         flag = section + name.replace("_", "-")
         if isinstance(value, dict):

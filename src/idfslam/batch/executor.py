@@ -1,7 +1,7 @@
-"""What executes runs: the common part of processes on this machine (`local_executor`) and on a Ray cluster (`ray_executor`).
+"""The base class of executors, which run modules as processes on this machine (`local_executor`) or on a Ray cluster (`ray_executor`).
 
-Every execution is a process of its own, so that memory and failures are those of one run. A process that is killed (out of memory,
-a node that goes away) is started again; one that ends with an error has said why, and is not.
+Each run is a process of its own, so that its memory and its failure affect no other run. A process that is killed (out of memory, a node
+that fails) is started again. A process that ends with an error is not: it would fail again.
 """
 
 import logging
@@ -32,21 +32,21 @@ INTERRUPTED = "interrupted"
 class JobOutcome:
     """How a process ended."""
 
-    error: str | None  # the last line that it had to say; None: it ended well
+    error: str | None  # the last line of its stderr; None: success
     seconds: float  # of the last attempt
-    where: str  # the host
+    host: str
     attempts: int = 1
 
 
 class Crash(Exception):
-    """A process that was killed, or whose node went away: another attempt may do."""
+    """A process was killed or its node failed. Another attempt may succeed."""
 
 
 class Executor(ABC):
-    """Executes modules of the package, `workers` of them at once; to be used in a `with`, at whose end nothing is left running."""
+    """Runs modules as processes, `workers` of them at once. Use it in a `with` block: at its end no process is left running."""
 
     def __init__(self, workers: int, *, retries: int = 0) -> None:
-        """`retries`: how often a process that was killed is started again."""
+        """retries: how often a killed process is started again."""
         if workers < 1:
             raise ConfigError(f"--workers {workers}, expected at least 1")
         self.workers, self.retries = workers, retries
@@ -54,26 +54,26 @@ class Executor(ABC):
 
     @abstractmethod
     def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
-        """The error, if any, and the host. Raises Crash where the process was killed."""
+        """Runs the module once. Returns the error, if any, and the host. Raises Crash if the process was killed."""
 
-    def execute(self, module: str, *arguments: str) -> JobOutcome:
-        """`python -m MODULE ARGUMENTS`, waited for; may be called from several threads at once."""
+    def run_module(self, module: str, *arguments: str) -> JobOutcome:
+        """Runs `python -m MODULE ARGUMENTS` and waits for its end. May be called from several threads at once."""
         error: str | None = INTERRUPTED
-        where, seconds, attempt = platform.node(), 0.0, 0
+        host, seconds, attempt = platform.node(), 0.0, 0
         while attempt <= self.retries and not self._stopped.is_set():
             attempt += 1
             start = perf_counter()
             try:
-                error, where = self._attempt(module, arguments)
+                error, host = self._attempt(module, arguments)
             except Crash as crash:
                 error, seconds = str(crash), perf_counter() - start
                 log.warning("%s (attempt %d of %d): %s", error, attempt, self.retries + 1, " ".join(arguments[:2]))
                 continue
-            return JobOutcome(error, perf_counter() - start, where, attempt)
-        return JobOutcome(error, seconds, where, attempt)
+            return JobOutcome(error, perf_counter() - start, host, attempt)
+        return JobOutcome(error, seconds, host, attempt)
 
-    def each(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """`function` of each item, `workers` at once, in the order in which they end. On Ctrl-C what has not begun is not begun."""
+    def map_unordered(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Calls `function` for each item, `workers` at once. Yields results as they complete. After Ctrl-C no further call starts."""
         with ThreadPoolExecutor(self.workers) as pool:
             futures = [pool.submit(function, item) for item in items]
             try:
@@ -84,11 +84,11 @@ class Executor(ABC):
                 raise
 
     def stop(self) -> None:
-        """No process is started any more; those that run get the terminal's Ctrl-C too and end with their results so far."""
+        """Starts no further process. Running ones receive the terminal's Ctrl-C too, and end after writing their results so far."""
         self._stopped.set()
 
     def close(self) -> None:
-        """Nothing is left running."""
+        """Ends all processes."""
         self.stop()
 
     def __enter__(self) -> "Executor":
@@ -99,12 +99,12 @@ class Executor(ABC):
 
 
 def thread_share(threads: int) -> dict[str, str]:
-    """The variables that give a process so many threads; what the user has set to something else than the usual is left alone."""
-    usual = str(default_threads())
-    return {name: str(threads) for name in THREAD_VARIABLES if os.environ.get(name, usual) == usual}
+    """The environment variables that give a process `threads` threads. A variable that the user has set to another value is left out."""
+    default = str(default_threads())
+    return {name: str(threads) for name in THREAD_VARIABLES if os.environ.get(name, default) == default}
 
 
-def last_line(said: str, code: int) -> str:
-    """What a process ended with, from its stderr."""
-    lines = said.strip().splitlines() or [f"ended with {code} and no message"]
+def last_line(stderr: str, code: int) -> str:
+    """The error message of a process that ended with exit status `code`: the last line of its stderr."""
+    lines = stderr.strip().splitlines() or [f"ended with exit status {code} and no message"]
     return lines[-1].removeprefix("error: ")

@@ -1,4 +1,4 @@
-"""Runs as processes of this machine, each with its share of the cores."""
+"""Runs modules as processes of this machine."""
 
 import os
 import platform
@@ -20,16 +20,16 @@ class LocalExecutor(Executor):
 
     def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
         command = [sys.executable, "-m", module, *arguments]
-        pipe = subprocess.PIPE
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=pipe, text=True, env=self._environment) as process:
+        discard, pipe = subprocess.DEVNULL, subprocess.PIPE
+        with subprocess.Popen(command, stdout=discard, stderr=pipe, text=True, env=self._environment) as process:
             self._running.add(process)
             try:
-                said = process.communicate()[1]
+                stderr = process.communicate()[1]
             finally:
                 self._running.discard(process)
         if process.returncode < 0:
             raise Crash(f"killed by {signal.Signals(-process.returncode).name}")
-        return (None if process.returncode == 0 else last_line(said, process.returncode)), platform.node()
+        return (None if process.returncode == 0 else last_line(stderr, process.returncode)), platform.node()
 
     def close(self) -> None:
         super().close()

@@ -1,15 +1,18 @@
-"""The executor that the command line asks for."""
+"""Opens the executor that the command line selects."""
 
 from idfslam.batch.executor import Executor
 from idfslam.batch.local_executor import LocalExecutor
 from idfslam.compute.host import cores, memory
 
+_MEMORY_OF_A_RUN = 3 * 2**29  # [bytes] 0.9 GiB measured (docs/results.md), and room for a longer recording; larger: fewer runs at once
+
 
 def open_executor(cluster: str | None, workers: int | None, *, jobs: int, gpus: float = 0.0, retries: int = 0) -> Executor:
-    """The executor by what the command line says: `cluster` None is this machine, `auto` or an address is Ray.
+    """The executor for `jobs` runs.
 
-    workers: processes at once; None: as many as there are cores, no more than `jobs`. gpus: of the cluster, each.
-    Raises ConfigError where Ray is not installed, the cluster cannot be reached, or has no place for a run.
+    cluster: None: this machine; `auto` or an address: Ray. workers: processes at once; None: one for each core, at most `jobs`.
+    gpus: GPUs of the cluster for each run.
+    Raises ConfigError if Ray is not installed, if the cluster cannot be reached, or if no node can hold a run.
     """
     if cluster is None:
         return LocalExecutor(max(1, min(jobs, default_workers())) if workers is None else workers, retries=retries)
@@ -19,9 +22,9 @@ def open_executor(cluster: str | None, workers: int | None, *, jobs: int, gpus: 
 
 
 def default_workers() -> int:
-    """Runs at once on this machine: one a core (a second core makes a run half as fast again), as far as memory goes."""
-    found = memory()
-    return cores() if found is None else max(1, min(cores(), found[1] // _MEMORY_OF_A_RUN))
+    """Number of runs at once on this machine: one for each core, fewer if the available memory is too small.
 
-
-_MEMORY_OF_A_RUN = 3 * 2**29  # 1.5 GiB: 0.9 GiB measured (docs/results.md), and what a longer recording adds
+    One core each is most efficient: a second core makes a run only half as fast again.
+    """
+    sizes = memory()
+    return cores() if sizes is None else max(1, min(cores(), sizes[1] // _MEMORY_OF_A_RUN))

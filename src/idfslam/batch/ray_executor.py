@@ -1,7 +1,7 @@
-"""Runs on a Ray cluster: that of an address, the one that this machine belongs to, or one of this machine's own cores.
+"""Runs modules on a Ray cluster: one at an address, the one that this machine belongs to, or a new one on this machine's cores.
 
-Paths must lead to the same files on every node (a shared file system), and every node must have the package. A run is a task in a
-worker process of its own, which ends with it: what kills the run kills the worker, and Ray tells.
+Paths must lead to the same files on every node (a shared file system), and the package must be installed on every node. Each run is a
+task in its own worker process, which ends with the task. If the run is killed, so is the worker, and Ray reports it.
 """
 
 import importlib
@@ -19,14 +19,14 @@ from idfslam.compute.host import MOST_THREADS
 from idfslam.errors import ConfigError
 
 _AUTO = "auto"
-_PATIENCE = 5.0  # [s] for an answer from the cluster
+_CONNECT_TIMEOUT = 5.0  # [s] for an answer from the cluster; larger: slow networks work, a wrong address is reported later
 
 
 class RayExecutor(Executor):
-    """Processes anywhere in a cluster; each asks for its share of the cores, and for `gpus` (a fraction: several runs share one)."""
+    """Processes on the nodes of a cluster. Each requests its share of the cores, and `gpus` GPUs (a fraction: several runs share one)."""
 
     def __init__(self, address: str, workers: int | None, *, jobs: int, gpus: float = 0.0, retries: int = 0) -> None:
-        """Raises ConfigError where Ray is not installed, the cluster cannot be reached, or no node has what a run needs."""
+        """Raises ConfigError if Ray is not installed, if the cluster cannot be reached, or if no node can hold a run."""
         self._ray = _connected(address)
         total, largest = self._size("CPU")
         super().__init__(max(1, min(jobs, int(total))) if workers is None else workers, retries=retries)
@@ -40,9 +40,9 @@ class RayExecutor(Executor):
         self._lock = threading.Lock()
 
     def _size(self, resource: str) -> tuple[float, float]:
-        """How much of it the cluster has, and its largest node."""
-        found = [float(node["Resources"].get(resource, 0)) for node in self._ray.nodes() if node["Alive"]]
-        return sum(found), max(found, default=0.0)
+        """The amount of a resource in the whole cluster and in its largest node."""
+        amounts = [float(node["Resources"].get(resource, 0)) for node in self._ray.nodes() if node["Alive"]]
+        return sum(amounts), max(amounts, default=0.0)
 
     def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
         errors = self._ray.exceptions
@@ -62,7 +62,7 @@ class RayExecutor(Executor):
         return error, where
 
     def stop(self) -> None:
-        """No process is started any more; those that run get a Ctrl-C of their own, for Ray keeps the terminal's from them."""
+        """Starts no further process. Running ones are interrupted through Ray, since the terminal's Ctrl-C does not reach them."""
         with self._lock:
             first = not self._stopped.is_set()
             super().stop()
@@ -75,11 +75,11 @@ class RayExecutor(Executor):
 
 
 def _connected(address: str) -> Any:
-    """The module `ray`, connected. Raises ConfigError."""
+    """The module `ray`, connected to the cluster. Raises ConfigError if that is not possible."""
     try:
         import ray
     except ImportError:
-        raise ConfigError("--cluster needs Ray: pip install 'idf-slam[cluster]'; without --cluster this machine's cores are used") from None
+        raise ConfigError("--cluster needs Ray: pip install 'idf-slam[cluster]'; without it, runs use this machine's cores") from None
     if address != _AUTO:
         _check_reachable(address)
     try:
@@ -92,23 +92,23 @@ def _connected(address: str) -> Any:
 
 
 def _check_reachable(address: str) -> None:
-    """Raises ConfigError where nobody listens at HOST:PORT or ray://HOST:PORT: Ray itself would wait for minutes."""
+    """Raises ConfigError if nothing listens at HOST:PORT or ray://HOST:PORT. Ray itself would wait for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        with socket.create_connection((host, int(port)), timeout=_PATIENCE):
+        with socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT):
             pass
     except (OSError, ValueError, OverflowError) as error:
         raise ConfigError(f"--cluster {address}: {error}; expected 'auto' or the address of a Ray cluster, such as HOST:6379") from error
 
 
 def run_here(module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
-    """`python -m MODULE ARGUMENTS` in this process, which is a worker of its own: the error, if any, and the host."""
-    said, error = io.StringIO(), None
-    with redirect_stderr(said), redirect_stdout(io.StringIO()):
+    """Runs `python -m MODULE ARGUMENTS` in this process, which is a worker. Returns the error, if any, and the host."""
+    stderr, error = io.StringIO(), None
+    with redirect_stderr(stderr), redirect_stdout(io.StringIO()):
         try:
             importlib.import_module(module).main(list(arguments))
         except SystemExit as end:
-            error = last_line(said.getvalue(), int(end.code or 0)) if end.code else None
-        except Exception as fault:  # a fault of ours: its last line goes the way that it would from a process's stderr
+            error = last_line(stderr.getvalue(), int(end.code or 0)) if end.code else None
+        except Exception as fault:  # a bug: its last line is reported, as for a process with a traceback
             error = traceback.format_exception_only(fault)[-1].strip()
     return error, platform.node()

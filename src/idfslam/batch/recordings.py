@@ -1,4 +1,4 @@
-"""Recordings named on the command line, each with a name of its own for its results."""
+"""Parses the recordings that the command line names. Each gets a unique name for its results."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from idfslam.errors import ConfigError, RecordingError
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A recording of the benchmark and how many of its frames."""
+class RecordingSpec:
+    """A recording, the name of its results, and how many of its frames are used."""
 
     name: str
     path: str
@@ -19,33 +19,34 @@ class Entry:
 
     @property
     def gt_mesh(self) -> Path | None:
-        """The true mesh in the recording's folder; None where there is none (a generated recording brings its own)."""
+        """gt_mesh.ply in the recording's folder; None if there is none. A generated recording computes its own true surface."""
         place = Path(generated.kidnapped_path(self.path) or self.path)
         mesh = (place if place.is_dir() else place.parent) / "gt_mesh.ply"
         return mesh if place.exists() and mesh.is_file() else None
 
 
-def listed(recordings: Sequence[str], frames: int | None = None, *, unique: bool = True) -> list[Entry]:
-    """The recordings by name; `@FRAMES` wins over `frames`. `unique`: recordings of one name are told apart by their parent folders.
+def parse_recordings(recordings: Sequence[str], frames: int | None = None, *, unique: bool = True) -> list[RecordingSpec]:
+    """Parses paths and generated recordings, each with @FRAMES if wanted.
 
-    Raises RecordingError for one that is missing, ConfigError where there is none or, if they are to be unique, for one repeated.
+    frames: used where a recording has no @FRAMES; None: all. unique: recordings of the same name get their parent folder's name in front.
+    Raises RecordingError for a missing recording, and ConfigError for an empty list or, with `unique`, for a repeated recording.
     """
     if not recordings:
         raise ConfigError(f"no recordings, expected at least one: paths, {generated.FORMS}, with @FRAMES if wanted")
-    entries = [_entry(text, frames) for text in recordings]
-    return _unique(entries) if unique else entries
+    specs = [_parse(text, frames) for text in recordings]
+    return _with_unique_names(specs) if unique else specs
 
 
-def _unique(entries: Sequence[Entry]) -> list[Entry]:
-    counts = Counter(entry.name for entry in entries)
-    found = [replace(e, name=f"{Path(e.path).parent.name}-{e.name}") if counts[e.name] > 1 else e for e in entries]
-    twice = [name for name, count in Counter(entry.name for entry in found).items() if count > 1]
-    if twice:
-        raise ConfigError(f"{', '.join(twice)}: listed twice, expected recordings whose last two folders differ, each once")
-    return found
+def _with_unique_names(specs: Sequence[RecordingSpec]) -> list[RecordingSpec]:
+    counts = Counter(spec.name for spec in specs)
+    named = [replace(spec, name=f"{Path(spec.path).parent.name}-{spec.name}") if counts[spec.name] > 1 else spec for spec in specs]
+    repeated = [name for name, count in Counter(spec.name for spec in named).items() if count > 1]
+    if repeated:
+        raise ConfigError(f"{', '.join(repeated)}: listed twice, expected recordings whose last two folders differ, each once")
+    return named
 
 
-def _entry(text: str, frames: int | None) -> Entry:
+def _parse(text: str, frames: int | None) -> RecordingSpec:
     path, mark, count = text.rpartition("@")
     if mark and count.isdigit() and not Path(text).exists():
         if int(count) < 1:
@@ -55,11 +56,11 @@ def _entry(text: str, frames: int | None) -> Entry:
         path = text
     inner = generated.kidnapped_path(path)
     if inner is not None:
-        entry = _entry(inner, frames)
-        return replace(entry, name=f"kidnap-{entry.name}", path=generated.KIDNAP + entry.path)
+        spec = _parse(inner, frames)
+        return replace(spec, name=f"kidnap-{spec.name}", path=generated.KIDNAP + spec.path)
     if generated.kind_of(path) is not None:
-        return Entry(path.replace(":", "-"), path, frames)
+        return RecordingSpec(path.replace(":", "-"), path, frames)
     if not Path(path).exists():
         raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
     place = Path(path).resolve()
-    return Entry(place.stem if place.is_file() else place.name, str(place), frames)
+    return RecordingSpec(place.stem if place.is_file() else place.name, str(place), frames)

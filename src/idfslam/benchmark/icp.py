@@ -12,26 +12,26 @@ from idfslam.frame import Frame
 
 Variant = Literal["PLANE_ICP", "GICP"]
 
-_VOXEL = 0.04  # [m] the points are thinned to
-_REACH = 0.3  # [m] between points that may correspond
-_ITERATIONS = 50
+_VOXEL = 0.04  # [m] points are reduced to one per voxel; larger: faster, less accurate
+_REACH = 0.3  # [m] largest distance between corresponding points; larger: wider convergence, more wrong pairs
+_ITERATIONS = 50  # at most
 
 
 def icp_installed() -> bool:
-    """Whether small_gicp is there."""
+    """Whether small_gicp is installed."""
     return find_spec("small_gicp") is not None
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A frame's points with their normals and covariances, and the tree to search them by."""
+    """A frame's points with normals and covariances, and their search tree."""
 
     points: Any
     tree: Any
 
 
 class IterativeClosestPoints:
-    """Aligns clouds from the identity on. Raises ConfigError where small_gicp is not installed."""
+    """Aligns clouds, starting at the identity. Raises ConfigError if small_gicp is not installed."""
 
     def __init__(self, variant: Variant) -> None:
         if not icp_installed():
@@ -47,7 +47,7 @@ class IterativeClosestPoints:
         return Cloud(*small_gicp.preprocess_points(points, downsampling_resolution=_VOXEL, num_threads=1))
 
     def align(self, source: Cloud, target: Cloud) -> tuple[NDArray[np.float64], bool]:
-        """T (4, 4) from the source's to the target's frame, and whether the iteration converged; the identity for an empty cloud."""
+        """T_target_source (4, 4), and whether the iteration converged; the identity for an empty cloud."""
         import small_gicp
 
         if min(source.points.size(), target.points.size()) < 10:

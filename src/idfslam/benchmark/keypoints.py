@@ -1,4 +1,4 @@
-"""SIFT and ORB keypoints lifted by depth: the classic features that learned ones are measured against."""
+"""SIFT and ORB keypoints with 3-D points from the depth image: the classic baselines for learned features."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from idfslam.frame import Frame
 
 Kind = Literal["SIFT", "ORB"]
-_COUNT = 1000  # keypoints of an image, at most
+_COUNT = 1000  # keypoints of an image, at most; more: slower, more matches
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class KeypointDetector:
         self._norm = cv2.NORM_L2 if kind == "SIFT" else cv2.NORM_HAMMING
 
     def detect(self, frame: Frame) -> Keypoints:
-        """Keypoints of the whole image, without those where the depth has a hole."""
+        """Keypoints of the whole image that have depth."""
         grey = cv2.cvtColor((frame.colour * 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
         found, descriptors = self._detector.detectAndCompute(grey, None)
         if not found:

@@ -1,4 +1,4 @@
-"""Pictures of matches, as in the paper's Fig. 5: two frames side by side, a line from each inlier to its partner."""
+"""Draws matches as in the paper's Fig. 5: two frames side by side, and a line for each inlier match."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-_LINES = 100  # drawn at most, evenly chosen: more hide the images
+_LINES = 100  # drawn at most, evenly chosen; more: they hide the images
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class MatchPicture:
 
 
 def draw_matches(path: Path, pictures: Sequence[MatchPicture]) -> None:
-    """One row a method: keyframe left, frame right, lines coloured by their row in the keyframe. Nothing is written for no pictures."""
+    """One row for each method: keyframe left, frame right, lines coloured by row in the keyframe. Without pictures no file is written."""
     if not pictures:
         return
     height, width = pictures[0].keyframe.shape[:2]

@@ -1,9 +1,9 @@
-"""The baseline of the benchmark: Open3D's dense frame-to-model SLAM (`open3d.t.pipelines.slam`) on the same frames, on the CPU.
+"""The baseline of the benchmark: Open3D's dense frame-to-model SLAM (`open3d.t.pipelines.slam`) on the CPU.
 
     python -m idfslam.benchmark.open3d_baseline RECORDING --out FILE.json [--frames N]
 
-The loop and the values are those of Open3D's own example, dense_slam: each frame is aligned to the model's rendering, integrated, and the
-model rendered anew from its pose. Only Open3D's calls are timed, not the reading of images, which our own runs' time includes.
+The loop and the values are those of Open3D's example dense_slam: each frame is aligned to the rendered model and integrated, and the model
+is rendered from the frame's pose. Only Open3D's calls are timed. The times of our own runs include the reading of images.
 """
 
 import argparse
@@ -23,10 +23,10 @@ from idfslam.errors import ConfigError, FrameError, IdfSlamError
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.runs.metrics import peak_memory
+from idfslam.runs.meter import peak_memory
 from idfslam.storage import atomic_files
 
-_UNITS = 5000.0  # of the uint16 depth images handed to Open3D, per metre: up to 13.1 m in steps of 0.2 mm
+_UNITS = 5000.0  # per metre of the uint16 depth images: up to 13.1 m in steps of 0.2 mm; larger: finer steps, shorter range
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class DenseSlamConfig:
 
 
 class DenseSlam:
-    """Open3D's model and the two frames that its loop passes around. The world is the first frame's camera."""
+    """Open3D's model with its input frame and its rendered frame. The world is the first frame's camera."""
 
     def __init__(self, camera: Camera, config: DenseSlamConfig) -> None:
         import open3d
@@ -61,7 +61,7 @@ class DenseSlam:
         self.lost = 0
 
     def images(self, frame: Frame) -> tuple[Any, Any]:
-        """Depth (uint16) and colour (uint8) as images of Open3D; depth beyond what uint16 holds is left out."""
+        """Depth (uint16) and colour (uint8) as images of Open3D; depth beyond the range of uint16 becomes 0."""
         depth = np.round(frame.depth * _UNITS)
         depth[depth > np.iinfo(np.uint16).max] = 0
         colour = np.round(frame.colour * 255).astype(np.uint8)
@@ -69,7 +69,7 @@ class DenseSlam:
         return image(tensor(depth.astype(np.uint16)[..., None])), image(tensor(colour))
 
     def process(self, depth: Any, colour: Any) -> NDArray[np.float64]:
-        """One step of the loop: T_wc (4, 4). Where Open3D finds no motion the last pose is kept and the frame counted as lost."""
+        """Processes a frame. Returns T_wc (4, 4). If Open3D finds no motion, the last pose is kept and the frame counts as lost."""
         c, model = self._config, self._model
         self._input.set_data_from_image("depth", depth)
         self._input.set_data_from_image("color", colour)
@@ -88,21 +88,21 @@ class DenseSlam:
 
 
 def require_open3d() -> None:
-    """Raises ConfigError where Open3D is not installed."""
+    """Raises ConfigError if Open3D is not installed."""
     if find_spec("open3d") is None:
         raise ConfigError("the comparison needs Open3D, which is not installed: pip install 'idf-slam[bench]'")
 
 
 def measure(recording: Dataset, config: DenseSlamConfig | None = None) -> dict[str, Any]:
-    """Frames/s, ATE RMSE [m] where the recording has ground truth, lost frames, peak memory [MiB] of all frames in turn.
+    """Runs all frames. Returns frames/s, ATE RMSE [m] if the recording has ground truth, lost frames, and peak memory [MiB].
 
-    Raises ConfigError where Open3D is not installed or does not load. A frame that cannot be read keeps the last pose.
+    An unreadable frame keeps the last pose. Raises ConfigError if Open3D is not installed or does not load.
     """
     require_open3d()
     try:
         import open3d as o3d
-    except ImportError as error:  # of a library of the system, most often
-        raise ConfigError(f"Open3D is installed but does not load ({error}): install what it lacks with the system's packages") from error
+    except ImportError as error:  # usually a missing library of the system
+        raise ConfigError(f"Open3D is installed but does not load ({error}): install the missing library") from error
 
     baseline = peak_memory()
     slam = DenseSlam(recording.camera, config or DenseSlamConfig())

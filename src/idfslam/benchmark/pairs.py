@@ -1,6 +1,6 @@
-"""The benchmark of pairs: relative poses of frames some frames apart, learned features against the field's classics.
+"""The benchmark of pairs: relative poses of frames a few frames apart, by learned features and by classic methods.
 
-All see the same pairs, and all matches go through the same robust Procrustes. The poses of a recording are read here, to compare.
+All methods get the same pairs, and all matches go through the same robust Procrustes. The true poses serve only for comparison.
 """
 
 import time
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.batch.recordings import listed
+from idfslam.batch.recordings import parse_recordings
 from idfslam.benchmark.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
 from idfslam.benchmark.keypoints import KeypointDetector, Keypoints, Kind
 from idfslam.benchmark.match_figure import MatchPicture, draw_matches
@@ -33,13 +33,13 @@ from idfslam.tracking.tracker import Tracker
 REPORT, TABLE = "pairs.json", "pairs.md"
 ROTATIONS = (5, 10)  # [degrees]
 TRANSLATIONS = (5, 10, 25)  # [cm]
-_WRONG = (5, 15)  # [degrees, cm] beyond which a pose that was believed is counted as wrong
-_RIGHT = (5, 10)  # [degrees, cm] within which a pose is right: how often belief and doubt are
+_WRONG = (5, 15)  # [degrees, cm] an accepted pose with a larger error counts as wrong
+_RIGHT = (5, 10)  # [degrees, cm] a pose with smaller errors counts as right
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A pose of a frame in its keyframe, and what it rests on."""
+    """The pose of a frame in its keyframe, whether the method accepts it, and its inliers."""
 
     T_kc: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     believed: bool = False
@@ -52,7 +52,7 @@ def _estimate(found: Correspondences, pose: Registration, believed: bool) -> Est
 
 
 class Method(Protocol):
-    """A way to register two frames, in two steps that are timed apart: what a frame costs, and what a pair costs."""
+    """A method to register two frames. Its two steps are timed separately: one per frame, one per pair."""
 
     def describe(self, frame: Frame) -> Any: ...
 
@@ -74,7 +74,7 @@ class LearnedFeatures:
 
 
 class KeypointFeatures:
-    """SIFT or ORB on the whole image, matched mutually; believed by the paper's thresholds, since they know nothing of depth images."""
+    """SIFT or ORB on the whole image with mutual matches. A pose is accepted by the paper's thresholds, without depth images."""
 
     def __init__(self, kind: Kind, config: TrackerConfig) -> None:
         self._detector, self._config, self._generator = KeypointDetector(kind), config, torch.Generator().manual_seed(0)
@@ -93,7 +93,7 @@ class KeypointFeatures:
 
 
 class DepthAlone:
-    """ICP from the identity."""
+    """ICP that starts at the identity."""
 
     def __init__(self, variant: Variant) -> None:
         self._icp = IterativeClosestPoints(variant)
@@ -107,7 +107,7 @@ class DepthAlone:
 
 @dataclass
 class Tally:
-    """The errors and times of one method at one gap."""
+    """Collects the errors and times of one method at one gap."""
 
     rotation: list[float] = field(default_factory=list)  # [degrees]
     translation: list[float] = field(default_factory=list)  # [cm]
@@ -116,7 +116,7 @@ class Tally:
     register: list[float] = field(default_factory=list)  # [ms] a pair that is described
 
     def figures(self) -> dict[str, float | None]:
-        """What the report tells of them: shares in [0, 1] (None: of nothing), degrees, cm, ms."""
+        """The values of the report: shares in [0, 1] (None: of an empty set), degrees, cm, ms."""
         rotation, translation, believed = (np.array(values) for values in (self.rotation, self.translation, self.believed))
         right = (rotation < _RIGHT[0]) & (translation < _RIGHT[1])
         wrong = (rotation > _WRONG[0]) | (translation > _WRONG[1])
@@ -138,13 +138,13 @@ class Tally:
 
 
 def _share(those: NDArray[np.bool_]) -> float | None:
-    """How many of them, if there are any."""
+    """The share of true values; None for an empty array."""
     return float(those.mean()) if len(those) else None
 
 
 @dataclass(frozen=True)
 class PairSample:
-    """Pairs of a recording one gap apart that can be read and have poses."""
+    """Pairs of frames of a recording, `gap` apart, both with true poses. Unreadable pairs are skipped."""
 
     recording: Dataset
     gap: int
@@ -163,7 +163,7 @@ class PairSample:
 
 
 def sample(recording: Dataset, gap: int, pairs: int) -> PairSample:
-    """`pairs` pairs spread evenly over the recording. Raises RecordingError where it has no poses or is too short."""
+    """`pairs` pairs evenly spread over the recording. Raises RecordingError if it has no poses or is too short."""
     truth = recording.ground_truth
     if truth is None:
         raise RecordingError(f"{recording.name}: has no ground truth, expected poses to compare with; choose a recording that has them")
@@ -178,12 +178,12 @@ def sample(recording: Dataset, gap: int, pairs: int) -> PairSample:
 
 
 def learned(config: TrackerConfig, weights: Sequence[Path]) -> dict[str, Method]:
-    """By name: the features that the config names, and those in `weights`."""
+    """The features of the config and those in `weights`, by name."""
     return {"ours": LearnedFeatures(config), **{path.stem: LearnedFeatures(replace(config, weights=path)) for path in weights}}
 
 
 def baselines(config: TrackerConfig, images: torch.Tensor, report: Callable[[str], None]) -> dict[str, Method]:
-    """By name: untrained features fitted to `images` (B, 3, h, w), SIFT, ORB, and ICP where it is installed."""
+    """Untrained features fitted to `images` (B, 3, h, w), SIFT, ORB, and ICP if it is installed, by name."""
     found: dict[str, Method] = {
         "untrained": LearnedFeatures(config, untrained_extractor(images)),
         "SIFT": KeypointFeatures("SIFT", config),
@@ -206,14 +206,14 @@ def bench_pairs(
     folder: Path | None = None,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """Errors of our features, those in `weights`, and the baselines, on `pairs` pairs of each recording and gap.
+    """Measures the errors of our features, those in `weights`, and the baselines, on `pairs` pairs of each recording and gap.
 
-    Into `folder` (if any) go JSON, table, and pictures of matches. Raises ConfigError and RecordingError before the first pair where
-    something cannot be measured.
+    If `folder` is given, JSON, table and pictures of matches are written there. Raises ConfigError or RecordingError, before the first
+    pair, for recordings or values that cannot be measured.
     """
     if pairs < 1 or not gaps or min(gaps) < 1:
         raise ConfigError(f"--pairs {pairs} --gap {' '.join(map(str, gaps))}, expected at least 1 pair and gaps of at least 1 frame")
-    opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in listed(recordings)}
+    opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in parse_recordings(recordings)}
     samples = [sample(recording, gap, pairs) for recording in opened.values() for gap in gaps]
     if folder is not None:
         atomic_files.prepare(folder)

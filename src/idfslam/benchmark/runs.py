@@ -1,6 +1,6 @@
-"""The benchmark: each recording with each seed, mean and spread of all figures, as JSON and as a Markdown table.
+"""The benchmark: runs each recording with several seeds and reports mean and standard deviation, as JSON and as a Markdown table.
 
-Every run and every evaluation is a process of its own: peak memory is then that of one run, and none finds what another has in memory.
+Each run and each evaluation is a process of its own, so that peak memory is that of one run and no run finds data of another in memory.
 """
 
 import platform
@@ -18,52 +18,53 @@ import yaml
 from idfslam import __version__
 from idfslam.batch.executor import Executor
 from idfslam.batch.local_executor import LocalExecutor
-from idfslam.batch.recordings import Entry, listed
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.compute.host import cores, processor
 from idfslam.config import Config, dump
 from idfslam.errors import ConfigError, IdfSlamError, ResultError
 from idfslam.runs import result_folder
+from idfslam.runs.meter import BLOCK
+from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.storage import atomic_files
 
 REPORT, TABLE, VALUES = "bench.json", "bench.md", "values.yaml"
-_BLOCK = 100  # frames over which metrics.json gives the course of the speed
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One figure of a run: its name in the JSON, and its column."""
+class Column:
+    """A measured value of a run: its name in the JSON, and its column in the table."""
 
     key: str
     title: str
-    unit: float = 1.0  # what the stored value is multiplied with in the table
+    unit: float = 1.0  # factor from the stored value to the table's
     digits: int = 2
 
 
-FIGURES = (
-    Figure("ate_m", "ATE RMSE [cm]", 100),
-    Figure("accuracy_m", "accuracy [cm]", 100),
-    Figure("completion_m", "completion [cm]", 100),
-    Figure("completion_ratio", "ratio < 5 cm [%]", 100, 1),
-    Figure("frames_per_second", "frames/s"),
-    Figure("speed_kept", "speed kept"),
-    Figure("peak_memory_mb", "peak memory [MiB]", digits=0),
-    Figure("peak_memory_above_imports_mb", "above imports [MiB]", digits=0),
-    Figure("keyframes", "keyframes", digits=1),
-    Figure("lost_frames", "lost frames", digits=1),
+COLUMNS = (
+    Column("ate_m", "ATE RMSE [cm]", 100),
+    Column("accuracy_m", "accuracy [cm]", 100),
+    Column("completion_m", "completion [cm]", 100),
+    Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
+    Column("frames_per_second", "frames/s"),
+    Column("speed_kept", "speed kept"),
+    Column("peak_memory_mb", "peak memory [MiB]", digits=0),
+    Column("peak_memory_above_imports_mb", "above imports [MiB]", digits=0),
+    Column("keyframes", "keyframes", digits=1),
+    Column("lost_frames", "lost frames", digits=1),
 )
 
 
 @dataclass(frozen=True)
-class Spread:
-    """Mean and sample standard deviation; of one value there is no deviation."""
+class MeanStd:
+    """Mean and sample standard deviation of `count` values; a single value has no deviation."""
 
     mean: float
     deviation: float | None
     count: int
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Spread":
-        """Raises statistics.StatisticsError for no values."""
+    def of(cls, values: Sequence[float]) -> "MeanStd":
+        """Of at least one value. Raises statistics.StatisticsError for none."""
         return cls(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None, len(values))
 
     def text(self, unit: float = 1.0, digits: int = 2) -> str:
@@ -84,121 +85,117 @@ def bench(
     report: Callable[[str], None] = lambda line: None,
     executor: Executor | None = None,
 ) -> dict[str, Any]:
-    """Runs `recordings` (paths or names as of `open_recording`, each with `@FRAMES` if wanted), each with `seeds` seeds.
+    """Runs each of `recordings` (as `parse_recordings` takes them) with the seeds config.seed, config.seed + 1, ...
 
-    Results go to FOLDER/NAME-SEED; FOLDER/bench.json and FOLDER/bench.md are written anew after each recording. `mesh`: the surface is
-    evaluated where the true one is known. `against="open3d"`: its dense SLAM on the same frames, before the runs of each recording.
-    A run that fails is told in the report and the others go on. `executor`: where the seeds of a recording run; None: here, one at a
-    time, as speed should be measured. Returns what bench.json holds.
-    Raises ConfigError and RecordingError before the first run where the list cannot be run.
+    Results go to FOLDER/NAME-SEED. FOLDER/bench.json and FOLDER/bench.md are rewritten after each recording. frames: of each recording;
+    None: all. mesh: evaluate the surface if the true one is known. against: "open3d" also runs Open3D's dense SLAM on the same frames.
+    report: receives a line after each run. executor: where the seeds run; None: on this machine, one at a time, which is the only way to
+    measure speed. If a run fails, the report says why and the others continue. Returns the values of bench.json.
+    Raises ConfigError or RecordingError, before the first run, for recordings or values that cannot be run.
     """
     if seeds < 1 or (frames is not None and frames < 1):
         raise ConfigError(f"--seeds {seeds} --frames {frames}, expected at least 1")
-    entries = listed(recordings, frames)
+    specs = parse_recordings(recordings, frames)
     if against is not None:
         from idfslam.benchmark.open3d_baseline import require_open3d
 
         require_open3d()
     atomic_files.prepare(folder)
     (folder / VALUES).write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
-    found: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "recordings": []}
-    with executor or LocalExecutor() as place:
-        for entry in entries:
-            baseline = _open3d(place, entry, folder, report) if against else None
-            one = partial(_run, place, entry, folder=folder, mesh=mesh, report=report)
-            runs = sorted(place.each(one, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
-            found["recordings"].append({**asdict(entry), "runs": runs, **summary(runs), "open3d": baseline})
-            atomic_files.write_json(folder / REPORT, found)
+    results: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "recordings": []}
+    with executor or LocalExecutor() as opened:
+        for spec in specs:
+            baseline = _run_open3d(opened, spec, folder, report) if against else None
+            run_seed = partial(_run, opened, spec, folder=folder, mesh=mesh, report=report)
+            runs = sorted(opened.map_unordered(run_seed, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
+            results["recordings"].append({**asdict(spec), "runs": runs, **summary(runs), "open3d": baseline})
+            atomic_files.write_json(folder / REPORT, results)
             with atomic_files.replacing(folder / TABLE) as part:
-                part.write_text(markdown(found), encoding="utf-8")
-    return found
+                part.write_text(markdown(results), encoding="utf-8")
+    return results
 
 
-def _run(executor: Executor, entry: Entry, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
-    """One run and its evaluation: the figures, or why there are none."""
-    out = folder / f"{entry.name}-{seed}"
-    count = [] if entry.frames is None else ["--frames", str(entry.frames)]
+def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
+    """One run and its evaluation: the measured values, or the reason of the failure."""
+    out = folder / f"{spec.name}-{seed}"
     values = ["--config", str(folder / VALUES), "--seed", str(seed)]
     try:
-        _process(executor, "idfslam.cli", "run", entry.path, "--out", str(out), *count, "--no-report", *values)
-        metrics = loads((out / result_folder.METRICS).read_text(encoding="utf-8"))
+        _run_module(executor, "idfslam.cli", "run", spec.path, "--out", str(out), *_frames_flag(spec), "--no-report", *values)
+        metrics = read_metrics(out)
         evaluation: dict[str, Any] = {}
-        if mesh and "ate_m" in metrics:
-            truth = [] if entry.gt_mesh is None else ["--gt-mesh", str(entry.gt_mesh)]
-            _process(executor, "idfslam.cli", "eval", str(out), *truth)
-            evaluation = loads((out / "evaluation.json").read_text(encoding="utf-8"))
+        if mesh and ate_rmse(metrics) is not None:
+            truth = [] if spec.gt_mesh is None else ["--gt-mesh", str(spec.gt_mesh)]
+            _run_module(executor, "idfslam.cli", "eval", str(out), *truth)
+            evaluation = loads((out / result_folder.EVALUATION).read_text(encoding="utf-8"))
     except BenchError as error:
-        report(f"{entry.name}, seed {seed}: failed: {error}")
+        report(f"{spec.name}, seed {seed}: failed: {error}")
         return {"seed": seed, "failed": str(error)}
-    run = {"seed": seed, **figures(metrics, evaluation.get("mesh")), "frames": metrics["frames"], "ms_per_frame": metrics["ms_per_frame"]}
-    ate = f", ATE {run['ate_m'] * 100:.2f} cm" if "ate_m" in run else ""
-    report(f"{entry.name}, seed {seed}: {run['frames']} frames, {run['frames_per_second']:.2f} frames/s{ate}")
-    return run
+    measured = column_values(metrics, evaluation.get("mesh"))
+    report(f"{spec.name}, seed {seed}: {headline(metrics['frames'], metrics['frames_per_second'], ate_rmse(metrics))}")
+    return {"seed": seed, **measured, "frames": metrics["frames"], "ms_per_frame": metrics["ms_per_frame"]}
 
 
-def _open3d(executor: Executor, entry: Entry, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
-    out = folder / f"{entry.name}-open3d.json"
-    count = [] if entry.frames is None else ["--frames", str(entry.frames)]
+def _run_open3d(executor: Executor, spec: RecordingSpec, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
+    out = folder / f"{spec.name}-open3d.json"
     try:
-        _process(executor, "idfslam.benchmark.open3d_baseline", entry.path, "--out", str(out), *count)
+        _run_module(executor, "idfslam.benchmark.open3d_baseline", spec.path, "--out", str(out), *_frames_flag(spec))
     except BenchError as error:
-        report(f"{entry.name}, Open3D: failed: {error}")
+        report(f"{spec.name}, Open3D: failed: {error}")
         return {"failed": str(error)}
-    found: dict[str, Any] = loads(out.read_text(encoding="utf-8"))
-    ate = f", ATE {found['ate_m'] * 100:.2f} cm" if "ate_m" in found else ""
-    report(f"{entry.name}, Open3D: {found['frames']} frames, {found['frames_per_second']:.2f} frames/s{ate}")
-    return found
+    measured: dict[str, Any] = loads(out.read_text(encoding="utf-8"))
+    report(f"{spec.name}, Open3D: {headline(measured['frames'], measured['frames_per_second'], measured.get('ate_m'))}")
+    return measured
+
+
+def _frames_flag(spec: RecordingSpec) -> list[str]:
+    return [] if spec.frames is None else ["--frames", str(spec.frames)]
 
 
 class BenchError(IdfSlamError):
-    """A process of the benchmark that ended with an error; the message is its last line."""
+    """A process of the benchmark failed; the message is its last line."""
 
 
-def _process(executor: Executor, module: str, *arguments: str) -> None:
-    done = executor.execute(module, *arguments)
-    if done.error is not None:
-        raise BenchError(done.error)
+def _run_module(executor: Executor, module: str, *arguments: str) -> None:
+    outcome = executor.run_module(module, *arguments)
+    if outcome.error is not None:
+        raise BenchError(outcome.error)
 
 
-def figures(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) -> dict[str, float]:
-    """The values of FIGURES that a run has, from its metrics.json and the mesh part of its evaluation.json."""
-    found = {f.key: metrics.get(f.key) for f in FIGURES} | {
-        "speed_kept": speed_kept(metrics["frames_per_second_by_100"], metrics["frames"])
-    }
-    found["ate_m"] = metrics["ate_m"]["rmse"] if "ate_m" in metrics else None
+def column_values(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) -> dict[str, float]:
+    """The values of COLUMNS that a run has, from its metrics.json and the mesh part of its evaluation.json."""
+    values = {column.key: metrics.get(column.key) for column in COLUMNS}
+    values |= {"speed_kept": speed_kept(metrics["frames_per_second_by_100"], metrics["frames"]), "ate_m": ate_rmse(metrics)}
     if mesh is not None:
-        found |= {"accuracy_m": mesh["accuracy"], "completion_m": mesh["completion"], "completion_ratio": mesh["completion_ratio"]}
-    return {key: float(value) for key, value in found.items() if value is not None}
+        values |= {"accuracy_m": mesh["accuracy"], "completion_m": mesh["completion"], "completion_ratio": mesh["completion_ratio"]}
+    return {key: float(value) for key, value in values.items() if value is not None}
 
 
 def speed_kept(speeds: Sequence[float], frames: int) -> float | None:
-    """Frames/s of the last whole hundred over that of frames 100 to 199, after all start-up; None for fewer than 300 frames."""
-    whole = frames // _BLOCK
+    """Speed of the last whole block of 100 frames, divided by that of frames 100 to 199 (after all start-up); None below 300 frames."""
+    whole = frames // BLOCK
     return speeds[whole - 1] / speeds[1] if whole >= 3 else None
 
 
 def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Mean and deviation over the finished runs, of each figure and of each stage [ms a frame]."""
+    """Mean and standard deviation over the finished runs, of each column and of each stage [ms per frame]."""
     finished = [run for run in runs if "failed" not in run]
-    keys = [f.key for f in FIGURES if any(f.key in run for run in finished)]
+    keys = [column.key for column in COLUMNS if any(column.key in run for run in finished)]
     stages = dict.fromkeys(stage for run in finished for stage in run["ms_per_frame"])
     return {
-        "summary": {key: asdict(Spread.of([run[key] for run in finished if key in run])) for key in keys},
-        "ms_per_frame": {stage: asdict(Spread.of([run["ms_per_frame"].get(stage, 0.0) for run in finished])) for stage in stages},
+        "summary": {key: asdict(MeanStd.of([run[key] for run in finished if key in run])) for key in keys},
+        "ms_per_frame": {stage: asdict(MeanStd.of([run["ms_per_frame"].get(stage, 0.0) for run in finished])) for stage in stages},
     }
 
 
-def markdown(found: Mapping[str, Any]) -> str:
-    """The report as text: figures, stages, the comparison with Open3D, and the runs that failed."""
-    recordings = found["recordings"]
-    m = found["machine"]
-    used = [f for f in FIGURES if any(f.key in r["summary"] for r in recordings)]
-    head = (
-        f"idf-slam {m['idf-slam']}, preset {found['preset']}, {m['processor']}, {m['cores']} cores{', ' + m['gpu'] if m['gpu'] else ''}. "
-    )
+def markdown(results: Mapping[str, Any]) -> str:
+    """The report as text: measured values, stages, the comparison with Open3D, and the runs that failed."""
+    recordings, m = results["recordings"], results["machine"]
+    used = [column for column in COLUMNS if any(column.key in recording["summary"] for recording in recordings)]
+    gpu = f", {m['gpu']}" if m["gpu"] else ""
+    head = f"idf-slam {m['idf-slam']}, preset {results['preset']}, {m['processor']}, {m['cores']} cores{gpu}. "
     parts = [head + "Mean ± standard deviation over the seeds; surface by the protocol `seen`."]
-    rows = [[r["name"], *_counts(r), *(_cell(r["summary"].get(f.key), f.unit, f.digits) for f in used)] for r in recordings]
-    parts.append(markdown_table(["recording", "frames", "runs", *(f.title for f in used)], rows))
+    rows = [[r["name"], *_counts(r), *(_cell(r["summary"].get(c.key), c.unit, c.digits) for c in used)] for r in recordings]
+    parts.append(markdown_table(["recording", "frames", "runs", *(column.title for column in used)], rows))
     stages = list(dict.fromkeys(stage for r in recordings for stage in r["ms_per_frame"]))
     if stages:
         rows = [[r["name"], *(_cell(r["ms_per_frame"].get(stage), 1.0, 1) for stage in stages)] for r in recordings]
@@ -212,7 +209,7 @@ def markdown(found: Mapping[str, Any]) -> str:
 
 
 def failures(recording: Mapping[str, Any]) -> list[str]:
-    """A line for each run of a recording, ours or Open3D's, that did not end well."""
+    """A line for each failed run of a recording, ours or Open3D's."""
     runs = [(f"seed {run['seed']}", run) for run in recording["runs"]] + [("Open3D", recording["open3d"] or {})]
     return [f"{recording['name']}, {which}: {run['failed']}" for which, run in runs if "failed" in run]
 
@@ -232,17 +229,17 @@ def _comparison(recording: Mapping[str, Any]) -> list[str]:
 
 
 def _cell(spread: Mapping[str, Any] | None, unit: float, digits: int) -> str:
-    return "-" if spread is None else Spread(**spread).text(unit, digits)
+    return "-" if spread is None else MeanStd(**spread).text(unit, digits)
 
 
 def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells below their titles, the first column to the left, the others to the right."""
+    """A Markdown table; the first column is aligned left, the others right."""
     lines = [titles, ["---", *["---:"] * (len(titles) - 1)], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were taken on."""
+    """The machine and the versions of a measurement."""
     import torch
 
     return {
@@ -256,8 +253,8 @@ def machine() -> dict[str, Any]:
     }
 
 
-def check_finished(found: Mapping[str, Any], folder: Path) -> None:
-    """Raises ResultError if a run failed, so that a script notices."""
-    failed = [line for recording in found["recordings"] for line in failures(recording)]
+def check_finished(results: Mapping[str, Any], folder: Path) -> None:
+    """Raises ResultError if a run failed, so that the exit status shows it."""
+    failed = [line for recording in results["recordings"] for line in failures(recording)]
     if failed:
         raise ResultError(f"{len(failed)} runs failed ({failed[0]}); {folder / TABLE} holds the others")

@@ -29,12 +29,13 @@ from idfslam.cli.commands.pretrain import Pretrain
 from idfslam.cli.commands.record import Record
 from idfslam.cli.commands.render import Render
 from idfslam.cli.commands.report import Report
-from idfslam.cli.commands.run import Run, ViewerPlace
+from idfslam.cli.commands.run import Run
 from idfslam.cli.commands.view import View
 from idfslam.cli.user_options import HELP, HELP_ALL, parser_rules
 from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.errors import IdfSlamError
+from idfslam.viewer.rerun_program import ViewerOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -106,7 +107,7 @@ def _starting_values(arguments: Sequence[str]) -> Config:
 
 def _with_viewer(arguments: Sequence[str]) -> list[str]:
     """`--viewer` with no place behind it is `--viewer auto`."""
-    bare = [i for i, word in enumerate(arguments) if word == "--viewer" and not set(arguments[i + 1 : i + 2]) & set(get_args(ViewerPlace))]
+    bare = [i for i, word in enumerate(arguments) if word == "--viewer" and not set(arguments[i + 1 : i + 2]) & set(get_args(ViewerOption))]
     return [word for i, argument in enumerate(arguments) for word in ((argument, "auto") if i in bare else (argument,))]
 
 

@@ -1,4 +1,4 @@
-"""What this machine has, what a run would use of it, and what is missing."""
+"""Examines the machine: what it has, what a run would use, and what is missing."""
 
 import os
 import platform
@@ -23,8 +23,8 @@ from idfslam.mapping.updates import InTurns
 from idfslam.tracking.features import load_extractor
 
 GIB = 2**30
-_LITTLE_MEMORY = 2 * GIB  # a run takes 0.9 GiB (docs/results.md)
-_LITTLE_DISK = GIB // 2  # a result folder takes some tens of megabytes
+_LITTLE_MEMORY = 2 * GIB  # less available memory causes advice; a run takes 0.9 GiB (docs/results.md)
+_LITTLE_DISK = GIB // 2  # less free space causes advice; a result folder takes some tens of megabytes
 _PACKAGES = ("numpy", "numba", "opencv-python-headless", "trimesh")
 DEVICES = {
     "preset fast": "CPU; never tried on a GPU (--device cuda)",
@@ -39,7 +39,7 @@ _REQUIREMENT = re.compile(r"^(?P<package>[\w.-]+).*\bextra\s*==\s*['\"](?P<extra
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found, and what should be done; nothing to do: ready."""
+    """The properties of the machine, and what should be fixed. The machine is ready if there is nothing to fix."""
 
     found: dict[str, Any]  # plain values, ready for JSON
     advice: list[str]
@@ -50,7 +50,7 @@ class Examination:
 
 
 def examine(config: Config, folder: Path = Path()) -> Examination:
-    """This machine for runs with `config` whose results go below `folder`."""
+    """Examines this machine for runs with `config` whose results go to `folder`."""
     advice: list[str] = []
     found = {
         "idf-slam": __version__,
@@ -91,7 +91,7 @@ def _disk(folder: Path, advice: list[str]) -> int:
 
 
 def _numba_cache(advice: list[str]) -> dict[str, Any]:
-    """Where compiled kernels are kept, and how many there are; none yet: the first run compiles for most of a minute."""
+    """The folder of compiled kernels, and their number. With none, the first run compiles for most of a minute."""
     folder, is_set = Path(idfslam.__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(is_set)] if is_set else [folder]
     count = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
@@ -111,7 +111,7 @@ def _weights(config: Config, advice: list[str]) -> dict[str, Any]:
 
 
 def extras() -> dict[str, dict[str, Any]]:
-    """The extras that the package declares: what of each is installed, what is missing, and the line that installs it."""
+    """The extras that the package declares: for each, installed packages, missing packages, and the command that installs it."""
     try:
         declared = requires("idf-slam") or []
     except PackageNotFoundError:  # used from its sources without being installed

@@ -1,4 +1,4 @@
-"""What the commands print when they are done: figures as tables, and where the files are."""
+"""The output of the commands: tables of results, and the paths of the files written."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,18 +12,19 @@ from idfslam.cli.doctor import GIB, Examination
 from idfslam.downloads.catalogue import Sequence
 from idfslam.evaluation.summary import Evaluation, table
 from idfslam.runs import result_folder
+from idfslam.runs.metrics import ate_rmse
 from idfslam.runs.runner import Run
 
 
 def print_run(run: Run, console: Console) -> None:
-    """Speed, keyframes, lost frames, ATE where it is known, and the result folder."""
+    """Prints speed, keyframes, lost frames, the ATE if ground truth is known, and the result files."""
     m = run.metrics
     lines = [
         f"{m['frames']} frames in {m['seconds']:.0f} s: {m['frames_per_second']:.2f} frames/s",
         f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, peak memory {m['peak_memory_mb']:.0f} MiB",
     ]
-    if "ate_m" in m:
-        lines.append(f"ATE RMSE {m['ate_m']['rmse'] * 100:.2f} cm")
+    if (ate := ate_rmse(m)) is not None:
+        lines.append(f"ATE RMSE {ate * 100:.2f} cm")
     console.print("\n".join(lines), highlight=False)
     print_files(
         run.folder,
@@ -33,13 +34,13 @@ def print_run(run: Run, console: Console) -> None:
 
 
 def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> None:
-    """The errors, and where JSON and pictures are."""
+    """Prints the errors, and the paths of JSON and pictures."""
     console.print(table(evaluation))
     print_files(folder, result_folder.EVALUATION_FILES, console)
 
 
 def print_batch(rows: list[Row], folder: Path, console: Console) -> None:
-    """A row for each recording, then why some failed, and where all of it is written."""
+    """Prints a row for each recording, the reasons of failures, and the path of batch.json."""
     table = Table()
     for title in ("recording", "status"):
         table.add_column(title, overflow="fold")
@@ -59,10 +60,10 @@ def print_batch(rows: list[Row], folder: Path, console: Console) -> None:
 
 
 def print_examination(examination: Examination, console: Console) -> None:
-    """A line for each thing found, extras, and what is to be done."""
+    """Prints the properties of the machine, the extras, and what should be fixed."""
     e = examination.found
     processor, torch, memory, cache = e["processor"], e["torch"], e["memory_bytes"], e["numba_cache"]
-    unknown = "not told by the system"
+    unknown = "unknown"
     free = unknown if memory is None else f"{memory['available'] / GIB:.1f} of {memory['total'] / GIB:.1f} GiB available"
     kernels = f"{cache['kernels']} kernels in {cache['folder']}" if cache["kernels"] else "nothing yet: the first run takes a minute more"
     rows = [
@@ -97,13 +98,13 @@ def print_examination(examination: Examination, console: Console) -> None:
 
 
 def print_files(folder: Path, names: Iterable[str], console: Console) -> None:
-    """A path a line, whole, so that it can be copied."""
+    """Prints one path per line, unwrapped, so that it can be copied."""
     for name in names:
         console.print(str(folder / name), highlight=False, soft_wrap=True, markup=False)
 
 
 def print_catalogue(sequences: Iterable[Sequence], console: Console) -> None:
-    """Names, sizes and folders of what can be downloaded, under the terms it is published on."""
+    """Prints names, sizes and folders of the sequences that can be downloaded, grouped by licence."""
     by_licence: dict[str, Table] = {}
     for sequence in sequences:
         table = by_licence.setdefault(sequence.licence, Table(box=None, show_header=False, pad_edge=True))

@@ -1,6 +1,6 @@
-"""The first demo on a machine: a second process compiles SLAM's and the evaluation's kernels while this one builds and renders the room.
+"""Compiles kernels in a second process while the first demo on a machine builds and renders its room.
 
-Numba compiles one function at a time in a process and keeps what it has compiled on disk, where the other process finds it.
+Numba compiles one function at a time in a process. It stores compiled functions on disk, where the other process finds them.
 """
 
 import subprocess
@@ -15,11 +15,11 @@ from idfslam.compute.backend import Backend, backend_of
 from idfslam.compute.devices import resolve_device
 from idfslam.config import FAST, Config, dump, update
 
-_COARSE = 0.2  # [m] cells of the mesh that is made to be thrown away
+_COARSE = 0.2  # [m] cells of a mesh that only serves to compile; smaller: slower
 
 
 def compiled() -> bool:
-    """Whether the kernels are on disk, as far as one of them tells."""
+    """Whether the kernels are on disk. It looks for one of them, which is compiled together with the others."""
     from idfslam.mapping.kernels.numba_field import learn
 
     folder = learn.stats.cache_path
@@ -27,10 +27,10 @@ def compiled() -> bool:
 
 
 @contextmanager
-def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
-    """Within, a second process compiles, unless all is compiled. Gives a function that waits for the first frame's kernels.
+def compiling_ahead(config: Config) -> Iterator[Callable[[], object]]:
+    """Compiles in a second process during the `with` block, unless all is compiled. Gives a function that waits for the first kernels.
 
-    Where that process fails, this one compiles by itself when the time comes.
+    If that process fails, this one compiles each kernel at its first use.
     """
     if backend_of(resolve_device(config.device, config.preset)) is not Backend.NUMBA or compiled():
         yield lambda: None
@@ -51,7 +51,7 @@ def compiling_beside(config: Config) -> Iterator[Callable[[], object]]:
 
 
 def main() -> None:
-    """What `compiling_beside` starts: a config on stdin; a line on stdout once a frame can be processed."""
+    """The second process. It reads a config from stdin, and prints a line once a frame can be processed without compiling."""
     from idfslam.evaluation.mesh_error import mesh_error
     from idfslam.mapping.saved_map import SavedMap
     from idfslam.slam.warm_up import warm_up

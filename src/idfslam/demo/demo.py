@@ -1,4 +1,4 @@
-"""The demonstration: a generated room, SLAM on it, the evaluation against the truth, pictures. No files are needed."""
+"""The demonstration: SLAM in a generated room, its evaluation against the truth, and pictures. It needs no files."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,7 @@ from rich.console import Console
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Ahead
-from idfslam.demo.compile_ahead import compiling_beside
+from idfslam.demo.compile_ahead import compiling_ahead
 from idfslam.evaluation.summary import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures.image_files import View, draw_views
@@ -24,24 +24,23 @@ from idfslam.storage import atomic_files
 VIEWS = "views.png"
 _VIEWS = 4
 _AHEAD = 128  # frames rendered while kernels are compiled: 5 MB each
-_DEPTH_VIEWS = 200  # for depth L1: a fifth of what `eval` takes
+_DEPTH_VIEWS = 200  # for depth L1, a fifth of those of `eval`; more: slower, a surer mean
 
 
 def demo(
     config: Config, folder: Path, *, room: int, frames: int, report: bool = True, console: Console | None = None
 ) -> tuple[Run, Evaluation, list[Path]]:
-    """SLAM on `frames` frames of the synthetic room number `room`; the run, its errors and where the pictures are.
+    """Runs SLAM on `frames` frames of the synthetic room number `room`. Returns the run, its errors and the paths of the pictures.
 
-    These are the report's; without it two stand for them: the mesh from outside, and frames beside what the map shows.
-
-    Raises ConfigError for more frames than the tour of the room has, ResultError for a folder that cannot be written to.
+    With `report` the pictures are the report's. Without it they are two: the mesh from outside, and frames next to the rendered map.
+    Raises ConfigError for more frames than the tour of the room has, ResultError if the folder cannot be written to.
     """
     source = result_folder.Source(f"synthetic:{room}", frames=frames)
-    with compiling_beside(config) as until_compiled:
+    with compiling_ahead(config) as wait_until_compiled:
         recording = open_source(source)
         recording[0]  # compiles what renders it
         with Ahead(recording, most=_AHEAD) as begun:
-            until_compiled()
+            wait_until_compiled()
         done = run(begun, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     if report:
@@ -55,7 +54,7 @@ def demo(
 
 
 def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:
-    """Frames spread over the run, and what the saved map shows from their estimated poses, at half the size: the picture has less."""
+    """Frames spread over the run, and the saved map rendered from their estimated poses at half the size, enough for the picture."""
     saved = load_map(folder / result_folder.MAP)
     camera = recording.camera.resized(recording.camera.width // 2, recording.camera.height // 2)
     for i in np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist():

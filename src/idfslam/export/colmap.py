@@ -1,7 +1,7 @@
 """A COLMAP model as text: cameras.txt, images.txt, points3D.txt (https://colmap.github.io/format.html).
 
-Poses are world-to-camera; camera axes are this package's. Pixel centres lie at half integers, so pixels and the principal point are half
-a pixel larger than here. A point belongs to each image that measured a depth near its own.
+Poses are world-to-camera, with the camera axes of this package. COLMAP's pixel centres lie at half integers, so pixels and the principal
+point are half a pixel larger than here. A point's track holds the images whose measured depth agrees with the point's.
 """
 
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -18,20 +19,20 @@ from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
-_NEAR = 0.03  # share of the depth by which a measured depth may differ from a point's own
-_LEAST_TRACK = 2  # images that see a point: COLMAP knows no points of one image
+_DEPTH_TOLERANCE = 0.03  # a measured depth may differ from a point's by this share of it; larger: longer tracks, more wrong ones
+_LEAST_TRACK = 2  # images that must see a point: COLMAP has no points of one image; larger: fewer, surer points
 
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """The points that an image saw, and where."""
+    """The points that an image saw, and their pixels."""
 
     points: NDArray[np.int64]  # (M,) indices
     uv: NDArray[np.float64]  # (M, 2) [px], pixel centres at integers
 
 
 def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, cloud: PointCloud) -> None:
-    """The three files of the model; points that fewer than two images saw are left out."""
+    """Writes the three files of the model. Points that fewer than two images saw are left out."""
     sights = [_sight(image, camera, cloud.points) for image in images]
     seen = sum((np.bincount(s.points, minlength=len(cloud.points)) for s in sights), np.zeros(len(cloud.points), np.int64))
     kept = seen >= min(_LEAST_TRACK, len(images))
@@ -63,12 +64,11 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, clo
 
 
 def _sight(image: PosedImage, camera: Camera, points: NDArray[np.float64]) -> _Sight:
-    """Which of points (N, 3) [m] the image's depth agrees with."""
+    """The points (N, 3) [m] whose depth agrees with the image's."""
     T_cw = np.linalg.inv(image.T_wc)
-    x, y, z = (points @ T_cw[:3, :3].T + T_cw[:3, 3]).T
-    safe = np.where(z > 0, z, 1.0)
-    u, v = x / safe * camera.fx + camera.cx, y / safe * camera.fy + camera.cy
-    inside = np.flatnonzero((z > 0) & (u >= -0.5) & (v >= -0.5) & (u < camera.width - 0.5) & (v < camera.height - 0.5))
-    measured = image.frame.depth[np.round(v[inside]).astype(int), np.round(u[inside]).astype(int)]
-    near = inside[(measured > 0) & (np.abs(measured - z[inside]) < _NEAR * z[inside])]
-    return _Sight(near, np.stack([u[near], v[near]], -1))
+    uv, z = camera.project(torch.from_numpy(points @ T_cw[:3, :3].T + T_cw[:3, 3]))
+    inside = np.flatnonzero(camera.inside(uv, z).numpy())
+    u, v, depth = uv[inside, 0].numpy(), uv[inside, 1].numpy(), z[inside].numpy()
+    measured = image.frame.depth[np.round(v).astype(int), np.round(u).astype(int)]
+    near = (measured > 0) & (np.abs(measured - depth) < _DEPTH_TOLERANCE * depth)
+    return _Sight(inside[near], np.stack([u[near], v[near]], -1))

@@ -1,10 +1,9 @@
-"""A finished run written for other programs, a format a function."""
+"""Exports a finished run to the formats of other programs, one method for each format."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError
 from idfslam.export import colmap, nerfstudio, tsdf_grid
+from idfslam.export.formats import Format, Texture
 from idfslam.export.images import PosedImage, write_images
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
@@ -23,35 +23,31 @@ from idfslam.geometry.trajectory import save_tum
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.storage import atomic_files
 
-Format = Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"]
-Texture = Literal["images", "map"]
-
-FORMATS: tuple[Format, ...] = get_args(Format)
 _TEXTURED = ("obj", "glb")
 
 
 @dataclass(frozen=True, eq=False)
 class Exporter:
-    """Raises ResultError or RecordingError where a format needs what the run no longer has."""
+    """Writes exports to `out`. Raises ResultError or RecordingError if a format needs a file of the run that is missing."""
 
     run: FinishedRun
     out: Path
-    resolution: float = 0.02  # [m]
-    images: int | None = None  # how many frames give images; None: the keyframes
+    resolution: float = 0.02  # [m] cells of meshes and grids, spacing of points
+    images: int | None = None  # number of frames that give images and points; None: the keyframes
     texture: Texture | None = None
 
     def write(self, formats: Sequence[Format]) -> list[Path]:
-        """The formats one after the other; the files, or the folder where there are many of them."""
+        """Writes the formats. Returns the files, or the folder for a format of many files."""
         if not 0 < self.resolution < np.inf:
             raise ConfigError(f"--resolution {self.resolution}, expected metres above 0, such as 0.02")
         if self.texture and not set(formats) & set(_TEXTURED):
-            raise ConfigError(f"--texture with --to {' '.join(formats)}: of these none has textures; choose {' or '.join(_TEXTURED)}")
+            raise ConfigError(f"--texture with --to {' '.join(formats)}: none of these has textures; choose {' or '.join(_TEXTURED)}")
         atomic_files.prepare(self.out)
-        ways: dict[Format, Callable[[], list[Path]]] = {
+        writers: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
             "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
-        return [path for name in dict.fromkeys(formats) for path in ways[name]()]
+        return [path for name in dict.fromkeys(formats) for path in writers[name]()]
 
     def _tum(self) -> list[Path]:
         with atomic_files.replacing(self.out / "tum.txt") as part:
@@ -84,10 +80,10 @@ class Exporter:
         return write_ply(self.out / "mesh.ply", self._mesh)
 
     def _obj(self) -> list[Path]:
-        return write_obj(self.out / "mesh.obj", self._dressed)
+        return write_obj(self.out / "mesh.obj", self._textured)
 
     def _glb(self) -> list[Path]:
-        return write_glb(self.out / "mesh.glb", self._dressed)
+        return write_glb(self.out / "mesh.glb", self._textured)
 
     def _points(self) -> list[Path]:
         with atomic_files.replacing(self.out / "points.ply") as part:
@@ -105,11 +101,11 @@ class Exporter:
         return [self.out / "blocks.npz"]
 
     def _write_images(self, folder: Path) -> list[PosedImage]:
-        return write_images(folder, self.run.recording, self.run.spread(self.images), self.run.trajectory.poses)
+        return write_images(folder, self.run.recording, self.run.frames_to_show(self.images), self.run.trajectory.poses)
 
     def _frames(self) -> Iterator[tuple[Frame, NDArray[np.float64]]]:
         """The frames that give images, and their poses."""
-        for i in self.run.spread(self.images):
+        for i in self.run.frames_to_show(self.images):
             yield self.run.recording[int(i)], self.run.trajectory.poses[i]
 
     @cached_property
@@ -117,15 +113,15 @@ class Exporter:
         return self.run.map.mesh(self.resolution)
 
     @cached_property
-    def _dressed(self) -> trimesh.Trimesh:
-        """With a texture, where one is asked for."""
+    def _textured(self) -> trimesh.Trimesh:
+        """The mesh, with a texture if one is chosen."""
         if self.texture is None:
             return self._mesh
         return textured(self._mesh, from_images(self._frames(), self._map_colour) if self.texture == "images" else self._map_colour)
 
     @torch.no_grad()
     def _map_colour(self, points: Floats, normals: Floats) -> Floats:
-        """What the map says, seen head-on."""
+        """The map's colour of points, seen along their normals."""
         field = self.run.map.field
         device = next(field.parameters()).device
         chunks = (torch.from_numpy(np.ascontiguousarray(array)).to(device).split(1 << 18) for array in (points, -normals))

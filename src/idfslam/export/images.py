@@ -1,4 +1,4 @@
-"""Frames of a recording as image files, undistorted, beside their poses."""
+"""Writes frames of a recording as undistorted image files, for formats of posed images."""
 
 import logging
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ COLOUR, DEPTH = "images", "depth"  # folders
 
 @dataclass(frozen=True, eq=False)
 class PosedImage:
-    """A frame that lies in files: FOLDER/images/NAME and FOLDER/depth/NAME."""
+    """A frame whose images are written to FOLDER/images/NAME and FOLDER/depth/NAME, with its pose."""
 
     name: str
     T_wc: NDArray[np.float64]  # (4, 4)
@@ -31,10 +31,9 @@ class PosedImage:
 def write_images(
     folder: Path, recording: Dataset, indices: Sequence[int] | NDArray[np.int64], poses: NDArray[np.float64]
 ) -> list[PosedImage]:
-    """Colour (8-bit PNG) and depth (16-bit PNG, millimetres) of frames `indices`, whose poses are `poses[index]` (N, 4, 4).
+    """Writes colour (8-bit PNG) and depth (16-bit PNG, millimetres) of the frames `indices`. poses: T_wc (N, 4, 4) of all frames.
 
-    A frame that cannot be read is reported and left out. Raises RecordingError where none is left, ResultError where the folder
-    cannot be written to.
+    An unreadable frame is reported and left out. Raises RecordingError if none is left, ResultError if the folder cannot be written to.
     """
     for name in (COLOUR, DEPTH):
         atomic_files.prepare(folder / name)

@@ -1,4 +1,4 @@
-"""Meshes as PLY, OBJ (with MTL and PNG where it has a texture) and GLB."""
+"""Writes meshes as PLY, OBJ (with MTL and PNG for a texture) and GLB."""
 
 from pathlib import Path
 
@@ -12,22 +12,22 @@ _UPRIGHT = np.diag([1.0, -1.0, -1.0, 1.0])  # glTF's y points up, the first came
 
 
 def write_ply(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
-    """Vertex colours; PLY knows no textures that programs agree on."""
+    """With vertex colours. PLY has no common convention for textures."""
     with atomic_files.replacing(path) as part:
         mesh.export(part, file_type="ply")
     return [path]
 
 
 def write_obj(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
-    """Vertex colours behind the coordinates, or beside `path` a material and its image."""
+    """With vertex colours after the coordinates, or with a material and its image in the same folder. Returns all paths."""
     material = path.with_suffix(".mtl")
     if isinstance(mesh.visual, trimesh.visual.TextureVisuals):
         visual = mesh.visual.copy()
         visual.material = visual.material.to_simple()
         visual.material.name = path.stem
         mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
-    text, beside = export_obj(mesh, return_texture=True, mtl_name=material.name)
-    written = {path: text.encode(), **{path.parent / name: data for name, data in beside.items()}}
+    text, textures = export_obj(mesh, return_texture=True, mtl_name=material.name)
+    written = {path: text.encode(), **{path.parent / name: data for name, data in textures.items()}}
     for place, data in written.items():
         with atomic_files.replacing(place) as part:
             part.write_bytes(data)
@@ -35,7 +35,7 @@ def write_obj(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
 
 
 def write_glb(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
-    """One file, colours or texture in it. Its node turns the world by half a turn about x: up is +y, as glTF has it."""
+    """One file with colours or texture. Its node rotates the world by half a turn about x, since +y is up in glTF."""
     scene = trimesh.Scene()
     scene.add_geometry(mesh, transform=_UPRIGHT)
     with atomic_files.replacing(path) as part:

@@ -1,7 +1,7 @@
-"""transforms.json as nerfstudio, instant-ngp and most radiance-field programs read it.
+"""Writes transforms.json, which nerfstudio, instant-ngp and most radiance-field programs read.
 
 Its cameras look along -z with y up (OpenGL): T_wc times diag(1, -1, -1, 1). Its pixel centres lie at half integers, so the principal
-point is half a pixel larger than here. Depth images are in millimetres, nerfstudio's own default. The world stays as it is.
+point is half a pixel larger than here. Depth images are in millimetres, nerfstudio's default. World coordinates are unchanged.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ TRANSFORMS, POINTS = "transforms.json", "points.ply"
 
 
 def write_transforms(path: Path, images: Sequence[PosedImage], camera: Camera) -> None:
-    """Images in `images/` and `depth/`, points in points.ply, all beside `path`."""
+    """Writes transforms.json to `path`. The images lie in images/ and depth/, the points in points.ply, all in the same folder."""
     frames = [
         {"file_path": f"{COLOUR}/{image.name}", "depth_file_path": f"{DEPTH}/{image.name}", "transform_matrix": image.T_wc @ OPENGL}
         for image in images

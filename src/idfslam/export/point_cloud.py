@@ -1,4 +1,4 @@
-"""Points with colours: what the depth images measured, thinned to one a voxel."""
+"""A coloured point cloud of the depth images, with one point per voxel."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from idfslam.frame import Frame
 
-_EDGE = 0.03  # relative change of depth to a neighbour beyond which a reading lies on an edge, where depth cameras invent points
+_EDGE = 0.03  # relative difference in depth to a neighbour beyond which a reading is dropped: depth cameras measure false depths at edges
 _OFFSET = 1 << 20  # voxel coordinates are packed into 21 bits each
 
 
@@ -27,7 +27,7 @@ class PointCloud:
 
 
 def fuse(frames: Iterable[tuple[Frame, NDArray[np.float64]]], spacing: float) -> PointCloud:
-    """The mean point and colour of the readings in each voxel of edge `spacing` [m] of frames with their T_wc (4, 4)."""
+    """The mean point and colour of all readings in each voxel. frames: with their T_wc (4, 4). spacing: edge of a voxel [m]."""
     keys, sums = np.empty(0, np.int64), np.empty((0, 7))
     for frame, T_wc in frames:
         rows = _readings(frame, T_wc)
@@ -41,7 +41,7 @@ def fuse(frames: Iterable[tuple[Frame, NDArray[np.float64]]], spacing: float) ->
 
 
 def _readings(frame: Frame, T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(M, 7): world point, colour and a one for each reading that lies on no edge."""
+    """(M, 7): world point, colour and the count 1 of each reading that is not on an edge."""
     z, camera = frame.depth.astype(np.float64), frame.camera
     steep = np.zeros(z.shape, bool)
     down, right = np.abs(np.diff(z, axis=0)) > _EDGE * z[1:], np.abs(np.diff(z, axis=1)) > _EDGE * z[:, 1:]

@@ -1,8 +1,8 @@
-"""A mesh with a texture instead of vertex colours: an atlas of one patch a triangle, filled from images or from the map.
+"""Gives a mesh a texture instead of vertex colours. The texture is an atlas with one patch per triangle, filled from images or the map.
 
-Two triangles share a square of texels, mirrored; one texel around each of them continues its plane, so that bilinear sampling within a
-triangle never meets a neighbour's colour. Squares follow the order of the triangles, which is that of the blocks of space: where coarser
-mip levels do mix neighbours, they are neighbours in the room.
+Two triangles share a square of texels, the second one mirrored. A margin of one texel around each triangle continues its plane, so that
+bilinear sampling inside a triangle never mixes in another triangle's colour. The squares are in the order of the triangles, which is the
+order of blocks in space. Coarse mip levels mix neighbouring squares, which are therefore also neighbours in the room.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,12 +16,14 @@ from PIL import Image
 
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame
+from idfslam.geometry.projection import intrinsics_of, project
 
 _SQUARE = 8  # texels along the edge of a square
 _LEG = _SQUARE - 3  # texels along a triangle's leg
-_LARGEST = 16384  # texels along the edge of an atlas that graphics cards take
-_SHARPNESS = 4  # how much the better of two views counts: their weights to this power
-_NEAR = 0.02  # share of the depth, and metres, by which a measured depth may differ from the surface's own
+_LARGEST = 16384  # texels along the edge of an atlas; larger ones exceed the limit of common graphics cards
+_SHARPNESS = 4  # exponent of a view's weight; larger: the best view of a point dominates, smaller: views are blended
+_DEPTH_TOLERANCE = 0.02  # a measured depth may differ from the surface's by 2 cm + 2 %; larger: colours leak past occluding edges
+_NEAREST = 0.05  # [m] points nearer to the camera are not coloured by it
 
 Floats = NDArray[np.float32]
 Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N, 3) -> RGB (N, 3) in [0, 1]
@@ -29,7 +31,7 @@ Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """Where the texels and corners of F triangles lie in a square image of `size` texels."""
+    """The positions of the texels and corners of F triangles in a square image of `size` texels."""
 
     size: int
     barycentric: Floats  # (K, 3) of the texels of every triangle
@@ -39,7 +41,7 @@ class Atlas:
 
 
 def atlas(faces: int) -> Atlas:
-    """For so many triangles. Raises ConfigError where they are too many."""
+    """The atlas for `faces` triangles. Raises ConfigError if they are too many."""
     across = int(np.ceil(np.sqrt(max(1, -(-faces // 2)))))
     size = across * _SQUARE
     if size > _LARGEST:
@@ -77,14 +79,13 @@ def textured(mesh: trimesh.Trimesh, shade: Shade) -> trimesh.Trimesh:
 
 
 def from_images(frames: Iterable[tuple[Frame, NDArray[np.float64]]], otherwise: Shade) -> Shade:
-    """Colours from the frames, with their T_wc (4, 4), that see a point nearest and straightest; `otherwise` where none sees it."""
+    """Colours from frames with their T_wc (4, 4). Near, frontal views weigh most. `otherwise` colours the points that no frame sees."""
 
     def shade(points: Floats, normals: Floats) -> Floats:
         colours, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         for frame, T_wc in frames:
-            c = frame.camera
             pose = np.linalg.inv(T_wc).astype(np.float32), T_wc[:3, 3].astype(np.float32)
-            intrinsics = tuple(np.float32(x) for x in (c.fx, c.fy, c.cx, c.cy))
+            intrinsics = tuple(np.float32(value) for value in intrinsics_of(frame.camera))
             _gather(points, normals, *pose, intrinsics, frame.colour, frame.depth, colours, weights)
         seen = weights > 0
         colours[seen] /= weights[seen, None]
@@ -97,25 +98,20 @@ def from_images(frames: Iterable[tuple[Frame, NDArray[np.float64]]], otherwise: 
 
 @njit(parallel=True, cache=True, fastmath=True)
 def _gather(points, normals, T_cw, centre, intrinsics, image, depth, colours, weights):  # type: ignore[no-untyped-def]
-    """Adds what one image shows of points (N, 3) to `colours` (N, 3) and `weights` (N,)."""
-    fx, fy, cx, cy = intrinsics
+    """Adds the weighted colours of points (N, 3) in one image to `colours` (N, 3), and the weights to `weights` (N,)."""
     height, width = depth.shape
     for i in prange(len(points)):
         x, y, z = points[i]
-        z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
-        if z_c <= 0.05:
-            continue
-        u = (T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx
-        v = (T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy
-        if not (0 <= u < width - 1 and 0 <= v < height - 1):
+        u, v, z_c = project(T_cw, points[i], intrinsics)
+        if z_c <= _NEAREST or not (0 <= u < width - 1 and 0 <= v < height - 1):
             continue
         measured = depth[int(v + 0.5), int(u + 0.5)]
-        if not (measured > 0 and abs(measured - z_c) < _NEAR * (1 + z_c)):
+        if not (measured > 0 and abs(measured - z_c) < _DEPTH_TOLERANCE * (1 + z_c)):
             continue
         dx, dy, dz = centre[0] - x, centre[1] - y, centre[2] - z
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
-        border = min(u, v, width - 1 - u, height - 1 - v) / (0.1 * width)  # towards an image's border it fades out: no seam there
+        border = min(u, v, width - 1 - u, height - 1 - v) / (0.1 * width)  # fades out towards the border: no seam there
         if cosine <= 0.05 or border <= 0:
             continue
         weight = (cosine / distance) ** _SHARPNESS * min(border, 1.0)

@@ -1,10 +1,10 @@
-"""The map as a regular grid of numbers: T-SDF and colour at lattice points, and which of them were observed.
+"""Exports the map as a regular grid: T-SDF and colour at lattice points, and whether each point was observed.
 
 `tsdf` (X, Y, Z) float32 is in [-1, 1] units of `truncation` [m], positive in front of the surface; `colour` (X, Y, Z, 3) uint8 RGB;
-`observed` (X, Y, Z) bool: free space that a depth image looked through, or within the truncation of a surface that it measured; elsewhere
-`tsdf` is 1 and means nothing. Lattice point [i, j, k] lies at `origin` + (i, j, k) * `voxel_size` [m] in the world.
+`observed` (X, Y, Z) bool: the point is in free space in front of a measured depth, or at most the truncation behind it. At all other points
+`tsdf` is 1 and has no meaning. Lattice point [i, j, k] lies at `origin` + (i, j, k) * `voxel_size` [m] in the world.
 
-In blocks, only those near a surface are kept: the first axis counts them, and `origin` (M, 3) is each block's own.
+The format `blocks` keeps only the blocks near a surface: its first axis counts M blocks, and `origin` (M, 3) has one row for each.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError
 from idfslam.geometry.depth_view import DepthView
+from idfslam.geometry.projection import intrinsics_of, project
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.meshing import CELLS, touched_blocks
 from idfslam.mapping.saved_map import SavedMap
 
-_LARGEST = 1 << 28  # lattice points of a dense grid: about 2 GB
-_CHUNK = 64  # blocks evaluated at a time
+_LARGEST = 1 << 28  # lattice points of a dense grid, which take about 2 GB; larger: finer grids are allowed
+_CHUNK = 64  # blocks evaluated at a time; larger: more memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Blocks:
 
 
 def sample_blocks(saved: SavedMap, voxel: float) -> Blocks:
-    """The field on every block that a reading comes near to, at lattice points `voxel` [m] apart."""
+    """The field in all blocks near a measured surface, at lattice points `voxel` [m] apart."""
     tr = saved.field.config.truncation
     coordinates = touched_blocks(saved.views, CELLS * voxel, tr)
     chunks = list(_evaluate(saved.field, coordinates, voxel))
@@ -58,7 +59,7 @@ def _lattice(coordinates: NDArray[np.int64], voxel: float) -> NDArray[np.float32
 
 @torch.no_grad()
 def _evaluate(field: Field, coordinates: NDArray[np.int64], voxel: float) -> Iterator[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
-    """T-SDF and colour of a few blocks at a time."""
+    """T-SDF and colour, `_CHUNK` blocks at a time."""
     device, sdf = next(field.parameters()).device, sdf_function(field)
     for start in range(0, len(coordinates), _CHUNK):
         points = torch.from_numpy(_lattice(coordinates[start : start + _CHUNK], voxel).reshape(-1, 3)).to(device)
@@ -69,7 +70,7 @@ def _evaluate(field: Field, coordinates: NDArray[np.int64], voxel: float) -> Ite
 
 
 def save_blocks(path: Path, saved: SavedMap, voxel: float) -> None:
-    """Blocks as npz."""
+    """Writes the blocks as npz."""
     blocks, tr = sample_blocks(saved, voxel), saved.field.config.truncation
     origin = blocks.coordinates * CELLS * voxel
     with path.open("wb") as file:
@@ -79,7 +80,7 @@ def save_blocks(path: Path, saved: SavedMap, voxel: float) -> None:
 
 
 def save_grid(path: Path, saved: SavedMap, voxel: float) -> None:
-    """One dense array as npz. Raises ConfigError where it would be too large."""
+    """Writes one dense grid as npz. Raises ConfigError if it would be too large."""
     tr = saved.field.config.truncation
     low, high = _extent(touched_blocks(saved.views, CELLS * voxel, tr))
     size = (high - low) * CELLS
@@ -90,7 +91,7 @@ def save_grid(path: Path, saved: SavedMap, voxel: float) -> None:
     tsdf, colour = np.ones(size, np.float32), np.zeros((*size, 3), np.uint8)
     axes = [np.arange(low[a] * CELLS, high[a] * CELLS, dtype=np.float32) * np.float32(voxel) for a in range(3)]
     seen = np.zeros(size, bool)
-    for i, x in enumerate(axes[0]):  # a slice at a time: the lattice's points would take four times the grid's memory
+    for i, x in enumerate(axes[0]):  # one slice at a time: the points of the whole lattice would take four times the memory of the grid
         plane = np.stack(np.meshgrid(x, axes[1], axes[2], indexing="ij"), -1).reshape(-1, 3)
         seen[i] = observed_space(plane, saved.views, tr).reshape(size[1:])
     for (x, y, z), *values in zip((blocks.coordinates - low) * CELLS, blocks.tsdf, blocks.colour):
@@ -105,28 +106,22 @@ def _extent(coordinates: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def observed_space(points: NDArray[np.float32], views: Sequence[DepthView], behind: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) [m] a view looked at: its depth there is at most `behind` [m] in front of the point."""
+    """Whether points (N, 3) [m] were observed: a view's depth at the point's pixel ends at most `behind` [m] in front of the point."""
     seen = np.zeros(len(points), np.bool_)
     for view in views:
-        intrinsics = (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)
-        _look(points, np.linalg.inv(view.T_wc), np.ascontiguousarray(view.depth), intrinsics, behind, seen)
+        _mark_observed(points, np.linalg.inv(view.T_wc), np.ascontiguousarray(view.depth), intrinsics_of(view.camera), behind, seen)
     return seen
 
 
 @njit(parallel=True, cache=True)
-def _look(points, T_cw, depth, intrinsics, behind, seen):  # type: ignore[no-untyped-def]
-    """Marks in `seen` (N,) what one view saw."""
-    fx, fy, cx, cy = intrinsics
+def _mark_observed(points, T_cw, depth, intrinsics, behind, seen):  # type: ignore[no-untyped-def]
+    """Marks in `seen` (N,) the points that one view observed."""
     height, width = depth.shape
     for i in prange(len(points)):
         if seen[i]:
             continue
-        x, y, z = points[i]
-        z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
-        if z_c <= 0:
-            continue
-        u = round((T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx)
-        v = round((T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy)
-        if 0 <= u < width and 0 <= v < height:
-            measured = depth[int(v), int(u)]
+        u, v, z_c = project(T_cw, points[i], intrinsics)
+        column, row = round(u), round(v)
+        if z_c > 0 and 0 <= column < width and 0 <= row < height:
+            measured = depth[int(row), int(column)]
             seen[i] = measured > 0 and z_c <= measured + behind

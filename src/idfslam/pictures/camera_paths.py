@@ -1,4 +1,4 @@
-"""Where a virtual camera goes: poses from a file, a smooth flight along a trajectory, an orbit around a room."""
+"""Paths of a virtual camera: poses from a file, a smooth flight along a trajectory, an orbit in a room."""
 
 from pathlib import Path
 
@@ -15,13 +15,13 @@ from idfslam.geometry.transforms_json import read_transforms
 from idfslam.pictures.mesh_renderer import looking_at
 
 Floats = NDArray[np.float64]
-_KNOTS_A_SECOND = 1.5  # of the splines: fewer are calmer
+_KNOTS_PER_SECOND = 1.5  # of the splines; more: the flight follows the trajectory, and its shake, more closely
 
 
 def load_poses(path: Path) -> tuple[Floats, Camera | None]:
-    """T_wc (N, 4, 4) of a file in TUM or KITTI format or transforms.json, told apart by what is in it; the camera where it has one.
+    """T_wc (N, 4, 4) of a file in TUM or KITTI format or a transforms.json, recognised by its content; and the camera if the file has one.
 
-    Raises ResultError where there is no such file or none of these in it, TrajectoryError for a damaged line.
+    Raises ResultError for a missing file or another format, TrajectoryError for a damaged line.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -37,30 +37,30 @@ def load_poses(path: Path) -> tuple[Floats, Camera | None]:
 
 
 def fly_through(poses: Floats, frames: int, *, fps: float) -> Floats:
-    """(M, 4, 4) evenly timed poses of a smooth flight along T_wc (N, 4, 4): splines through means of it, so that its shake is gone."""
+    """(M, 4, 4) evenly timed poses of a smooth flight along T_wc (N, 4, 4): splines through means of the poses, which removes the shake."""
     if len(poses) < 2:
         return np.repeat(poses, frames, 0)
-    knots = int(np.clip(round(frames / fps * _KNOTS_A_SECOND), 2, len(poses)))
-    wanted, anchors = np.linspace(0, 1, frames), np.linspace(0, 1, knots)
+    knots = int(np.clip(round(frames / fps * _KNOTS_PER_SECOND), 2, len(poses)))
+    times, knot_times = np.linspace(0, 1, frames), np.linspace(0, 1, knots)
     reach = len(poses) // (2 * knots)
-    near = [_around(poses, round(float(i)), reach) for i in anchors * (len(poses) - 1)]
+    near = [_around(poses, round(float(i)), reach) for i in knot_times * (len(poses) - 1)]
     out = np.tile(np.eye(4), (frames, 1, 1))
-    turns = Rotation.concatenate([Rotation.from_matrix(few[:, :3, :3]).mean() for few in near])
-    out[:, :3, :3] = RotationSpline(anchors, turns)(wanted).as_matrix()
-    out[:, :3, 3] = make_interp_spline(anchors, [few[:, :3, 3].mean(0) for few in near], k=min(3, knots - 1))(wanted)
+    rotations = Rotation.concatenate([Rotation.from_matrix(few[:, :3, :3]).mean() for few in near])
+    out[:, :3, :3] = RotationSpline(knot_times, rotations)(times).as_matrix()
+    out[:, :3, 3] = make_interp_spline(knot_times, [few[:, :3, 3].mean(0) for few in near], k=min(3, knots - 1))(times)
     return out
 
 
 def _around(poses: Floats, i: int, reach: int) -> Floats:
-    """The poses up to `reach` before and after pose i, as many on either side."""
+    """Pose i with up to `reach` poses on either side, equally many."""
     reach = min(reach, i, len(poses) - 1 - i)
     return poses[i - reach : i + reach + 1]
 
 
 def orbit(poses: Floats, frames: int, *, up: Floats, centre: Floats, radius: float) -> Floats:
-    """(M, 4, 4) once around `centre` (3,) at `radius` [m] in the plane across `up`, at the mean height of T_wc (N, 4, 4), looking outwards.
+    """(M, 4, 4) poses on a circle around `centre` (3,), looking outwards: a room is seen from within.
 
-    Outwards, since a room is seen from within: the camera turns once about itself on a small circle.
+    The circle has `radius` [m], lies perpendicular to `up`, and has the mean height of the poses T_wc (N, 4, 4).
     """
     up = up / np.linalg.norm(up)
     side = np.cross(up, poses[0, :3, 2])

@@ -1,4 +1,4 @@
-"""Pictures that the map shows, as files, and beside what was recorded."""
+"""Writes rendered colour and depth as image files, and comparisons with the recorded images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _FARTHEST = np.iinfo(np.uint16).max
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A frame and what the map shows from its pose."""
+    """A frame's images and the map rendered from its pose."""
 
     index: int
     colour: Image
@@ -27,7 +27,7 @@ class View:
 
 
 def draw_views(path: Path, views: Sequence[View]) -> None:
-    """Recorded and rendered colour and depth side by side, a view a row."""
+    """Recorded and rendered colour and depth side by side, one row for each view."""
     figure = Figure(figsize=(14, 2.7 * len(views)), layout="constrained")
     for row, view in zip(figure.subplots(len(views), 4, squeeze=False), views):
         farthest = float(view.depth.max()) or None

@@ -1,4 +1,4 @@
-"""What can be made of a saved map: a mesh at any resolution, pictures and videos from anywhere."""
+"""Makes meshes, pictures and videos from a saved map."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from idfslam.storage import atomic_files
 
 MESH_FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
 Item = TypeVar("Item")
-_ORBIT = 0.08  # radius of an orbit, as a share of the room's size
+_ORBIT = 0.08  # radius of an orbit as a share of the room's size; larger: more parallax, nearer to the walls
 
 
 def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> Path:
-    """The mesh of a result folder's map with cells of `resolution` [m], into `out` or the folder's mesh.ply; returns where.
+    """Writes the mesh of a result folder's map, with cells of `resolution` [m], to `out` or the folder's mesh.ply. Returns the path.
 
-    Raises ResultError where the map is missing, ConfigError for a resolution or a kind of file that cannot be.
+    Raises ResultError if the map is missing, ConfigError for an invalid resolution or file format.
     """
     if not 0 < resolution < np.inf:
         raise ConfigError(f"--resolution {resolution}, expected metres above 0, such as 0.01")
@@ -46,7 +46,7 @@ def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> P
 
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
-    """From where a map is looked at."""
+    """The poses and the camera that a map is rendered from."""
 
     names: Sequence[str]  # of the pictures
     poses: NDArray[np.float64]  # (N, 4, 4) T_wc
@@ -54,9 +54,10 @@ class ViewPoints:
 
 
 def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | None = None, width: int | None = None) -> ViewPoints:
-    """Frames of the trajectory (none: the keyframes), or the poses of a file; the run's camera, or the file's, `width` [px] wide.
+    """The view points of frames of the trajectory (none: the keyframes), or of the poses in a file.
 
-    Raises ConfigError for a frame that the trajectory does not have or a width below 16, ResultError where there is nothing to look from.
+    The camera is the file's if it has one, else the run's, resized to `width` [px].
+    Raises ConfigError for a frame outside the trajectory or a width below 16, ResultError if there is no pose at all.
     """
     camera, trajectory = run.keyframes.camera, run.trajectory.poses
     if poses is not None:
@@ -81,9 +82,9 @@ def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | N
 
 
 def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *, console: Console | None = None) -> list[Path]:
-    """Colour (8 bit) and depth (16 bit, mm) that the map shows from there, as PNG; returns the paths. Raises ResultError without a map.
+    """Renders colour (8 bit) and depth (16 bit, mm) from the view points to PNG files. Returns their paths.
 
-    console: where a bar shows how far it is.
+    console: where a progress bar is shown. Raises ResultError if the run has no map.
     """
     target, saved = out or run.folder / "render", run.map
     atomic_files.prepare(target)
@@ -108,9 +109,9 @@ def write_flight(
     fps: float,
     console: Console | None = None,
 ) -> Path:
-    """A video of the map: along T_wc (N, 4, 4), smoothed, or around the room's middle. Raises ConfigError for times that cannot be.
+    """Renders a video of the map: a smooth flight along T_wc (N, 4, 4), or an orbit in the middle of the room. Returns `path`.
 
-    console: where a bar shows how far it is.
+    console: where a progress bar is shown. Raises ConfigError for an invalid length or frame rate.
     """
     frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
     if frames < 2:
@@ -133,7 +134,7 @@ def _bar(views: Sequence[Item], console: Console | None) -> Iterable[Item]:
 
 
 def _orbit(run: FinishedRun, poses: NDArray[np.float64], frames: int) -> NDArray[np.float64]:
-    """Around the middle of where the camera was, inside the room."""
+    """An orbit around the mean camera position, inside the room."""
     mesh = load_mesh(result_folder.existing(run.folder, result_folder.MESH))
     size = float(np.ptp(np.percentile(mesh.vertices, [2, 98], axis=0), axis=0).max())
     return orbit(poses, frames, up=up_direction(mesh, poses), centre=poses[:, :3, 3].mean(0), radius=_ORBIT * size)

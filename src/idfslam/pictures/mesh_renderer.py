@@ -14,20 +14,20 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
 Floats = NDArray[np.floating]
-_LAYERS = 12  # back faces a ray passes before it is given up
-_STEP = 1e-4  # [m] past a back face
-_OCCLUSION_RAYS = 16  # a pixel of the finished picture
-_OCCLUSION_REACH = 0.4  # [m]
+_MAX_BACK_FACES = 12  # a ray passes through so many back faces at most; more: slower, fewer holes where many surfaces overlap
+_STEP = 1e-4  # [m] from a back face to the next start of its ray; larger: a surface right behind it is missed
+_OCCLUSION_RAYS = 16  # per pixel of the finished picture; more: less noise in the shadows, slower
+_OCCLUSION_REACH = 0.4  # [m] surface nearer than this darkens a point; larger: wider shadows in corners
 
 
 @dataclass(frozen=True)
 class Shading:
-    """How a picture is lit."""
+    """The light and the background of a picture."""
 
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB
-    ambient: float = 0.55  # share of light that does not depend on the surface's direction; 1: the bare colours
+    ambient: float = 0.55  # share of light that is independent of the surface's direction; 1: the colours themselves
     occlusion: float = 0.6  # darkness of corners (ambient occlusion); 0: none
-    supersample: int = 2
+    supersample: int = 2  # rays per pixel along each axis; more: smoother edges, slower
 
 
 _WIDE = Camera(1280, 960, 1400.0, 1400.0, 639.5, 479.5)
@@ -38,8 +38,8 @@ class Picture:
     """A mesh prepared for pictures; without vertex colours it is light grey."""
 
     def __init__(self, mesh: trimesh.Trimesh, *, inside: NDArray[np.float64] | None = None) -> None:
-        """`inside` (M, 3) [m]: points in front of the surface (camera centres). With them, faces are turned towards the nearest of these
-        and seen from that side only, whatever way the file wound them; without, both sides are seen."""
+        """inside (M, 3) [m]: points in front of the surface, such as camera centres. If given, each face is visible only from the side of
+        the nearest of these points, whatever its winding in the file. Otherwise faces are visible from both sides."""
         if len(mesh.faces) == 0:
             raise ResultError("the mesh has no faces; expected a surface to draw")
         self._caster = RayCaster(mesh)
@@ -66,7 +66,7 @@ class Picture:
         return (np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
 
     def _draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
-        """(H, W, 4) RGB over the background, and the share of a pixel that is surface."""
+        """(H, W, 4): RGB over the background, and the share of each pixel that shows surface."""
         size, s = (camera.width, camera.height), shading.supersample
         fine = camera.resized(camera.width * s, camera.height * s)
         colour = self._colour(T_wc, fine, shading)
@@ -79,11 +79,11 @@ class Picture:
         return np.where(np.isfinite(depth), depth, np.float32(0)).reshape(camera.height, camera.width)
 
     def _first(self, origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
-        """Distance, face and barycentric coordinates of the first visible face; one-sided meshes let rays pass through backs."""
+        """Distance, face and barycentric coordinates of the first visible face. Rays pass through the backs of one-sided meshes."""
         hits = self._caster.cast(origins, rays)
         distance, face, weights = hits.distance.copy(), hits.face.copy(), hits.barycentric.copy()
         open_ = np.nonzero(self._is_back(face, rays))[0]
-        for _ in range(_LAYERS):
+        for _ in range(_MAX_BACK_FACES):
             if len(open_) == 0:
                 break
             start = distance[open_] + _STEP
@@ -99,7 +99,7 @@ class Picture:
         return (face >= 0) & ((self._normals[face] * rays).sum(-1) > 0)
 
     def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
-        """Shaded RGB in [0, 1] of all pixels, and 1 where there is surface (N, 4)."""
+        """(N, 4): shaded RGB in [0, 1] of all pixels, and 1 where there is surface."""
         rays = pixel_rays(camera, T_wc)
         origins = np.broadcast_to(T_wc[:3, 3].astype(np.float32), rays.shape)
         distance, face, weights = self._first(origins, rays)
@@ -123,12 +123,12 @@ class Picture:
 
     @staticmethod
     def _facing(smooth: Floats, flat: Floats, rays: Floats) -> Floats:
-        """Unit normals towards the viewer: the smooth ones, or the face's own where these are degenerate."""
+        """Unit normals that point towards the viewer: the smooth ones, or the face's own if a smooth one is degenerate."""
         normal = np.where(np.linalg.norm(smooth, axis=-1, keepdims=True) > 1e-3, smooth, flat)
         return _unit(np.where((normal * rays).sum(-1, keepdims=True) > 0, -normal, normal))
 
     def _occlusion(self, points: Floats, normals: Floats, rays_each: int) -> Floats:
-        """(N,) share of the hemisphere's light (cosine-weighted) that surface nearer than the reach takes away; nearer takes more."""
+        """(N,) cosine-weighted share of the hemisphere's light that is blocked by surface within the reach; nearer surface blocks more."""
         generator = np.random.default_rng(0)
         taken = np.zeros(len(points), np.float32)
         origins = points + normals * 2e-3
@@ -151,14 +151,8 @@ def vertex_colours(mesh: trimesh.Trimesh) -> Floats:
     return np.full((len(mesh.vertices), 3), 0.75, np.float32)
 
 
-def render_mesh(mesh: trimesh.Trimesh, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.uint8], Floats]:
-    """(H, W, 3) uint8 RGB, unlit, and z-depth (H, W) [m], 0 where there is no surface. For many views of one mesh keep a `Picture`."""
-    picture = Picture(mesh)
-    return picture.draw(T_wc, camera), picture.depth(T_wc, camera)
-
-
 def up_direction(mesh: trimesh.Trimesh, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) the room's up: the mean up of the cameras (N, 4, 4), drawn to the normals of floor and ceiling."""
+    """(3,) the room's up direction: the mean up of the cameras (N, 4, 4), refined by the normals of floor and ceiling."""
     up = -poses[:, :3, 1].mean(0)
     up /= np.linalg.norm(up)
     normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
@@ -186,13 +180,13 @@ def looking_at(target: NDArray[np.float64], eye: NDArray[np.float64], up: NDArra
 def overview_pose(
     mesh: trimesh.Trimesh, poses: NDArray[np.float64], camera: Camera, *, azimuth: float = 0.6, elevation: float = 0.9
 ) -> NDArray[np.float64]:
-    """T_wc (4, 4) outside and above the mesh, from where all of it just fits the image; angles [rad] about the room's up."""
+    """T_wc (4, 4) outside and above the mesh, as near as the whole mesh fits the image. Angles [rad] are relative to the room's up."""
     up = up_direction(mesh, poses)
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     side /= np.linalg.norm(side)
     back = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
     direction = np.cos(elevation) * back + np.sin(elevation) * up
-    low, high = np.percentile(mesh.vertices, [0.2, 99.8], axis=0)  # a stray face must not shrink the room
+    low, high = np.percentile(mesh.vertices, [0.2, 99.8], axis=0)  # percentiles: a stray face must not make the room small in the picture
     centre = (low + high) / 2
     T = looking_at(centre, centre + direction, up)
     points = np.asarray(mesh.vertices)

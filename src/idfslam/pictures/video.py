@@ -1,4 +1,4 @@
-"""Video files: H.264 where PyAV is installed, as browsers and slides want it; else what OpenCV can write by itself (MPEG-4)."""
+"""Writes video files: H.264, which browsers play, if PyAV is installed; otherwise MPEG-4 by OpenCV."""
 
 import logging
 from collections.abc import Iterable
@@ -14,11 +14,14 @@ from idfslam.errors import ConfigError, ResultError
 log = logging.getLogger(__name__)
 
 Image = NDArray[np.uint8]  # (H, W, 3) RGB
-_QUALITY = "20"  # of H.264: 18 cannot be told from the original, 28 shows
+_QUALITY = "20"  # constant rate factor of H.264; larger: smaller files; 18 looks like the original, at 28 losses are visible
 
 
 def write_video(path: Path, images: Iterable[Image], *, fps: float) -> int:
-    """Writes the images as .mp4, to an even size; how many. Raises ConfigError for another ending, ResultError where OpenCV cannot."""
+    """Writes the images as .mp4, cropped to an even size. Returns their number.
+
+    Raises ConfigError for another file ending, ResultError if OpenCV cannot write videos.
+    """
     if path.suffix != ".mp4":
         raise ConfigError(f"{path}: videos are written as .mp4")
     even = (np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]) for image in images)

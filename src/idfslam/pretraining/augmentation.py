@@ -1,4 +1,4 @@
-"""What lies between two images of one place, as changes of a training view: light, sensor, focus, and holes in its depth."""
+"""Random changes of a training view, as they occur between two images of one place: light, sensor, focus, and holes in the depth."""
 
 from dataclasses import replace
 
@@ -8,16 +8,16 @@ from torch.nn import functional as F
 
 from idfslam.pretraining.footage import View
 
-_HOLES = 6  # at full strength; each up to a third of the image's height wide and high
+_HOLES = 6  # at most, at full strength; each up to a third of the image's height wide and high; more: less depth to learn from
 
 
 def augmented(view: View, strength: float, generator: torch.Generator) -> View:
-    """The view under another exposure, gamma and white balance, with noise, at times out of focus, and with holes in its depth."""
+    """The view with random exposure, gamma, white balance, noise and holes in its depth, sometimes blurred. strength: 0 to 1."""
     return replace(view, colour=_retaken(view.colour, strength, generator), points=_with_holes(view.points, strength, generator))
 
 
 def _retaken(colour: Tensor, strength: float, generator: torch.Generator) -> Tensor:
-    """Another photograph (3, h, w) of the same."""
+    """The colours (3, h, w) as another camera might have recorded them."""
 
     def draw(*size: int) -> Tensor:
         return strength * (2 * torch.rand(*size, generator=generator) - 1)
@@ -30,7 +30,7 @@ def _retaken(colour: Tensor, strength: float, generator: torch.Generator) -> Ten
 
 
 def _with_holes(points: Tensor, strength: float, generator: torch.Generator) -> Tensor:
-    """Points (h, w, 3) without those in some ellipses, as black, shiny and distant things leave them."""
+    """Points (h, w, 3) with random elliptical holes, like those that depth cameras leave on black, shiny and distant surfaces."""
     height, width = points.shape[:2]
     v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     lost = torch.zeros(height, width, dtype=torch.bool)

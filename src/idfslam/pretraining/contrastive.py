@@ -1,13 +1,13 @@
-"""The loss by which features of pixels that see the same point learn to find each other."""
+"""The contrastive loss: features of pixels that see the same point should be more similar than all others."""
 
 import torch
 from torch import Tensor
 
 
 def contrastive_loss(queries: Tensor, features: Tensor, uv: Tensor, temperature: float) -> Tensor:
-    """Cross-entropy of finding each query (N, C) at its place (N, 2) among all pixels of unit features (C, H, W).
+    """Cross-entropy of each query (N, C) being at its pixel uv (N, 2) among all pixels of unit features (C, H, W).
 
-    The place is a Gaussian of 0.7 pixels over the 3 x 3 pixels around it: poses found by registration are no more exact than that.
+    The target is a Gaussian with 0.7 pixels standard deviation on the 3 x 3 pixels around uv, which is about the accuracy of registration.
     """
     height, width = features.shape[1:]
     offsets = torch.tensor([[x, y] for y in (-1, 0, 1) for x in (-1, 0, 1)], device=uv.device)

@@ -1,6 +1,6 @@
-"""Training divided among the processes that torchrun starts: each works on its share of a step's pairs, then all take the mean.
+"""Data-parallel training in the processes that torchrun starts: each works on its share of a step's pairs, then gradients are averaged.
 
-In a process by itself nothing here does anything.
+In a single process these functions do nothing.
 """
 
 import os
@@ -14,18 +14,18 @@ from torch import Tensor, distributed
 
 @dataclass(frozen=True)
 class Workers:
-    """This process among those that train together."""
+    """This process, and the number of processes that train together."""
 
     rank: int = 0
     count: int = 1
 
     @property
     def first(self) -> bool:
-        """Whether this one writes the files."""
+        """Whether this process writes the files."""
         return self.rank == 0
 
     def average(self, tensors: Sequence[Tensor]) -> None:
-        """Each tensor becomes its mean over the processes, in one message."""
+        """Replaces each tensor by its mean over the processes, in one message."""
         if self.count > 1:
             together = torch.cat([tensor.flatten() for tensor in tensors])
             distributed.all_reduce(together)
@@ -33,7 +33,7 @@ class Workers:
                 tensor.copy_(mean.view_as(tensor))
 
     def any(self, flag: bool, device: torch.device) -> bool:
-        """Whether the flag is raised in any process."""
+        """Whether the flag is true in any process."""
         raised = torch.tensor(float(flag), device=device)
         if self.count > 1:
             distributed.all_reduce(raised)
@@ -42,13 +42,13 @@ class Workers:
 
 @contextmanager
 def workers(device: torch.device) -> Iterator[Workers]:
-    """The processes of torchrun, joined (NCCL on GPUs, gloo on CPUs), or this one alone."""
+    """Joins the processes of torchrun (NCCL on GPUs, gloo on CPUs). Without torchrun this process is the only one."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Workers()
         return
     distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Workers(distributed.get_rank(), distributed.get_world_size())
-        distributed.barrier()  # none leaves while another still works: its threads would lose their connections while they end
+        distributed.barrier()  # a process that leaves early would break the connections of those still working
     finally:
         distributed.destroy_process_group()

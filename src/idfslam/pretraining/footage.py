@@ -1,4 +1,4 @@
-"""Recordings as pretraining sees them: pairs of views, reduced and cropped, without any pose."""
+"""Loads recordings for pretraining: pairs of reduced, cropped views without any pose."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from idfslam.tracking.frame_features import reduced
 
 
 class Recording(Protocol):
-    """What pretraining needs of a data set: frames. It asks for no pose."""
+    """A sequence of frames; pretraining needs no poses."""
 
     @property
     def name(self) -> str: ...
@@ -43,25 +43,25 @@ class View:
         return self.points[..., 2] > 0
 
     def to(self, device: torch.device) -> "View":
-        """The same on another device."""
+        """A copy on another device."""
         return replace(self, colour=self.colour.to(device), points=self.points.to(device))
 
 
 @dataclass(frozen=True)
 class Pair:
-    """What a training step sees: two views, and no pose of either."""
+    """The input of a training step: two views without poses."""
 
     a: View
     b: View
 
     def to(self, device: torch.device) -> "Pair":
-        """The same on another device."""
+        """A copy on another device."""
         return Pair(self.a.to(device), self.b.to(device))
 
 
 @dataclass(frozen=True)
 class Footage:
-    """A recording's frames, reduced and held in memory: 96 kB each at 160 x 120, so that 10 000 of them take 1 GB."""
+    """A recording's reduced frames in memory: 96 kB each at 160 x 120 pixels, 1 GB for 10 000 frames."""
 
     colour: NDArray[np.uint8]  # (N, h, w, 3)
     depth: NDArray[np.uint16]  # (N, h, w) [mm]
@@ -84,7 +84,7 @@ class Footage:
 
 
 def load_footage(recording: Recording, height: int, indices: Sequence[int] | None = None) -> Footage:
-    """Frames of the recording (all, or those named), reduced; one that cannot be read is blank, and finds no matches.
+    """Loads and reduces frames of the recording. indices: None: all. An unreadable frame is blank, so it has no matches.
 
     Raises RecordingError for a recording of fewer than two frames.
     """
@@ -105,7 +105,7 @@ def load_footage(recording: Recording, height: int, indices: Sequence[int] | Non
 
 
 def sample_pair(footage: Sequence[Footage], *, gap: int, crop: tuple[int, int], generator: torch.Generator) -> Pair:
-    """A random pair of one recording, 1 to `gap` frames apart in either order, the same random crop of both."""
+    """A random pair of a random recording, 1 to `gap` frames apart, in random order; both have the same random crop."""
 
     def draw(low: int, high: int) -> int:
         return int(torch.randint(low, high + 1, (), generator=generator))

@@ -1,4 +1,4 @@
-"""A differentiable renderer of coloured points in plain torch: soft splats, nearer points first ([31] uses PyTorch3D's)."""
+"""A differentiable renderer of coloured points in plain torch: soft splats, nearest first ([31] uses PyTorch3D)."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ _NEAR = 0.05  # points closer than this [m] are not drawn
 
 @dataclass(frozen=True)
 class Splats:
-    """What the points look like from the camera."""
+    """The rendered image."""
 
     values: Tensor  # (H, W, C) weighted means of the points' values
     depth: Tensor  # (H, W) of their z [m]
@@ -20,10 +20,10 @@ class Splats:
 
 
 def splat(points: Tensor, values: Tensor, camera: Camera, *, radius: float = 1.5, softness: float = 0.05) -> Splats:
-    """Draws points (N, 3) [m] of the camera's frame with values (N, C) as discs of `radius` <= 1.5 pixels.
+    """Draws points (N, 3) [m] in the camera's frame with values (N, C) as discs of `radius` <= 1.5 pixels.
 
     A point's weight in a pixel is (1 - r^2/radius^2) exp(-(z - z_front)/softness), so that points more than a few `softness` [m]
-    behind the pixel's foremost vanish. Differentiable in the points (their place and depth) and in the values.
+    behind the front point of the pixel vanish. Differentiable with respect to points and values.
     """
     uv, z = camera.project(points)
     offsets = torch.tensor([[x, y] for y in (-1, 0, 1) for x in (-1, 0, 1)], device=points.device)

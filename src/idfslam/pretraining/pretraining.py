@@ -1,10 +1,11 @@
-"""Pretraining of the feature extractor: many steps on recordings, divided among processes, validated, logged, and resumed.
+"""Pretraining of the feature extractor on recordings, with validation, logging and checkpoints, in one or several processes.
 
-All random choices of a pair follow from the seed, the step and its place in the batch. So a resumed run sees the pairs that an unbroken one
-would have seen, and two processes see those that one alone would have.
+All random choices of a pair follow from the seed, the step and the pair's place in the batch. A resumed run therefore trains on the same
+pairs as an uninterrupted one, and two processes on the same pairs as one.
 """
 
 import json
+import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,7 @@ from safetensors.torch import save_file
 
 from idfslam import __version__
 from idfslam.compute.devices import resolve_device
-from idfslam.compute.interrupt import interruptions
+from idfslam.compute.interrupt import stop_on_interrupt
 from idfslam.config import PretrainConfig
 from idfslam.datasets import Dataset
 from idfslam.errors import ConfigError, RecordingError, ResultError
@@ -36,21 +37,21 @@ Report = Callable[[int, Mapping[str, float]], None]
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a training run writes, and how often."""
+    """The files that a training run writes, and how often."""
 
-    weights: Path  # safetensors; the newest stand there from the first checkpoint on
+    weights: Path  # safetensors, written with each checkpoint
     log: Path | None = None  # folder of TensorBoard's curves
     checkpoint_every: int = 500  # steps; 0: only at the end, and when interrupted
     validate_every: int = 500  # steps; 0: only at the end
 
     @property
     def checkpoint(self) -> Path:
-        """The whole state, beside the weights."""
+        """The file of the whole state, next to the weights."""
         return self.weights.with_name(self.weights.name + ".checkpoint")
 
 
 class Training:
-    """The extractor while it learns: its weights, optimiser and schedule, how many steps are done and what time they took."""
+    """The state of training: the extractor's weights, optimiser and learning-rate schedule, and the steps and seconds done."""
 
     def __init__(self, config: PretrainConfig, crew: Workers, device: torch.device, start: Path | None) -> None:
         self.config, self._crew, self.device = config, crew, device
@@ -62,9 +63,10 @@ class Training:
         self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimiser, config.steps)
 
     def advance(self, footage: Sequence[Footage]) -> dict[str, float]:
-        """One step of the optimiser on a batch of pairs; the means of this process' losses.
+        """One optimiser step on a batch of pairs. Returns the mean losses of this process.
 
-        From near, clean pairs to far, changed ones: registration must work before it can teach.
+        The pairs become harder during training: from near, unchanged views to distant, augmented ones. The losses rest on registration,
+        which must work before it can teach.
         """
         config, began = self.config, time.perf_counter()
         ramp = min(1.0, self.step / (config.ramp * config.steps)) if config.ramp > 0 else 1.0
@@ -84,18 +86,18 @@ class Training:
         return {name: float(np.mean(values)) for name, values in sums.items()}
 
     def _learn(self) -> None:
-        """Adam on the mean gradient of all processes, and the mean of their batch norms' statistics."""
+        """An Adam step with the mean gradient of all processes. The statistics of batch normalisation are averaged, too."""
         parameters = list(self.extractor.parameters())
         gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
         self._crew.average([*gradients, *(buffer for buffer in self.extractor.buffers() if buffer.is_floating_point())])
         for parameter, gradient in zip(parameters, gradients):
-            parameter.grad = gradient * self._crew.count  # each process divided by the whole batch: the sum is the batch's mean
+            parameter.grad = gradient * self._crew.count  # each process has divided by the whole batch, so the sum is the mean
         norm = float(torch.nn.utils.clip_grad_norm_(parameters, 1.0))
-        if 0 < norm < float("inf"):  # no pair taught anything, or two equal singular values in a Procrustes left no gradient: passed over
+        if 0 < norm < float("inf"):  # zero: no pair had a loss; not finite: equal singular values in a Procrustes; both are skipped
             self.optimiser.step()
 
     def state(self) -> dict[str, Any]:
-        """Everything that the next step depends on."""
+        """All that the next step depends on."""
         return {
             "extractor": self.extractor.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -106,7 +108,7 @@ class Training:
         }
 
     def restore(self, state: Mapping[str, Any], path: Path) -> None:
-        """Goes on from a checkpoint's state. Raises ConfigError where it was made with other values."""
+        """Continues from a checkpoint's state. Raises ConfigError if it was written with other values."""
         found, expected = state["config"], asdict(self.config)
         for key in expected:
             if found.get(key) != expected[key]:
@@ -130,10 +132,10 @@ def pretrain(
 ) -> None:
     """Trains an extractor on the recordings, from scratch or from the weights in `start`, and writes its weights.
 
-    `resume` goes on from the checkpoint beside the weights. `report(steps done, figures)` is called after each step in the first process,
-    with its losses and, where it is time, the validation on the recordings `held`. Ctrl-C ends the run after the step with a checkpoint.
-    Raises RecordingError for recordings without pairs, ConfigError for values that cannot be, ResultError where nothing can be
-    written or no checkpoint is found, DivergedError for a loss that is not finite.
+    held: recordings for validation. resume: continue from the checkpoint next to the weights. `report(steps done, values)` is called after
+    each step in the first process, with the losses and, if due, the validation. Ctrl-C ends the run after the step with a checkpoint.
+    Raises RecordingError for recordings without pairs, ConfigError for invalid values, ResultError if a file cannot be written or the
+    checkpoint is missing, DivergedError for a loss that is not finite.
     """
     if not recordings:
         raise RecordingError("found no recordings, expected at least one to pretrain on; name their folders")
@@ -166,7 +168,7 @@ def _run(
     report: Report,
 ) -> None:
     steps = training.config.steps
-    with interruptions() as interrupted:
+    with stop_on_interrupt(signal.SIGTERM) as interrupted:  # SIGTERM: how a cluster's scheduler ends a job
         while training.step < steps:
             figures = training.advance(footage)
             done = training.step
@@ -175,7 +177,7 @@ def _run(
             if crew.first:
                 log.add(done, {**figures, "learning_rate": float(training.optimiser.param_groups[0]["lr"])})
                 report(done, figures)
-            stop = crew.any(interrupted(), training.device)
+            stop = crew.any(interrupted.is_set(), training.device)
             if crew.first and (stop or _due(done, outputs.checkpoint_every, steps)):
                 _write(training, outputs, made)
             if stop:
@@ -187,12 +189,12 @@ def _due(done: int, every: int, steps: int) -> bool:
 
 
 def _generator(*numbers: int) -> torch.Generator:
-    """A generator of its own for each sequence of numbers."""
+    """A random generator seeded by all the numbers."""
     return torch.Generator().manual_seed(int(np.random.SeedSequence(numbers).generate_state(1)[0]))
 
 
 def _write(training: Training, outputs: Outputs, made: Mapping[str, Any]) -> None:
-    """The checkpoint, and the weights as safetensors with how they were made as metadata (JSON)."""
+    """Writes the checkpoint, and the weights as safetensors. Their metadata (JSON) says how they were trained."""
     with atomic_files.replacing(outputs.checkpoint) as part:
         torch.save(training.state(), part)
     metadata = {
@@ -205,7 +207,7 @@ def _write(training: Training, outputs: Outputs, made: Mapping[str, Any]) -> Non
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A checkpoint's state; loading runs no code. Raises ResultError if there is none or it is damaged."""
+    """Reads the state of a checkpoint, without running code in it. Raises ResultError if it is missing or damaged."""
     if not path.is_file():
         raise ResultError(f"{path}: no checkpoint, expected one of an earlier run with the same --out; leave --resume out to begin")
     try:

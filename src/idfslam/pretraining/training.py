@@ -1,8 +1,8 @@
 """One step of self-supervised training on a pair of frames, without any pose (after UnsupervisedR&R [31]).
 
-A pair of frames is registered by the features as they are; the other view's points, moved by that pose, should look like the image (colour,
-depth), and matched points should meet. To these losses of [31] comes a contrastive one: where the registration explains the depth
-images, it says which pixels see the same point, and their features should find each other among all pixels of the other image.
+The present features register the pair. The losses of [31] require that the other view's points, moved by that pose, look like this view
+(colour and depth), and that matched points coincide. A contrastive loss is added: if the pose agrees with both depth images, it says which
+pixels see the same point, and the features of these pixels should be most similar among all pixels.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from idfslam.tracking.procrustes import random_subsets, register
 
 
 def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
-    """L1 of colour and of depth [m] between view a and b's points drawn in it, means over what the points cover [31]."""
+    """L1 of colour and of depth [m] between view a and the points of b rendered in it, averaged over the covered pixels [31]."""
     valid = b.valid.flatten()
     points = se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[valid])
     drawn = splat(points, b.colour.flatten(1).mT[valid], a.camera)
@@ -38,7 +38,7 @@ def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
 
 
 def registered_pose(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> Tensor | None:
-    """T_ab (4, 4) by the robust registration of unit features a, b (C, h, w); None where too few matches support it."""
+    """T_ab (4, 4) by robust registration of unit features a, b (C, h, w); None if too few matches support it."""
     matches = _correspondences(a, b, pair, config, mutual=True)
     if len(matches) < config.matches // 10:
         return None
@@ -49,7 +49,7 @@ def registered_pose(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, ge
 
 
 def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> dict[str, Tensor]:
-    """The losses of [31] for unit features a, b (C, h, w): of colour and depth rendered at the pose they give, and of their matches."""
+    """The losses of [31] for unit features a, b (C, h, w): colour and depth rendered at their registered pose, and matched points."""
     matches = _correspondences(a, b, pair, config, mutual=False)
     if len(matches) < config.matches // 10:
         return {}
@@ -93,7 +93,7 @@ def _matched_points(matches: Matches, pair: Pair) -> tuple[Tensor, Tensor]:
 
 
 def features_of(extractor: FeatureExtractor, images: Sequence[Tensor], config: PretrainConfig) -> Tensor:
-    """Unit features (N, C, h, w) float32 of N images (3, h, w), by the config's arithmetic."""
+    """Unit features (N, C, h, w) float32 of N images (3, h, w), computed in the config's precision."""
     device = images[0].device
     with torch.autocast(device.type, torch.bfloat16, enabled=resolve_precision(config.precision, device) is torch.bfloat16):
         features: Tensor = extractor(torch.stack(list(images)).contiguous(memory_format=torch.channels_last))
@@ -103,9 +103,9 @@ def features_of(extractor: FeatureExtractor, images: Sequence[Tensor], config: P
 def train_step(
     extractor: FeatureExtractor, pair: Pair, config: PretrainConfig, generator: torch.Generator, *, strength: float = 1.0
 ) -> dict[str, float]:
-    """Adds the gradients of the pair's weighted losses, divided by the batch, to the extractor's; the losses by name.
+    """Adds the gradients of the pair's weighted losses, divided by the batch size, to the extractor's. Returns the losses by name.
 
-    The images as they are give the pose whose correspondences are learnt; trained are the features of views augmented by `strength`.
+    The pose for the contrastive loss comes from the unchanged images. The losses are those of the views augmented by `strength`.
     Raises DivergedError for a loss that is not finite.
     """
     device = next(extractor.parameters()).device

@@ -1,4 +1,4 @@
-"""Curves of a training run for TensorBoard."""
+"""Logs the curves of a training run for TensorBoard."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -9,9 +9,9 @@ from idfslam.errors import ConfigError
 
 
 class TrainingLog:
-    """Scalars by step in the event files of a folder; without a folder nothing is written.
+    """Writes scalars to the event files of a folder; without a folder it writes nothing.
 
-    Raises ConfigError where TensorBoard is not installed.
+    Raises ConfigError if TensorBoard is not installed.
     """
 
     def __init__(self, folder: Path | None, *, first_step: int = 0) -> None:
@@ -21,7 +21,7 @@ class TrainingLog:
                 raise ConfigError("--log needs TensorBoard, which is not installed: pip install 'idf-slam[train]'")
             from torch.utils.tensorboard import SummaryWriter
 
-            self._writer = SummaryWriter(str(folder), purge_step=first_step)  # a resumed run writes anew what came after its checkpoint
+            self._writer = SummaryWriter(str(folder), purge_step=first_step)  # drops curves after a resumed checkpoint
 
     def add(self, step: int, figures: Mapping[str, float]) -> None:
         """One point of each curve."""
@@ -30,6 +30,6 @@ class TrainingLog:
                 self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Writes what is still buffered."""
         if self._writer is not None:
             self._writer.close()

@@ -1,4 +1,4 @@
-"""How well features register pairs of held-out recordings while they train; poses, where there are any, are used here alone."""
+"""Validation during pretraining: how well the features register pairs of held-out recordings. Only here are true poses used."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from idfslam.pretraining.training import explained, features_of, registered_pose
 from idfslam.tracking.features import FeatureExtractor
 
 GAPS = (5, 10, 20, 40)
-_PAIRS = 12  # of a recording and gap
+_PAIRS = 12  # of each recording and gap; more: slower, less noise
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class HeldOut:
     """Pairs of a recording that is not trained on."""
 
     name: str
-    footage: Footage  # only the frames that take part
+    footage: Footage  # the frames of the pairs only
     pairs: dict[int, list[tuple[int, int]]]  # by gap: places in the footage
-    T_wc: NDArray[np.float64] | None  # (N, 4, 4) of the footage's frames, where the recording knows them
+    T_wc: NDArray[np.float64] | None  # (N, 4, 4) of the footage's frames; None without ground truth
 
 
 def held_out(recording: Dataset, config: PretrainConfig) -> HeldOut:
-    """Pairs spread evenly over the recording, for each gap that it is long enough for. Raises RecordingError for fewer than two frames."""
+    """Pairs evenly spread over the recording, for each gap shorter than it. Raises RecordingError for fewer than two frames."""
     starts = {gap: np.linspace(0, len(recording) - 1 - gap, _PAIRS).astype(int) for gap in GAPS if gap < len(recording)}
     frames = sorted({int(i) for gap, first in starts.items() for i in (*first, *(first + gap))})
     place = {frame: i for i, frame in enumerate(frames)}
@@ -40,8 +40,10 @@ def held_out(recording: Dataset, config: PretrainConfig) -> HeldOut:
 
 @torch.no_grad()
 def validate(extractor: FeatureExtractor, recordings: Sequence[HeldOut], config: PretrainConfig) -> dict[str, float]:
-    """By `NAME/FIGURE-GAP`: the share of pairs whose registration explains both depth images; with ground truth also the share with
-    errors below 5 degrees and 10 cm, and the medians of both errors [degrees, cm] (a pair without a pose counts as unmoved).
+    """Registers the pairs of all recordings. Returns values named NAME/MEASURE-GAP.
+
+    Measures: the share of pairs whose pose agrees with both depth images and, with ground truth, the share with errors below 5 degrees and
+    10 cm and the medians of both errors [degrees, cm]. A pair that cannot be registered counts with the identity as its pose.
     """
     training = extractor.training
     extractor.eval()

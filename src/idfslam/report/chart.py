@@ -1,4 +1,4 @@
-"""A Matplotlib figure as a picture that suits a light and a dark page: SVG whose ink is the page's own text colour."""
+"""Draws Matplotlib figures as SVG for a light or dark page: the ink takes the text colour of the page."""
 
 import io
 import re
@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-INK, GRID = "#1d2733", "#d9dee4"  # in files; on the page they are currentColor and --grid
+INK, GRID = "#1d2733", "#d9dee4"  # colours in PNG files; the page replaces them by currentColor and --grid
 ESTIMATE, KEYFRAME, LOST, DEGENERATE = "#d1495b", "#e0a030", "#8b3fc4", "#3f8fd2"
 SERIES = ("#3f8fd2", "#d1495b", "#2f9e6e", "#e0a030", "#8b3fc4", "#5f6b7a", "#c2703d", "#00959e")
-WIDTH = 5.8  # [inch]: narrow, so that letters stay readable on a phone
+WIDTH = 5.8  # [inch] of a chart; larger: smaller letters on a phone
 _STYLE: Any = {
     "font.size": 10.5, "axes.titlesize": 10.5, "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5, "legend.fontsize": 9.5,
     "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK, "ytick.color": INK, "grid.color": GRID,
@@ -26,27 +26,27 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure, drawn."""
+    """A figure as SVG and PNG."""
 
     svg: str
     png: bytes  # on white
 
 
 def chart(name: str, height: float, draw: Callable[[Figure], None], *, width: float = WIDTH) -> Chart:
-    """What `draw` puts on a figure of this size [inch]; `name` tells its parts from those of other charts on the page."""
+    """Draws a figure of this size [inch]. `name` makes the ids of its SVG elements unique on the page."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)
         text, data = io.StringIO(), io.BytesIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-        figure.set_layout_engine("none")  # the layout stands: it takes as long as the drawing
+        figure.set_layout_engine("none")  # keep the layout of the first drawing: computing it takes as long as drawing
         figure.savefig(data, format="png", dpi=140, facecolor="white")
     return Chart(_for_page(text.getvalue(), name), data.getvalue())
 
 
 def _for_page(svg: str, name: str) -> str:
-    """The <svg> element alone: sized by the page, in its font and colours, without what other addresses it would fetch."""
+    """The <svg> element alone, in the size, font and colours of the page, without references to other addresses."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\s(width|height)="[\d.]+pt"', "", svg, count=2)
@@ -63,5 +63,5 @@ def _for_page(svg: str, name: str) -> str:
 
 
 def key(axes: Axes, columns: int = 4) -> None:
-    """A legend above the plot, where it hides nothing."""
+    """Adds a legend above the plot, where it hides nothing."""
     axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns, handlelength=1.4, columnspacing=1.2, borderaxespad=0.2)

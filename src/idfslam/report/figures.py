@@ -13,13 +13,13 @@ from idfslam.report.chart import DEGENERATE, ESTIMATE, INK, KEYFRAME, LOST, SERI
 from idfslam.runs.frame_log import FrameLog
 
 Floats = NDArray[np.float64]
-_MOST_SERIES = 6  # losses in one chart
-_SLICE = 4.2  # [inch] wide: three stand beside each other
+_MAX_SERIES = 6  # losses in one chart; more: hard to tell apart
+_SLICE_WIDTH = 4.2  # [inch]: three slices fit next to each other
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The camera's way in level coordinates."""
+    """The camera's path in level coordinates (z up)."""
 
     estimate: Floats  # (N, 3) [m]
     truth: Floats | None  # (N, 3) [m], NaN where it is unknown
@@ -28,7 +28,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A picture of the room from above, or a slice of the map, and where it lies."""
+    """A picture of the room from above or a slice of the map, and its extent."""
 
     image: NDArray[np.generic]  # (H, W, 4) uint8 or (H, W) float, first row at the largest y
     extent: tuple[float, float, float, float]  # left, right, bottom, top [m]
@@ -60,7 +60,7 @@ def trajectory_chart(path: Path, axes: tuple[int, int], plan: Plan | None = None
 
 
 def _height(plan: Plan | None, points: Floats, width: float = WIDTH) -> float:
-    """[inch] at a width that the plan's shape asks for."""
+    """The height [inch] of a chart of the given width, by the shape of the plan or the points."""
     if plan is None:
         wide, high = np.ptp(points, axis=0)
     else:
@@ -84,7 +84,7 @@ def error_chart(seconds: Floats, errors: Floats, rmse: float) -> Chart:
 
 
 def frames_chart(log: FrameLog) -> Chart:
-    """Milliseconds of each frame, and below it how its pose was found."""
+    """Milliseconds of each frame, and below it keyframes and frames with a doubtful pose."""
     index = np.array([line.index for line in log.lines])
     ms = np.array([line.ms for line in log.lines])
     smooth = np.array([np.median(ms[max(0, i - 10) : i + 11]) for i in range(len(ms))])
@@ -128,9 +128,9 @@ def stages_chart(ms: Mapping[str, float]) -> Chart:
 
 
 def losses_chart(log: FrameLog) -> Chart | None:
-    """Losses over the frames on a logarithmic scale, the total first; None where none was recorded."""
+    """Losses over the frames on a logarithmic scale, the total first; None if none was recorded."""
     found = {name: values for name, values in log.losses.items() if (np.nan_to_num(values) > 0).sum() > 1}
-    names = sorted(found, key=lambda name: (name != "total", name.startswith("finetune"), name))[:_MOST_SERIES]
+    names = sorted(found, key=lambda name: (name != "total", name.startswith("finetune"), name))[:_MAX_SERIES]
     if not names:
         return None
 
@@ -147,7 +147,7 @@ def losses_chart(log: FrameLog) -> Chart | None:
 
 
 def slice_chart(name: str, plan: Plan, path: Path, reach: float) -> Chart:
-    """The signed distance on a horizontal plane [m], NaN where nothing was observed; `reach` [m] ends the scale."""
+    """The signed distance on a horizontal plane [m], NaN where nothing was observed. reach: end of the colour scale [m]."""
 
     def draw(figure: Figure) -> None:
         plot = figure.subplots()
@@ -160,10 +160,10 @@ def slice_chart(name: str, plan: Plan, path: Path, reach: float) -> Chart:
         bar = figure.colorbar(shown, ax=plot, location="bottom", shrink=0.7, aspect=28, label="signed distance [cm]")
         bar.outline.set_visible(False)  # type: ignore[operator]
 
-    return chart(name, _height(plan, path.estimate[:, :2], _SLICE) + 0.5, draw, width=_SLICE)
+    return chart(name, _height(plan, path.estimate[:, :2], _SLICE_WIDTH) + 0.5, draw, width=_SLICE_WIDTH)
 
 
 def _surface(plot: Axes, distance: Floats, extent: tuple[float, float, float, float]) -> None:
-    """The zero level."""
+    """Draws the zero level of the distance: the surface."""
     if np.nanmin(distance, initial=1) < 0 < np.nanmax(distance, initial=-1):
         plot.contour(distance, levels=[0], extent=extent, origin="upper", colors=INK, linewidths=0.9)

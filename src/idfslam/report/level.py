@@ -1,4 +1,4 @@
-"""The room set upright: the world turned so that z points up, for plans and elevations."""
+"""Level coordinates: the world rotated so that z points up, for plans and elevations."""
 
 import numpy as np
 import trimesh
@@ -10,7 +10,7 @@ Floats = NDArray[np.float64]
 
 
 def level(mesh: trimesh.Trimesh | None, poses: Floats) -> Floats:
-    """R_lw (3, 3): z up, by the floor and the cameras (N, 4, 4); x and y along the walls, y nearest to where the first camera looked."""
+    """R_lw (3, 3) of level coordinates: z up, by the floor and the cameras (N, 4, 4); x and y along the walls, y as the first view."""
     up = up_direction(mesh, poses) if mesh is not None else -poses[0, :3, 1]
     ahead = poses[0, :3, 2] if abs(poses[0, :3, 2] @ up) < 0.95 else -poses[0, :3, 1]
     x = np.cross(ahead, up)
@@ -23,14 +23,14 @@ def level(mesh: trimesh.Trimesh | None, poses: Floats) -> Floats:
 
 
 def _walls(mesh: trimesh.Trimesh, R_lw: Floats) -> float:
-    """The least angle [rad] about z by which the axes turn to lie along the walls: a quarter turn is the same to walls at right angles."""
+    """The smallest angle [rad] about z that aligns the axes with the walls, which are assumed to be perpendicular to each other."""
     x, y, z = R_lw @ np.asarray(mesh.face_normals).T
     upright = np.abs(z) < 0.2
     return float(np.angle((mesh.area_faces * np.exp(4j * np.arctan2(y, x)))[upright].sum()) / 4)
 
 
 def from_above(R_lw: Floats, centre: Floats, height: float) -> Floats:
-    """T_wc (4, 4) of a camera `height` [m] above `centre` (3,), level coordinates, that looks down; image up is level y."""
+    """T_wc (4, 4) of a camera that looks down from `height` [m] above `centre` (3,) in level coordinates; image up is level y."""
     R_lc = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     T = np.eye(4)
     T[:3, :3] = R_lw.T @ R_lc

@@ -1,4 +1,4 @@
-"""The pictures of a report: the mesh from outside and inside, the room's plan, slices of the map, frames beside what the map shows."""
+"""The pictures of a report: the mesh from outside and inside, the room's plan, slices of the map, and frames next to the rendered map."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,17 +30,17 @@ _INSIDE = Camera(640, 440, 380.0, 380.0, 319.5, 219.5)  # wide: 80 degrees
 _PLAN_PIXELS = 640  # along the longer side
 _SLICE_CELL = 0.02  # [m]
 _MARGIN = 0.15  # [m] around the room
-_FAR = 30.0  # the plan's camera is so many times the room's size above it: all but parallel
-_HEIGHTS = (0.25, 0.5, 0.75)  # of slices, as shares of the room's height
-_WIDTH = 320  # px of a frame's pictures
+_FAR = 30.0  # height of the plan's camera, in sizes of the room; larger: closer to a parallel projection
+_HEIGHTS = (0.25, 0.5, 0.75)  # of the slices, as shares of the room's height
+_WIDTH = 320  # [px] of a frame's pictures; larger: sharper, and a larger page
 _FRAMES = 4
-_LEAST_SHOWN = 0.01  # share of a picture of the mesh that is mesh
-_AT_ONCE = 2  # pictures that are drawn side by side: each takes some 100 MB
-_ERROR = 0.05  # [m] at the end of the scale
+_LEAST_SHOWN = 0.01  # a picture of the mesh is left out if a smaller share of it shows mesh
+_AT_ONCE = 2  # pictures drawn in parallel; more: faster on more cores, 100 MB of memory each
+_MAX_ERROR = 0.05  # [m] depth error at the end of the colour scale
 
 
 class Room:
-    """A mesh and the cameras that saw it, prepared for pictures."""
+    """A mesh with the cameras that saw it. Its methods draw the pictures of the room."""
 
     def __init__(self, mesh: trimesh.Trimesh, poses: Floats, R_lw: Floats) -> None:
         self._mesh, self._poses, self._R_lw = mesh, poses, R_lw
@@ -50,24 +50,24 @@ class Room:
         self.low, self.high = local.min(0) - margin, local.max(0) + margin
 
     def outside(self) -> list[Image]:
-        """From four sides (H, W, 4), but for those that show backs alone."""
+        """Pictures (H, W, 4) from four sides, without those that show only backs of faces."""
         angles = 0.6 + np.arange(4) * np.pi / 2
         poses = [overview_pose(self._mesh, self._poses, _OUTSIDE, azimuth=float(angle)) for angle in angles]
         images = self._seen(poses, _OUTSIDE, Shading())
         return [image for image in images if (image[..., 3] > 0).mean() > _LEAST_SHOWN]
 
     def inside(self) -> list[Image]:
-        """From four places of the path, at a wide angle (H, W, 4)."""
-        lit = Shading(occlusion=0)  # it would take most of the report's time here, where all of the picture is surface
-        return self._seen([self._poses[i] for i in spread(len(self._poses), 4)], _INSIDE, lit)
+        """Wide-angle pictures (H, W, 4) from four places on the path."""
+        lit = Shading(occlusion=0)  # occlusion would take most of the report's time: here every pixel shows surface
+        return self._seen([self._poses[i] for i in evenly_spread(len(self._poses), 4)], _INSIDE, lit)
 
     def _seen(self, poses: Sequence[Floats], camera: Camera, shading: Shading) -> list[Image]:
-        """Side by side: casting rays and arithmetic on whole images leave the interpreter to others."""
+        """Draws in parallel threads: ray casting and arithmetic on whole images release the interpreter."""
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             return list(pool.map(lambda T_wc: self._picture.cut_out(T_wc, camera, shading), poses))
 
     def plan(self) -> Plan:
-        """From above, without the ceiling."""
+        """The room from above. The ceiling is invisible from outside."""
         size = self.high - self.low
         per_metre = _PLAN_PIXELS / size[:2].max()
         width, height = (max(8, round(float(x * per_metre))) for x in size[:2])
@@ -78,7 +78,7 @@ class Room:
         return Plan(image, (self.low[0], self.high[0], self.low[1], self.high[1]))
 
     def slices(self, saved: SavedMap) -> Iterator[tuple[float, Plan]]:
-        """Horizontal planes of the signed distance [m] with their heights above the lowest surface [m]; NaN where nothing was observed."""
+        """Heights above the lowest surface [m], each with the signed distance [m] on that plane, NaN where nothing was observed."""
         x, y = (np.arange(self.low[a], self.high[a], _SLICE_CELL) for a in (0, 1))
         tr, device, sdf = saved.field.config.truncation, next(saved.field.parameters()).device, sdf_function(saved.field)
         for share in _HEIGHTS:
@@ -93,24 +93,24 @@ class Room:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A frame beside what the map shows from its pose; all pictures (h, w, 3) uint8."""
+    """A frame next to the map rendered from its pose."""
 
     index: int
-    pictures: dict[str, Image]  # by what they show
+    pictures: dict[str, Image]  # (h, w, 3) by caption
     psnr: float  # [dB] of the colour
     depth_error: float  # [m] median, where both have depth
 
 
-def spread(count: int, wanted: int) -> list[int]:
-    """So many indices, evenly spread, without the very ends."""
+def evenly_spread(count: int, wanted: int) -> list[int]:
+    """`wanted` indices evenly spread over `count`, without the two ends."""
     return sorted({round(float(i)) for i in np.linspace(0, count - 1, wanted + 2)[1:-1]})
 
 
 def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
-    """Frames spread over the run; those that cannot be read are left out."""
+    """Comparisons of frames spread over the run. Unreadable frames are left out."""
     own = recording.camera
     small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
-    for i in spread(len(poses), _FRAMES):
+    for i in evenly_spread(len(poses), _FRAMES):
         try:
             frame = recording[i]
         except FrameError:
@@ -128,7 +128,7 @@ def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | F
             "colour, map": _bytes(colour),
             "depth, recorded": _painted(np.where(measured > 0, measured, np.nan) / far, "viridis"),
             "depth, map": _painted(np.where(depth > 0, depth, np.nan) / far, "viridis"),
-            "depth error": _painted(error / _ERROR, "magma"),
+            "depth error": _painted(error / _MAX_ERROR, "magma"),
         }
         yield Comparison(i, pictures, -10 * float(np.log10(max(mse, 1e-10))), float(np.nanmedian(error)) if both.any() else float("nan"))
 
@@ -138,6 +138,6 @@ def _bytes(colour: NDArray[Any]) -> Image:
 
 
 def _painted(values: NDArray[np.floating], colours: str) -> Image:
-    """Values in [0, 1] (H, W) in a colour map's colours; grey where they are NaN."""
+    """Values (H, W) in [0, 1] in the colours of a colour map; NaN is grey."""
     rgb = np.asarray(mpl.colormaps[colours](np.clip(np.nan_to_num(values), 0, 1)))[..., :3]
     return _bytes(np.where(np.isnan(values)[..., None], 0.5, rgb))

@@ -1,4 +1,4 @@
-"""Writes report.html, one file that needs nothing beside it and no network, and the same pictures into pictures/."""
+"""Writes report.html, a single file that works without other files and without a network, and its pictures to pictures/."""
 
 import base64
 import io
@@ -29,16 +29,17 @@ from idfslam.report.level import level
 from idfslam.report.views import Room, comparisons
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.metrics import read_metrics
 from idfslam.storage import atomic_files
 
 log = logging.getLogger(__name__)
 
-_QUALITY = 82  # of the pictures on the page (WebP)
+_QUALITY = 82  # of the pictures on the page (WebP, 0 to 100); larger: a larger page
 
 
 @dataclass
 class _Figure:
-    """What the page shows, and under which caption."""
+    """A picture or chart on the page, with its caption."""
 
     content: Markup
     caption: str
@@ -46,20 +47,20 @@ class _Figure:
 
 @dataclass
 class _Gallery:
-    """Pictures gathered for the page and written as files."""
+    """Collects the pictures of the page and writes them as files, too."""
 
     folder: Path
     written: list[Path] = field(default_factory=list)
 
     def chart(self, name: str, caption: str, chart: Chart | None) -> list[_Figure]:
-        """A chart; nothing where there is none."""
+        """A figure of the chart; empty for None."""
         if chart is None:
             return []
         self._write(name, chart.png)
-        return [_Figure(Markup(chart.svg), caption)]  # made here, from numbers
+        return [_Figure(Markup(chart.svg), caption)]  # safe: drawn by this program
 
     def picture(self, name: str, caption: str, image: NDArray[np.uint8]) -> _Figure:
-        """(H, W, 3) or (H, W, 4)."""
+        """A figure of an image (H, W, 3) or (H, W, 4)."""
         page, file = io.BytesIO(), io.BytesIO()
         Image.fromarray(image).save(page, "WEBP", quality=_QUALITY)
         Image.fromarray(image).save(file, "PNG")
@@ -76,11 +77,12 @@ class _Gallery:
 
 
 def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path | None = None, gt: Path | None = None) -> list[Path]:
-    """The report of a result folder; the page, then the pictures.
+    """Writes the report of a result folder. Returns the paths of the page and of its pictures.
 
-    recording: where it is open already; moved: where it lies now, if not where config.yaml says; without any, what needs its images or
-    its truth is left out. gt: the true trajectory in TUM format, over the recording's own. What an interrupted or diverged run lacks is
-    left out. Raises ResultError where the folder holds no trajectory or cannot be written to.
+    recording: the run's recording, if it is already open. moved: its path, if it is no longer the one in config.yaml.
+    gt: true trajectory in TUM format, instead of the recording's own. Sections are left out if the recording cannot be read, or if the run
+    was interrupted or diverged before their data existed.
+    Raises ResultError if the folder holds no trajectory or cannot be written to.
     """
     run = FinishedRun(folder, moved=moved)
     atomic_files.prepare(folder / result_folder.PICTURES)
@@ -92,7 +94,7 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     gallery = _Gallery(folder / result_folder.PICTURES)
     mesh = _mesh(folder, missing)
     ate = _ate(run, recording, gt)
-    metrics = json.loads((folder / result_folder.METRICS).read_text(encoding="utf-8")) if (folder / result_folder.METRICS).is_file() else {}
+    metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
     sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh) | _frames(gallery, run, recording)
     page = _template().render(
         name=recording.name if recording is not None else folder.resolve().name,
@@ -116,17 +118,17 @@ def _template() -> jinja2.Template:
 
 
 def _recording(run: FinishedRun, missing: list[str]) -> Dataset | None:
-    """The recording, where it is to be had; what the page says of it, where it is not."""
+    """The recording; None if it cannot be read, with the reason in `missing`."""
     try:
         return run.recording
     except IdfSlamError as error:
         log.warning("report without the recording's images: %s", error)
-        missing.append(f"Frames beside what the map shows: {error}.")
+        missing.append(f"Frames next to the rendered map: {error}.")
         return None
 
 
 def _mesh(folder: Path, missing: list[str]) -> trimesh.Trimesh | None:
-    """The mesh, where there is one with triangles; what the page says of it, where there is not."""
+    """The mesh; None if there is none with triangles, with the reason in `missing`."""
     try:
         return load_mesh(result_folder.existing(folder, result_folder.MESH))
     except ResultError as error:
@@ -135,7 +137,7 @@ def _mesh(folder: Path, missing: list[str]) -> trimesh.Trimesh | None:
 
 
 def _ate(run: FinishedRun, recording: Dataset | None, gt: Path | None) -> tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None:
-    """The error of each frame and the truth (N, 4, 4), NaN where it is unknown; None where there is no truth at all."""
+    """The absolute trajectory error and the truth (N, 4, 4), NaN where it is unknown; None without any truth."""
     if gt is not None:
         truth = matched_ground_truth(run.trajectory, load_tum(gt))
     elif recording is not None and recording.ground_truth is not None:
@@ -145,36 +147,36 @@ def _ate(run: FinishedRun, recording: Dataset | None, gt: Path | None) -> tuple[
     return (absolute_trajectory_error(run.trajectory.poses, truth), truth) if np.isfinite(truth).all((1, 2)).any() else None
 
 
-Known = tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None
+Error = tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None
 
 
-def _charts(gallery: _Gallery, run: FinishedRun, known: Known, metrics: dict[str, Any]) -> dict[str, list[_Figure]]:
-    """What happened over time."""
+def _charts(gallery: _Gallery, run: FinishedRun, error: Error, metrics: dict[str, Any]) -> dict[str, list[_Figure]]:
+    """The charts over time, and the bars of the stages."""
     stamps, errors, times, losses = run.trajectory.timestamps, [], [], []
-    if known is not None:
+    if error is not None:
         per_frame = np.full(len(stamps), np.nan)
-        per_frame[known[0].frames] = known[0].errors
-        error = figures.error_chart(stamps - stamps[0], per_frame, known[0].translation.rmse)
-        errors = gallery.chart("error", "Distance between estimated and true position, trajectories aligned", error)
+        per_frame[error[0].frames] = error[0].errors
+        chart = figures.error_chart(stamps - stamps[0], per_frame, error[0].translation.rmse)
+        errors = gallery.chart("error", "Distance between estimated and true position, trajectories aligned", chart)
     if run.frames is not None and run.frames.lines:
         times = gallery.chart(
             "frames", "Time of each frame, keyframes, and frames whose pose is in doubt", figures.frames_chart(run.frames)
         )
         losses = gallery.chart("losses", "Losses of the map and of the tracker's finetuning", figures.losses_chart(run.frames))
     stages = metrics.get("ms_per_frame")
-    beside = "; the map learns beside the rest" if "wait" in (stages or {}) else ""
-    bars = gallery.chart("stages", f"Where the time goes{beside}", figures.stages_chart(stages)) if stages else []
+    background = "; the map learns in the background" if "wait" in (stages or {}) else ""
+    bars = gallery.chart("stages", f"Time of each stage{background}", figures.stages_chart(stages)) if stages else []
     return {"error": errors, "frames": times, "stages": bars, "losses": losses}
 
 
-def _room(gallery: _Gallery, run: FinishedRun, known: Known, mesh: trimesh.Trimesh | None) -> dict[str, list[_Figure]]:
-    """Where the camera went, and what the map looks like."""
+def _room(gallery: _Gallery, run: FinishedRun, error: Error, mesh: trimesh.Trimesh | None) -> dict[str, list[_Figure]]:
+    """The trajectory, the mesh and slices of the map."""
     poses = run.trajectory.poses
     R_lw = level(mesh, poses)
     truth = None
-    if known is not None:
-        T_est_gt = np.linalg.inv(known[0].T_gt_est)
-        truth = (known[1][:, :3, 3] @ T_est_gt[:3, :3].T + T_est_gt[:3, 3]) @ R_lw.T
+    if error is not None:
+        T_est_gt = np.linalg.inv(error[0].T_gt_est)
+        truth = (error[1][:, :3, 3] @ T_est_gt[:3, :3].T + T_est_gt[:3, 3]) @ R_lw.T
     path = figures.Path(poses[:, :3, 3] @ R_lw.T, truth, run.keyframes.indices)
     room = Room(mesh, poses, R_lw) if mesh is not None else None
     plan = None if room is None else room.plan()
@@ -199,28 +201,29 @@ def _room(gallery: _Gallery, run: FinishedRun, known: Known, mesh: trimesh.Trime
 
 
 def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> dict[str, Any]:
-    """Frames beside what the map shows from their estimated poses."""
+    """Frames next to the map rendered from their estimated poses."""
     if recording is None or not (run.folder / result_folder.MAP).is_file():
         return {"views": []}
     rows = []
-    for n, found in enumerate(comparisons(run.map, recording, run.trajectory.poses), 1):
+    for n, comparison in enumerate(comparisons(run.map, recording, run.trajectory.poses), 1):
         shown = [
-            gallery.picture(f"view_{n}_{name.replace(', ', '_').replace(' ', '_')}", name, image) for name, image in found.pictures.items()
+            gallery.picture(f"view_{n}_{caption.replace(', ', '_').replace(' ', '_')}", caption, image)
+            for caption, image in comparison.pictures.items()
         ]
-        text = f"Frame {found.index}: PSNR {found.psnr:.1f} dB, median depth error {found.depth_error * 100:.1f} cm"
+        text = f"Frame {comparison.index}: PSNR {comparison.psnr:.1f} dB, median depth error {comparison.depth_error * 100:.1f} cm"
         rows.append((text, shown))
     return {"views": rows}
 
 
-def _cards(run: FinishedRun, known: Known, metrics: dict[str, Any], mesh: trimesh.Trimesh | None) -> list[tuple[str, str, str]]:
-    """Label, figure, unit or remark."""
+def _cards(run: FinishedRun, error: Error, metrics: dict[str, Any], mesh: trimesh.Trimesh | None) -> list[tuple[str, str, str]]:
+    """The cards at the top of the page: label, value, unit or remark."""
     path = np.linalg.norm(np.diff(run.trajectory.positions, axis=0), axis=-1).sum()
     stamps = run.trajectory.timestamps
     cards = [("frames", f"{len(stamps)}", f"{stamps[-1] - stamps[0]:.1f} s, {path:.1f} m of path")]
     if "frames_per_second" in metrics:
         cards.append(("speed", f"{metrics['frames_per_second']:.1f}", f"frames/s, {metrics['seconds']:.0f} s in all"))
-    if known is not None:
-        s = known[0].translation
+    if error is not None:
+        s = error[0].translation
         cards.append(("ATE RMSE", f"{s.rmse * 100:.2f}", f"cm, largest {s.max * 100:.2f} cm"))
     if "lost_frames" in metrics:
         cards.append(("lost frames", f"{metrics['lost_frames']}", f"and {metrics.get('degenerate_frames', 0)} degenerate"))
@@ -237,8 +240,8 @@ def _cards(run: FinishedRun, known: Known, metrics: dict[str, Any], mesh: trimes
 
 
 def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
-    """What `idf-slam eval` said of the mesh, where it was asked and is no older than the mesh."""
-    path = folder / result_folder.EVALUATION_FILES[0]
+    """The mesh errors that `idf-slam eval` found, if its results are not older than the mesh."""
+    path = folder / result_folder.EVALUATION
     if (
         not path.is_file()
         or not (folder / result_folder.MESH).is_file()
@@ -254,13 +257,13 @@ def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
 
 
 def _run_sections(folder: Path) -> list[dict[str, Any]]:
-    """The recording and the versions, as config.yaml names them."""
+    """The recording and the versions in config.yaml."""
     values = read_yaml(folder / result_folder.CONFIG) if (folder / result_folder.CONFIG).is_file() else {}
     return [values.get(name) or {} for name in RUN_SECTIONS]
 
 
 def _config(folder: Path) -> list[tuple[str, list[tuple[str, Any, bool]]]]:
-    """Sections with names, values, and whether these differ from the preset's."""
+    """Sections of config.yaml: name, value, and whether it differs from the preset's."""
     if not (folder / result_folder.CONFIG).is_file():
         return []
     config, _ = result_folder.read_config(folder)

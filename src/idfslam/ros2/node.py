@@ -1,18 +1,20 @@
-"""A ROS 2 node: RGB-D topics in, the camera's pose (PoseStamped and TF), path and status out, a result folder at the end.
+"""A ROS 2 node. It reads RGB-D topics, publishes the camera's pose (PoseStamped and TF), path and status, and writes a result folder.
 
     python -m idfslam.ros2.node --ros-args -p colour_topic:=/camera/color/image_raw -p preset:=fast -p out:=results/robot
 
-A thin adapter, to be run in a sourced ROS 2 environment, which brings rclpy, message_filters, tf2_ros and the messages (they are
-not on PyPI). It is tested against stand-ins of the same interface, not against a running ROS 2. Colour and depth are paired by their
-stamps, the newest pair wins: what arrives while a frame is in hand is dropped, and counted. ROS maps have z up; here the map's axes are
-those of the first camera's body: x where it looked, y to its left, z up. The depth must be registered to the colour image.
+Run it in a sourced ROS 2 environment: rclpy, message_filters, tf2_ros and the messages come with ROS and are not on PyPI. The node is
+tested against stand-ins with the same interface, not against a running ROS 2.
+
+Colour and depth are paired by their time stamps. The node always takes the newest pair; pairs that arrive while a frame is processed are
+dropped and counted. ROS maps have z up: the map's x axis points where the first camera looked, y to its left, z up. The depth images must
+be registered to the colour images.
 """
 
 import logging
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,7 +32,7 @@ T_MAP_WORLD: NDArray[np.float64] = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1
 _MODULES = ("rclpy", "message_filters", "tf2_ros", "sensor_msgs.msg", "geometry_msgs.msg", "nav_msgs.msg", "std_msgs.msg")
 _CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "mono8": (0, 0, 0)}
 _DEPTHS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
-_QUEUE = 10  # messages of each topic among which pairs are sought
+_QUEUE = 10  # messages of each topic that are kept for pairing; more tolerate larger delays between the topics
 
 
 @dataclass(frozen=True)
@@ -40,22 +42,43 @@ class Parameters:
     colour_topic: str = "/camera/color/image_raw"
     depth_topic: str = "/camera/aligned_depth_to_color/image_raw"
     info_topic: str = "/camera/color/camera_info"
-    slop: float = 0.02  # [s] between the stamps of a pair
-    depth_scale: float = 1000.0  # units of 16-bit depth a metre; 32FC1 is in metres
+    slop: float = 0.02  # [s] the largest difference between the time stamps of a pair
+    depth_scale: float = 1000.0  # units per metre of 16-bit depth; 32FC1 is in metres
     preset: str = "fast"
-    config: str = ""  # a YAML file of values over the preset
-    out: str = "results/ros2"  # where results go at the end
+    config: str = ""  # a YAML file whose values override the preset's
+    out: str = "results/ros2"  # the result folder
     map_frame: str = "map"
-    camera_frame: str = ""  # none given: that of the colour image's header
+    camera_frame: str = ""  # empty: the frame in the colour image's header
     publish_tf: bool = True
 
 
+@dataclass
+class ReceivedFrames:
+    """The frames received so far, as a source of frames without ground truth."""
+
+    camera: Any = None  # of the newest frame
+    stamps: list[float] = field(default_factory=list)  # [s]
+    name: str = "ros2"
+    ground_truth: NDArray[np.float64] | None = None
+
+    @property
+    def timestamps(self) -> NDArray[np.float64]:
+        """(N,) [s]."""
+        return np.array(self.stamps, np.float64)
+
+    def add(self, frame: Any) -> None:
+        """Counts a frame that has been processed."""
+        self.camera = frame.camera
+        self.stamps.append(frame.timestamp)
+
+
 class SlamNode:
-    """Subscribes, runs Slam in a thread of its own on the newest frame, publishes. `close` finishes the map and writes the results."""
+    """Subscribes to the topics, runs Slam on the newest frame in a thread of its own, and publishes. `close` writes the results."""
 
     def __init__(self, ros: SimpleNamespace) -> None:
+        from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.config import load, preset
-        from idfslam.runs.metrics import Meter
+        from idfslam.runs.run_state import RunState
         from idfslam.slam import Slam
         from idfslam.storage import atomic_files
 
@@ -65,8 +88,10 @@ class SlamNode:
         self._folder = Path(self.parameters.out)
         atomic_files.prepare(self._folder)
         path = self.parameters.config
-        self.slam = Slam(load(Path(path), base=self.parameters.preset) if path else preset(self.parameters.preset))
-        self._meter, self._stamps, self.dropped = Meter(), [], 0  # type: tuple[Meter, list[float], int]
+        config = load(Path(path), base=self.parameters.preset) if path else preset(self.parameters.preset)
+        limit_torch_threads(config.field.encoding)
+        self._state = RunState(Slam(config))
+        self._received, self.dropped = ReceivedFrames(), 0
         self._newest: tuple[Any, Any, Any] | None = None
         self._arrived, self._closing = threading.Condition(), False
         self._advertise()
@@ -93,7 +118,7 @@ class SlamNode:
         self._pairs.registerCallback(self.receive)
 
     def receive(self, colour: Any, depth: Any, info: Any) -> None:
-        """A pair with its camera; the one that still waits is dropped."""
+        """Takes a pair with its camera. The pair before is dropped if it is still waiting."""
         with self._arrived:
             self.dropped += self._newest is not None
             self._newest = (colour, depth, info)
@@ -115,11 +140,9 @@ class SlamNode:
                 return
 
     def _process(self, colour: Any, depth: Any, info: Any) -> None:
-        frame = frame_of(len(self._stamps), colour, depth, info, self.parameters.depth_scale)
-        result = self.slam.process(frame)
-        self._stamps.append(frame.timestamp)
-        self._camera = frame.camera
-        self._meter.frame()
+        frame = frame_of(len(self._received.stamps), colour, depth, info, self.parameters.depth_scale)
+        result = self._state.process(frame)
+        self._received.add(frame)
         self._publish(colour.header, result)
 
     def _publish(self, header: Any, result: Any) -> None:
@@ -133,9 +156,9 @@ class SlamNode:
             fill(transform.transform.translation, "xyz", position)
             fill(transform.transform.rotation, "xyzw", quaternion)
             self._tf.sendTransform(transform)
-        if result.keyframe:  # the whole path, which keyframes carry, moves with them
+        if result.keyframe:  # the whole path is published again: a new keyframe may have moved the others
             path = ros.nav_msgs.Path(header=pose.header)
-            path.poses = [self._pose_message(header, k.T_wk.numpy()) for k in self.slam.graph.first_submap]
+            path.poses = [self._pose_message(header, k.T_wk) for k in self._state.slam.stored_keyframes() if k.submap == 0]
             self._path.publish(path)
         self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}"))
 
@@ -148,48 +171,30 @@ class SlamNode:
         return message
 
     def close(self) -> None:
-        """After the frame in hand: the last polish of the map, and the results, where there was a frame with depth."""
+        """Waits for the current frame, refines the map, and writes the results, if any frame had depth."""
         with self._arrived:
             self._closing, self._newest = True, None
             self._arrived.notify()
         self._worker.join()
-        if self.slam.graph.keyframes:
-            self.slam.finish()
+        if self._state.slam.stored_keyframes():
+            self._state.slam.finish()
             self._write()
-            log.warning("%d frames, %d dropped: results in %s", len(self._stamps), self.dropped, self._folder)
+            log.warning("%d frames, %d dropped: results in %s", len(self._received.stamps), self.dropped, self._folder)
         else:
             log.warning("no frame with depth came on %s and %s: no results", self.parameters.colour_topic, self.parameters.depth_topic)
 
     def _write(self) -> None:
-        from idfslam.geometry.trajectory import Trajectory, save_tum
-        from idfslam.runs import result_folder
-        from idfslam.storage import atomic_files
+        from idfslam.runs.metrics import run_metrics
+        from idfslam.runs.result_writer import ResultWriter
 
-        slam, stamps = self.slam, np.array(self._stamps)
-        indices = np.array([k.index for k in slam.graph.first_submap], np.int64)
-        poses = np.array([k.T_wk.numpy() for k in slam.graph.first_submap], np.float64)
-        with atomic_files.replacing(self._folder / result_folder.TRAJECTORY) as part:
-            save_tum(part, Trajectory(stamps, slam.trajectory()))
-        result_folder.write_keyframes(self._folder, result_folder.KeyframeRecord(self._camera, indices, stamps[indices], poses))
-        result_folder.write_config(self._folder, slam.config, None)
-        with atomic_files.replacing(self._folder / result_folder.MAP) as part:
-            slam.save_map(part)
-        with atomic_files.replacing(self._folder / result_folder.MESH) as part:
-            slam.mesh().export(part)
-        atomic_files.write_json(self._folder / result_folder.METRICS, self._meter.summary(slam.timings) | {"dropped_frames": self.dropped})
-        written = {
-            result_folder.TRAJECTORY,
-            result_folder.KEYFRAMES,
-            result_folder.CONFIG,
-            result_folder.MAP,
-            result_folder.MESH,
-            result_folder.METRICS,
-        }
-        result_folder.remove_stale(self._folder, written=written)
+        slam, received = self._state.slam, self._received
+        metrics = run_metrics(slam, received, self._state.meter, interrupted=False) | {"dropped_frames": self.dropped}
+        writer = ResultWriter(self._folder, slam, received, slam.config)
+        writer.write_all(slam.mesh(), self._state.frame_log, metrics)
 
 
 def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float) -> Any:
-    """A Frame of sensor_msgs/Image, Image and CameraInfo, undistorted. Raises FrameError for what it cannot be made of."""
+    """An undistorted Frame of sensor_msgs/Image (colour and depth) and CameraInfo. Raises FrameError if they do not fit together."""
     from idfslam.datasets.images import Undistortion, metres, rgb
     from idfslam.frame import Frame
     from idfslam.geometry.camera import Camera
@@ -198,13 +203,13 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float)
     camera = Camera(info.width, info.height, info.k[0], info.k[4], info.k[2], info.k[5])
     if not bgr.shape[:2] == raw.shape == (camera.height, camera.width):
         sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]}, depth {raw.shape[1]}x{raw.shape[0]}, camera {camera.width}x{camera.height}"
-        raise FrameError(f"frame {index}: {sizes}, expected one size: take the topic of depth registered to colour")
-    straight: Any = raw
+        raise FrameError(f"frame {index}: {sizes}, expected one size: use the topic of the depth that is registered to colour")
+    undistorted: Any = raw
     if any(info.d):
         undistort = Undistortion(camera, tuple(info.d))
-        bgr, straight = undistort.colour(bgr), undistort.depth(raw)
+        bgr, undistorted = undistort.colour(bgr), undistort.depth(raw)
     stamp = colour.header.stamp
-    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(straight, depth_scale), camera)
+    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(undistorted, depth_scale), camera)
 
 
 def colour_of(message: Any) -> NDArray[np.uint8]:
@@ -219,7 +224,7 @@ def colour_of(message: Any) -> NDArray[np.uint8]:
 
 
 def depth_of(message: Any, scale: float) -> NDArray[np.uint16]:
-    """sensor_msgs/Image of 16UC1, or of 32FC1 [m] -> (H, W) in `scale` units a metre, 0 where there is no reading."""
+    """sensor_msgs/Image of 16UC1, or of 32FC1 [m] -> (H, W) in units of 1/`scale` m, 0 where there is no reading."""
     if message.encoding not in _DEPTHS:
         raise FrameError(f"depth of encoding '{message.encoding}', expected one of {', '.join(_DEPTHS)}")
     kind = np.dtype(_DEPTHS[message.encoding]).newbyteorder(">" if message.is_bigendian else "<")
@@ -240,13 +245,13 @@ def pose_in_map(T_wc: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
 
 
 def fill(message: Any, names: str, values: NDArray[np.float64]) -> None:
-    """The fields of a message by their letters."""
+    """Sets the fields of a message: one letter of `names` for each value."""
     for name, value in zip(names, values):
         setattr(message, name, float(value))
 
 
 def load_ros() -> SimpleNamespace:
-    """The modules of ROS 2 by their names. Raises ConfigError where they are not there."""
+    """The modules of ROS 2 by their names. Raises ConfigError if they cannot be imported."""
     try:
         return SimpleNamespace(**{name.removesuffix(".msg"): import_module(name) for name in _MODULES})
     except ImportError as error:
@@ -256,7 +261,7 @@ def load_ros() -> SimpleNamespace:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Spins until Ctrl-C or the end of ROS, then writes the results; exits with 1 and one line on the user's mistakes."""
+    """Runs the node until Ctrl-C or the end of ROS and writes the results. A user's mistake ends it with one line and exit status 1."""
     from idfslam.compute.process import prepare_process
 
     prepare_process()

@@ -1,6 +1,6 @@
-"""A run saved while it goes on: its whole state in one safetensors file, written by a thread and put in place when it is complete.
+"""Checkpoints: the whole state of a run in one safetensors file.
 
-At every moment the folder holds the newest complete checkpoint, whatever ends the process and whenever.
+A thread writes each checkpoint and moves it into place when it is complete, so the folder holds a complete one however the process ends.
 """
 
 import json
@@ -25,13 +25,13 @@ from idfslam.runs import result_folder
 from idfslam.storage import atomic_files
 from idfslam.storage.state import State
 
-FORMAT = 7
+FORMAT = 7  # counts up whenever the state of a part changes its form
 
 log = logging.getLogger(__name__)
 
 
-def made_of(config: Config, recording: Dataset, device: torch.device) -> dict[str, Any]:
-    """What a run and the checkpoint that it goes on from must have in common, under the names that a message calls them by."""
+def fingerprint(config: Config, recording: Dataset, device: torch.device) -> dict[str, Any]:
+    """The values that must be equal in a run and in the checkpoint that it resumes from; the keys are their names in messages."""
     stamps = zlib.crc32(recording.timestamps.tobytes())
     return {
         "version of idf-slam": __version__,
@@ -44,13 +44,16 @@ def made_of(config: Config, recording: Dataset, device: torch.device) -> dict[st
 
 
 class Checkpoints:
-    """Keeps the state of a run in its folder: `keep` after a frame copies it and returns, a thread writes.
+    """The checkpoint of a run in its folder. `save` copies the state and returns; a thread writes the file.
 
-    A checkpoint that cannot be written is reported, the one before stays, and the run goes on. As a context it waits for the last one.
+    A checkpoint that cannot be written is reported, the previous one stays, and the run continues. On leaving the `with` block the last
+    write is waited for.
     """
 
-    def __init__(self, folder: Path, made: dict[str, Any]) -> None:
-        self.path, self._made = folder / result_folder.CHECKPOINT, made
+    def __init__(self, folder: Path, fingerprint: dict[str, Any] | None, *, every: int = 0) -> None:
+        """fingerprint: None for a run that cannot be resumed; it has no checkpoints. every: frames between checkpoints; 0: none."""
+        self.path, self.enabled, self._every = folder / result_folder.CHECKPOINT, fingerprint is not None, every
+        self._fingerprint = fingerprint or {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="checkpoint")
         self._pending: Future[None] | None = None
 
@@ -60,26 +63,30 @@ class Checkpoints:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._pool.shutdown()
 
-    def keep(self, frames: int, state: State) -> None:
-        """Saves the state after so many frames; waits first where the last one is still being written."""
+    def due(self, frames: int, *, stopping: bool = False) -> bool:
+        """Whether a checkpoint is to be saved after so many frames; always if the run is stopping."""
+        return self.enabled and self._every > 0 and (stopping or frames % self._every == 0)
+
+    def save(self, frames: int, state: State) -> None:
+        """Saves the state after `frames` frames; waits first if the previous one is still being written."""
         self.wait()
         tensors: dict[str, Tensor] = {}
         tree = _split(state, "", tensors)
-        metadata = {"format": str(FORMAT), "frames": str(frames), "made": json.dumps(self._made), "state": json.dumps(tree)}
+        metadata = {"format": str(FORMAT), "frames": str(frames), "made": json.dumps(self._fingerprint), "state": json.dumps(tree)}
         self._pending = self._pool.submit(self._write, frames, tensors, metadata)
 
     def wait(self) -> None:
-        """Until all that was kept is on the disk."""
+        """Waits until everything saved is on the disk."""
         if self._pending is not None:
             self._pending.result()
 
     def remove(self) -> None:
-        """The run is over: nothing is left to go on from."""
+        """Deletes the checkpoint of a completed run."""
         self.wait()
         self.path.unlink(missing_ok=True)
 
     def read(self) -> State | None:
-        """The newest state; None where the run had kept none yet. Raises ResultError for a damaged one and for that of another run."""
+        """The newest state; None if there is no checkpoint. Raises ResultError if it is damaged or of another run."""
         if not self.path.exists():
             return None
         try:
@@ -87,39 +94,40 @@ class Checkpoints:
                 metadata = file.metadata() or {}
                 if metadata.get("format") != str(FORMAT):
                     found = f"checkpoint format {metadata.get('format', 'none')}, expected {FORMAT}"
-                    raise ResultError(f"{self.path}: {found}; go on with the version of idf-slam that wrote it, or start the run anew")
+                    raise ResultError(f"{self.path}: {found}; resume with the version of idf-slam that wrote it, or start a new run")
                 self._compare(json.loads(metadata["made"]))
-                return _join(json.loads(metadata["state"]), lambda name: file.get_tensor(name).clone())  # aligned as torch's own
+                return _join(json.loads(metadata["state"]), lambda name: file.get_tensor(name).clone())  # a copy is aligned as torch's own
         except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ResultError(f"{self.path}: is damaged ({type(error).__name__}: {error}); start the run anew") from error
+            raise ResultError(f"{self.path}: is damaged ({type(error).__name__}: {error}); start a new run") from error
 
     def _write(self, frames: int, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
         try:
             with atomic_files.replacing(self.path, durable=True) as part:
                 save_file(tensors, part, metadata)
         except (OSError, SafetensorError) as error:
-            kept = "the one before stays" if self.path.exists() else "there is none yet"
+            kept = "the previous one stays" if self.path.exists() else "there is none yet"
             log.warning(
-                "%s: the checkpoint after frame %d could not be written (%s); %s, and the run goes on", self.path, frames, error, kept
+                "%s: the checkpoint after frame %d could not be written (%s); %s, and the run continues", self.path, frames, error, kept
             )
 
-    def _compare(self, found: dict[str, Any]) -> None:
-        for name in {**self._made, **found}:
-            was, now = found.get(name), self._made.get(name)
+    def _compare(self, stored: dict[str, Any]) -> None:
+        """Raises ResultError at the first value in which the checkpoint's run differs from this one."""
+        for name in {**self._fingerprint, **stored}:
+            was, now = stored.get(name), self._fingerprint.get(name)
             if was != now:
-                advice = "go on with what it was begun with, or start the run anew"
+                advice = "resume with the values that the run was started with, or start a new run"
                 raise ResultError(f"{self.path}: of a run with another {name}: found {was}, expected {now}; {advice}")
 
 
 def _flat(values: Any, name: str = "") -> dict[str, Any]:
-    """Nested values by dotted names."""
+    """Nested values as one dict with dotted names."""
     if not isinstance(values, dict):
         return {name: values}
     return {inner: value for key, part in values.items() for inner, value in _flat(part, f"{name}.{key}" if name else key).items()}
 
 
 def _split(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
-    """Copies of a state's tensors go by their paths into `tensors`; what remains, with their names in their places, is JSON."""
+    """Copies a state's tensors into `tensors` by their paths. Returns the state with names instead of tensors, which JSON can hold."""
     if isinstance(value, Tensor):
         tensors[name] = value.detach().to("cpu", copy=True).contiguous()
         return {"tensor": name}
@@ -131,7 +139,7 @@ def _split(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
 
 
 def _join(tree: Any, tensor: Callable[[str], Tensor]) -> Any:
-    """The way back from `_split`."""
+    """The inverse of `_split`."""
     if isinstance(tree, dict):
         return tensor(tree["tensor"]) if tree.keys() == {"tensor"} else {key: _join(inner, tensor) for key, inner in tree.items()}
     return [_join(inner, tensor) for inner in tree] if isinstance(tree, list) else tree

@@ -1,4 +1,4 @@
-"""A result folder against the ground truth of the recording that it was made of, or against one in files."""
+"""Evaluates a result folder against the ground truth of its recording, or against ground truth in files."""
 
 import logging
 from dataclasses import replace
@@ -28,16 +28,16 @@ def evaluate_folder(
     samples: int = SAMPLES,
     views: int = VIEWS,
 ) -> Evaluation:
-    """Errors of the results in `folder`, where evaluation.json, trajectory.png and error.png are written.
+    """Measures the errors of the results in `folder`, and writes evaluation.json, trajectory.png and error.png there.
 
-    gt: trajectory in TUM format, matched by time stamp; none: the recording's own. gt_mesh: [m], in the frame of the true trajectory;
-    none: with the recording's own trajectory the surface of a generated one, else the mesh is not evaluated.
-    recording: what the results were made of, where it is open already; none: the one that config.yaml names is opened.
-    samples: points on each surface. views: of depth L1.
-    Raises ResultError where results or ground truth are missing, RecordingError where the recording is and no `gt` stands for it.
+    gt: true trajectory in TUM format, matched by time stamp; None: the recording's own. gt_mesh: true mesh [m] in the frame of the true
+    trajectory; None: the surface of a generated recording if `gt` is None too, else the mesh is not evaluated.
+    recording: the recording of the run, if it is already open; None: the one in config.yaml is opened.
+    samples: points on each surface. views: for depth L1.
+    Raises ResultError if results or ground truth are missing, RecordingError if the recording is missing and `gt` is not given.
     """
     result_folder.existing(folder, result_folder.TRAJECTORY)
-    asked = protocol_named(protocol)
+    rules = protocol_named(protocol)
     if recording is None and gt is None:
         recording = _recording(folder)
     trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
@@ -48,7 +48,7 @@ def evaluate_folder(
         gt_trajectory=trajectory,
         gt_mesh=surface,
         camera=record.camera,
-        readings=_readings(folder, recording) if surface is not None and asked.measured else None,
+        readings=_readings(folder, recording) if surface is not None and rules.measured else None,
         protocol=protocol,
         keyframes=record.indices,
         samples=samples,
@@ -57,7 +57,7 @@ def evaluate_folder(
 
 
 def _recording(folder: Path) -> Dataset | None:
-    """What the results were made of; None if that was no recording, but a camera, or frames handed over by a program."""
+    """The recording of the run; None if the frames came from a camera or from a program."""
     _, source = result_folder.read_config(folder)
     if source is not None and is_live(source.path):
         path = replayed(source.path)
@@ -72,7 +72,7 @@ def _recorded_truth(folder: Path, recording: Dataset | None) -> Trajectory:
 
 
 def _readings(folder: Path, recording: Dataset | None) -> DepthRange | None:
-    """The depths that the recording holds; None, and a warning, where they are not to be had."""
+    """The range of the recording's depths; None, with a warning, if it cannot be read."""
     why = ""
     try:
         recording = _recording(folder) if recording is None else recording
@@ -80,5 +80,5 @@ def _readings(folder: Path, recording: Dataset | None) -> DepthRange | None:
         why = f" ({error})"
     readings = None if recording is None else depth_range(recording)
     if readings is None:
-        log.warning("%s: no depth image of its recording is at hand%s; all surface in view up to 10 m counts as seen", folder, why)
+        log.warning("%s: no depth image of its recording can be read%s; all surface in view up to 10 m counts as seen", folder, why)
     return readings

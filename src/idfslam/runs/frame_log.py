@@ -1,7 +1,7 @@
-"""frames.csv: what a run tells of each frame, a line each.
+"""frames.csv: one line for each frame of a run.
 
-Columns: index; timestamp [s]; status (ok, degenerate, lost or interpolated) as it is in the end; keyframe (0 or 1); ms, from the end of
-the frame before to the end of this one; then every loss that came up in the run, empty where a frame has none.
+Columns: index; timestamp [s]; final status (ok, degenerate, lost or interpolated); keyframe (0 or 1); ms, from the end of the previous
+frame to the end of this one; then one column for each loss that any frame has, empty for frames without it.
 """
 
 import csv
@@ -39,11 +39,11 @@ class FrameLog:
     lines: list[FrameLine] = field(default_factory=list)
 
     def add(self, result: FrameResult, ms: float) -> None:
-        """One more frame, which took `ms`."""
+        """Appends a frame, which took `ms`."""
         self.lines.append(FrameLine(result.index, result.timestamp, result.status, result.keyframe, ms, dict(result.losses)))
 
-    def settle(self, statuses: Sequence[Status]) -> None:
-        """What is known of the frames now: some that were lost may have been found since. A frame that broke the run off has no line."""
+    def set_final_statuses(self, statuses: Sequence[Status]) -> None:
+        """Replaces the statuses: lost frames may have become interpolated. A frame at which the run broke off has a status but no line."""
         self.lines[:] = [replace(line, status=status) for line, status in zip(self.lines, statuses)]
 
     def state(self) -> State:
@@ -51,7 +51,7 @@ class FrameLog:
         return {"lines": [asdict(line) for line in self.lines]}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Sets the lines that `state` returned."""
         self.lines[:] = [FrameLine(**(line | {"status": Status(line["status"])})) for line in state["lines"]]
 
     @property
@@ -67,17 +67,19 @@ class FrameLog:
             writer = csv.writer(file)
             writer.writerow([*_FIXED, *names])
             for line in self.lines:
-                found = [f"{line.losses[name]:.6g}" if name in line.losses else "" for name in names]
-                writer.writerow([line.index, f"{line.timestamp:.6f}", line.status.value, int(line.keyframe), f"{line.ms:.2f}", *found])
+                losses = [f"{line.losses[name]:.6g}" if name in line.losses else "" for name in names]
+                writer.writerow([line.index, f"{line.timestamp:.6f}", line.status.value, int(line.keyframe), f"{line.ms:.2f}", *losses])
 
     @staticmethod
     def load(path: Path) -> "FrameLog":
-        """What `save` wrote. Raises ResultError where the file is not that."""
+        """Reads a file that `save` wrote. Raises ResultError if it is not one."""
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 return FrameLog([_line(row) for row in csv.DictReader(file)])
         except (KeyError, ValueError, TypeError, csv.Error) as error:
-            raise ResultError(f"{path}: not as a run writes it ({error}); expected a line a frame: {', '.join(_FIXED)}, losses") from error
+            raise ResultError(
+                f"{path}: not the log of a run ({error}); expected one line for each frame: {', '.join(_FIXED)}, losses"
+            ) from error
 
 
 def _line(row: dict[str, str]) -> FrameLine:

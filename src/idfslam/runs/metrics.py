@@ -1,92 +1,72 @@
-"""How far a run has come, how fast it was and how much memory it took."""
+"""The measured values of a run in metrics.json, and reading them again."""
 
-import sys
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from time import perf_counter
-from typing import Any
+import json
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
-from idfslam.storage.state import State
+from idfslam.datasets import FrameSource
+from idfslam.errors import ResultError
+from idfslam.evaluation.evaluate import evaluate_poses
+from idfslam.evaluation.summary import Evaluation
+from idfslam.frame import Status
+from idfslam.runs import result_folder
+from idfslam.runs.meter import Meter
 
-_BLOCK = 100  # frames over which the course of the speed is given
-
-
-class Meter:
-    """Clock, counts and memory of a run; starts when it is made, which is after all imports."""
-
-    def __init__(self) -> None:
-        self.baseline = peak_memory()
-        if torch.cuda.is_available():
-            torch.cuda.reset_peak_memory_stats()
-        self._start = perf_counter()
-        self._stamps: list[float] = []  # [s] since the start, at the end of each frame
-        self._unreadable = 0
-        self._resumed_at: list[int] = []  # frames that were done each time the run was gone on with
-
-    def state(self) -> State:
-        """Times and counts; memory is each process' own."""
-        return {"stamps": self._stamps, "unreadable": self._unreadable, "resumed_at": self._resumed_at}
-
-    def restore(self, state: State) -> None:
-        """What `state` told. The clock goes on from its last frame, so that what was done since this meter was made counts as well."""
-        self._stamps, self._unreadable = state["stamps"], state["unreadable"]
-        self._resumed_at = [*state["resumed_at"], len(self._stamps)]
-        self._start -= self._stamps[-1]
-
-    def frame(self, *, readable: bool = True) -> float:
-        """One more frame is done; the milliseconds since the one before."""
-        before = self._stamps[-1] if self._stamps else 0.0
-        self._stamps.append(perf_counter() - self._start)
-        self._unreadable += not readable
-        return (self._stamps[-1] - before) * 1e3
-
-    @property
-    def frames(self) -> int:
-        """How many are done."""
-        return len(self._stamps)
-
-    @property
-    def frames_per_second(self) -> float:
-        """Over the last frames, at most 20 of them."""
-        last = self._stamps[-21:]
-        return (len(last) - 1) / (last[-1] - last[0]) if len(last) > 1 else 1 / self._stamps[-1] if last else 0.0
-
-    def summary(self, timings: Mapping[str, Sequence[float]]) -> dict[str, Any]:
-        """Speed with everything up to now (also the final refinement), ms a frame by stage (`timings` in ms a call), peak memory."""
-        frames, seconds = len(self._stamps), perf_counter() - self._start
-        peak = peak_memory()
-        summary = {
-            "frames": frames,
-            "seconds": seconds,
-            "frames_per_second": frames / seconds,
-            "frames_per_second_by_100": speed_by_block(self._stamps),
-            "unreadable_frames": self._unreadable,
-            "resumed_at": self._resumed_at,
-            "ms_per_frame": {stage: float(np.sum(ms)) / max(frames, 1) for stage, ms in timings.items()},
-            "peak_memory_mb": peak,
-            "peak_memory_above_imports_mb": peak - self.baseline,
-        }
-        if torch.cuda.is_available():
-            summary["peak_gpu_memory_mb"] = torch.cuda.max_memory_allocated() / 2**20
-        return summary
+if TYPE_CHECKING:
+    from idfslam.slam import Slam
 
 
-def speed_by_block(stamps: Sequence[float], *, block: int = _BLOCK) -> list[float]:
-    """Frames a second of each `block` frames in turn (the last may be shorter), from the times [s] at which frames ended."""
-    edges = [0.0, *stamps[block - 1 :: block]]
-    speeds = [block / (after - before) for before, after in pairwise(edges)]
-    rest = len(stamps) % block
-    return [*speeds, rest / (stamps[-1] - edges[-1])] if rest else speeds
+def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, *, interrupted: bool) -> dict[str, Any]:
+    """The values of metrics.json: speed, memory, counts of frames and keyframes, and the pose errors where ground truth is known."""
+    metrics = meter.summary(slam.timings) | {"interrupted": interrupted}
+    errors, live_errors = pose_errors(slam, recording), pose_errors(slam, recording, live=True)
+    metrics |= keyframe_counts(slam) | ({} if errors is None else errors.to_dict())
+    return metrics if live_errors is None else metrics | {"live_ate_m": live_errors.ate.translation.rmse}
 
 
-def peak_memory() -> float:
-    """The most memory [MiB] that this process has held so far; NaN where the system does not tell (Windows)."""
-    if sys.platform == "win32":
-        return float("nan")
-    import resource
+def keyframe_counts(slam: "Slam") -> dict[str, Any]:
+    """Counts of keyframes, of lost frames (interpolated ones included), of degenerate frames, and `Slam.figures`."""
+    count = Counter(slam.statuses())
+    return {
+        "keyframes": sum(keyframe.submap == 0 for keyframe in slam.stored_keyframes()),
+        "lost_frames": count[Status.LOST] + count[Status.INTERPOLATED],
+        "interpolated_frames": count[Status.INTERPOLATED],
+        "degenerate_frames": count[Status.DEGENERATE],
+    } | slam.figures()
 
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+def pose_errors(slam: "Slam", recording: FrameSource, *, live: bool = False) -> Evaluation | None:
+    """ATE and RPE of the poses; None where the recording has no ground truth.
+
+    live: of each pose as it was when its frame was processed, before later frames and loops corrected it.
+    """
+    poses = slam.live_trajectory() if live else slam.trajectory()
+    if recording.ground_truth is None:
+        return None
+    truth = recording.ground_truth[: len(poses)]
+    return evaluate_poses(poses, truth) if np.isfinite(truth).all((1, 2)).any() else None
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """The values of a run's metrics.json. Raises ResultError if the file is missing or damaged."""
+    path = result_folder.existing(folder, result_folder.METRICS)
+    try:
+        metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path}: cannot be read ({error}); run again into this folder") from error
+    return metrics
+
+
+def ate_rmse(metrics: Mapping[str, Any]) -> float | None:
+    """The RMSE [m] of the absolute trajectory error in metrics.json; None for a recording without ground truth."""
+    return metrics["ate_m"]["rmse"] if "ate_m" in metrics else None
+
+
+def headline(frames: int, frames_per_second: float, ate_m: float | None) -> str:
+    """A run in one line: number of frames, speed, and the ATE RMSE [m] if there is one."""
+    ate = "" if ate_m is None else f", ATE {ate_m * 100:.2f} cm"
+    return f"{frames} frames, {frames_per_second:.2f} frames/s{ate}"

@@ -1,4 +1,4 @@
-"""A saved map to start in: the map of an earlier run with its keyframes, so that a new recording is localised there and extends it."""
+"""The map and keyframes of an earlier run, in which a new recording is localised and which it extends."""
 
 import logging
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PriorKeyframe:
-    """A keyframe of an earlier run: its frame, its pose, and where the frame came from."""
+    """A keyframe of an earlier run: its frame, its pose, and the recording of its frame."""
 
     frame: Frame
     T_wk: torch.Tensor  # (4, 4) float64
@@ -28,7 +28,7 @@ class PriorKeyframe:
 
 @dataclass(frozen=True, eq=False)
 class PriorMap:
-    """What a run starts in."""
+    """The map that a run starts in."""
 
     folder: Path
     saved: SavedMap
@@ -36,9 +36,9 @@ class PriorMap:
 
 
 def load_prior(folder: Path) -> PriorMap:
-    """The map of a result folder and the keyframes that it was made of, their images read again from their recordings.
+    """Loads the map of a result folder and its keyframes. Their images are read again from their recordings.
 
-    Raises ResultError where the folder holds no finished run, or where no keyframe's recording is at hand.
+    Raises ResultError if the folder holds no finished run, or if no keyframe's recording can be read.
     """
     saved = load_map(result_folder.existing(folder, result_folder.MAP))
     _, source = result_folder.read_config(folder)

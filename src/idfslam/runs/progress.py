@@ -7,11 +7,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from idfslam.frame import FrameResult, Status
 
-_WIDE = 140  # columns of a terminal that has room for every loss
+_WIDE = 140  # [columns] a terminal at least as wide shows every loss, a narrower one the first
 
 
 class ProgressBar:
-    """Shows each `FrameResult` of `total`, None where nobody knows how many come; without a console it shows nothing."""
+    """Shows the progress of a run of `total` frames (None: unknown). Without a console it shows nothing."""
 
     def __init__(self, total: int | None, console: Console | None) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(bar_width=10), MofNCompleteColumn(), TimeRemainingColumn())
@@ -28,12 +28,12 @@ class ProgressBar:
         self._progress.stop()
 
     def resume(self, *, done: int, keyframes: int, lost: int) -> None:
-        """So many frames were done before."""
+        """Sets the counts of the frames done before the run was resumed."""
         self._keyframes, self._lost = keyframes, lost
         self._progress.update(self._task, completed=done)
 
     def update(self, result: FrameResult, *, frames_per_second: float) -> None:
-        """One more frame."""
+        """Counts and shows a frame."""
         self._keyframes += result.keyframe
         self._lost += result.status is Status.LOST
         counts = f"keyframes {self._keyframes}" + (f", lost {self._lost}" if self._lost else "")
@@ -44,5 +44,5 @@ class ProgressBar:
             self._progress.update(self._task, losses=" ".join(f"{name} {value:.3g}" for name, value in shown))
 
     def describe(self, stage: str) -> None:
-        """What goes on now."""
+        """Shows the name of the present stage."""
         self._progress.update(self._task, description=stage)

@@ -1,4 +1,4 @@
-"""The result folder of a run: which files it holds, written so that a reader never meets half a file."""
+"""The files in the result folder of a run. Each is written whole or not at all."""
 
 import json
 import platform
@@ -23,22 +23,23 @@ from idfslam.viewer.rerun_program import RECORDING
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
 FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
-CHECKPOINT = "checkpoint.safetensors"  # of a run that is not over
-FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a run
-EVALUATION_FILES = ("evaluation.json", PICTURE, "error.png")  # of an evaluation of it
-_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # of a report
+CHECKPOINT = "checkpoint.safetensors"  # of an unfinished run
+FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a complete run
+EVALUATION = "evaluation.json"
+EVALUATION_FILES = (EVALUATION, PICTURE, "error.png")
+_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # a picture of a report
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 
 
 @dataclass(frozen=True)
 class Source:
-    """The recording of a run and which of its frames: what `open_recording` is called with."""
+    """A recording and the selection of its frames: the arguments of `open_recording`."""
 
     path: str
     format: str | None = None
-    camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that win over the recording's own
+    camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that replace the recording's own
     depth_scale: float | None = None  # units of the depth images per metre
-    topics: dict[str, str] | None = None  # of a ROS recording, where they are named
+    topics: dict[str, str] | None = None  # of a ROS recording; None: found by their types and names
     start: int = 0
     frames: int | None = None
     stride: int = 1
@@ -46,37 +47,37 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class EarlierKeyframe:
-    """A keyframe of a map that a run started in."""
+    """A keyframe of the map that a run started in."""
 
-    source: Source  # the recording that it is of
-    index: int  # its frame there
+    source: Source  # the recording that holds its frame
+    index: int  # of the frame in that recording
     timestamp: float  # [s]
     T_wk: NDArray[np.float64]  # (4, 4)
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeRecord:
-    """The keyframes of a run as keyframes.json tells them."""
+    """The content of keyframes.json."""
 
     camera: Camera
     indices: NDArray[np.int64]  # (K,) frames of the trajectory
     timestamps: NDArray[np.float64]  # (K,) [s]
     poses: NDArray[np.float64]  # (K, 4, 4) T_wk
-    earlier: Sequence[EarlierKeyframe] = ()  # those of other recordings
+    earlier: Sequence[EarlierKeyframe] = ()  # the keyframes of the map that the run started in
 
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Within, a file that cannot be written is a ResultError: a full disk, a folder that was taken away."""
+    """Turns an OSError of the `with` block, such as a full disk or a removed folder, into a ResultError."""
     try:
         yield
     except OSError as error:
-        advice = f"make room or give permission, then `idf-slam run --resume {folder}` goes on from the last checkpoint"
+        advice = f"make room or give permission, then continue from the last checkpoint with `idf-slam run --resume {folder}`"
         raise ResultError(f"{error.filename or folder}: cannot be written ({error.strerror or error}); {advice}") from error
 
 
 def remove_stale(folder: Path, *, written: set[str]) -> None:
-    """Takes away the files of an earlier run that this one did not write, and nothing else."""
+    """Removes the result files of an earlier run that are not in `written`, and nothing else."""
     for name in {*FILES, *EVALUATION_FILES, REPORT, RECORDING} - written:
         (folder / name).unlink(missing_ok=True)
     if REPORT not in written:
@@ -84,7 +85,7 @@ def remove_stale(folder: Path, *, written: set[str]) -> None:
 
 
 def remove_pictures(folder: Path) -> None:
-    """Takes away a report's pictures, and their folder if nothing else is in it."""
+    """Removes the pictures of a report, and their folder if it is then empty."""
     pictures = folder / PICTURES
     for path in pictures.glob("*.png"):
         if _PICTURE.fullmatch(path.name):
@@ -94,7 +95,7 @@ def remove_pictures(folder: Path) -> None:
 
 
 def write_config(folder: Path, config: Config, source: Source | None) -> None:
-    """The effective values; beside them the recording and the versions that made the results."""
+    """Writes config.yaml: all values, the recording, and the versions of the packages."""
     versions = {"idf-slam": __version__, "python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
     values = dump(config) | dict(zip(RUN_SECTIONS, (asdict(source) if source else None, versions)))
     with atomic_files.replacing(folder / CONFIG) as part:
@@ -102,7 +103,7 @@ def write_config(folder: Path, config: Config, source: Source | None) -> None:
 
 
 def read_config(folder: Path) -> tuple[Config, Source | None]:
-    """What `write_config` wrote. Raises ResultError if the folder holds no run, ConfigError if its config.yaml is damaged."""
+    """Reads config.yaml. Raises ResultError if the folder holds no run, ConfigError if the file is damaged."""
     path = existing(folder, CONFIG)
     recording = read_yaml(path).get(RUN_SECTIONS[0])
     if recording is None:
@@ -113,7 +114,7 @@ def read_config(folder: Path) -> tuple[Config, Source | None]:
 
 
 def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
-    """Camera, and frame index, time stamp [s] and pose T_wk (4 x 4, rows) of each keyframe; apart, those of the map that was extended."""
+    """Writes keyframes.json: the camera, and for each keyframe its frame, time stamp [s] and pose T_wk (4 x 4, by rows)."""
     keyframes = [
         {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
         for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
@@ -124,13 +125,13 @@ def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
 
 
 def own_keyframes(record: KeyframeRecord, source: Source) -> list[EarlierKeyframe]:
-    """A run's own keyframes as those of an earlier one."""
+    """The keyframes of a run, as an extension of its map stores them."""
     columns = zip(record.indices, record.timestamps, record.poses, strict=True)
     return [EarlierKeyframe(source, int(index), float(stamp), T_wk) for index, stamp, T_wk in columns]
 
 
 def read_keyframes(folder: Path) -> KeyframeRecord:
-    """What `write_keyframes` wrote. Raises ResultError if it is missing or of another form."""
+    """Reads keyframes.json. Raises ResultError if it is missing or damaged."""
     path = existing(folder, KEYFRAMES)
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
@@ -146,11 +147,11 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
             ],
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise ResultError(f"{path}: not as a run writes it ({error}); run again into this folder") from error
+        raise ResultError(f"{path}: is damaged ({error}); run again into this folder") from error
 
 
 def existing(folder: Path, name: str) -> Path:
-    """The path of a file of the results. Raises ResultError if it is not there."""
+    """The path of a result file. Raises ResultError if it does not exist."""
     path = folder / name
     if not folder.is_dir():
         raise ResultError(f"{folder}: no such folder; expected the results of `idf-slam run`")

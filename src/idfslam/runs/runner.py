@@ -1,36 +1,30 @@
-"""A recording through Slam into a result folder."""
+"""Runs SLAM on a recording or a live camera and writes the result folder."""
 
 import logging
-import threading
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 import trimesh
-from numpy.typing import NDArray
 from rich.console import Console
 
 from idfslam.compute.devices import resolve_device
 from idfslam.compute.interrupt import stop_on_interrupt
 from idfslam.config import Config
-from idfslam.datasets import Dataset, FrameSource, Prefetch
+from idfslam.datasets import Dataset
 from idfslam.errors import DivergedError, FrameError, RecordingError, ResultError
-from idfslam.evaluation.evaluate import evaluate_poses
-from idfslam.evaluation.summary import Evaluation, plot_trajectory
-from idfslam.frame import Frame, FrameResult, Status
-from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.frame import Frame
+from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import LiveStream, is_live
 from idfslam.runs import result_folder
-from idfslam.runs.checkpoint import Checkpoints, made_of
-from idfslam.runs.frame_log import FrameLog
-from idfslam.runs.metrics import Meter
+from idfslam.runs.checkpoint import Checkpoints, fingerprint
+from idfslam.runs.metrics import keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
-from idfslam.runs.source import open_source
+from idfslam.runs.result_writer import ResultWriter, trajectory_of
+from idfslam.runs.run_state import RunState
+from idfslam.runs.source import open_source, read_frames
 from idfslam.slam import Slam
 from idfslam.slam.warm_up import warm_up
 from idfslam.storage import atomic_files
@@ -38,17 +32,17 @@ from idfslam.viewer.rerun_viewer import NullViewer, Viewer
 
 log = logging.getLogger(__name__)
 
-_NOTHING = NullViewer()
+_NO_VIEWER = NullViewer()
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a run left behind."""
+    """The results of a run."""
 
     folder: Path
     trajectory: Trajectory  # one pose for every frame processed
     mesh: trimesh.Trimesh
-    metrics: dict[str, Any]  # what metrics.json holds
+    metrics: dict[str, Any]  # the values of metrics.json
 
 
 def run(
@@ -62,29 +56,26 @@ def run(
     make_slam: Callable[[Config], Slam] = Slam,
     checkpoint_every: int = 0,
     resume: bool = False,
-    viewer: Viewer = _NOTHING,
+    viewer: Viewer = _NO_VIEWER,
 ) -> Run:
-    """Every frame of `recording`, or of a live camera those that there is time for, through Slam; all results into `folder`, and before
-    the eyes of `viewer`.
+    """Runs SLAM on a recording or a live camera, writes the results to `folder` and shows them in `viewer`.
 
-    Ctrl-C ends after the frame in hand and writes the results so far; a second one ends at once. A frame that cannot be read is
-    reported and treated as lost. Every `checkpoint_every` frames (0: never), and on Ctrl-C, the state is kept; with `resume` the run goes
-    on from the last that was, or from its beginning; of a recording alone, and without `prior`. Raises ResultError before anything is
-    computed if the folder cannot be written to or its checkpoint is of another run, later where files cannot be written, and after the
-    poses so far are written DivergedError, or RecordingError if no frame could be used or the recording is gone; CameraError if none came.
+    Every frame of a recording is processed; of a live camera, always the newest one.
+    source: how the recording was opened, for config.yaml. prior: a saved map to start in. console: where progress is shown.
+    checkpoint_every: frames between checkpoints; 0: none. resume: continue from the checkpoint in `folder`, or from the first frame if
+    there is none. Checkpoints exist for recordings only, and only without `prior`.
+
+    The first Ctrl-C ends the run after the current frame, with a checkpoint and all results so far; a second one ends it at once. An
+    unreadable frame is reported and counts as lost. The number of torch's threads is left as it is.
+
+    Raises, before the first frame, ResultError if the folder cannot be written to or its checkpoint is of another run; later ResultError if
+    a file cannot be written, CameraError if a camera gives no frame, and, after the poses so far are written, DivergedError for a loss that
+    is not finite and RecordingError if no frame has depth or the recording disappears.
     """
     atomic_files.prepare(folder)
-    if config.field.encoding == "grid":
-        torch.set_num_threads(1)  # its tensors are small and Numba uses the cores: threads that wait for each other cost half the rate
-    if isinstance(recording, LiveStream):
-        if console is not None:
-            console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
-        warm_up(config, make_slam)
-    slam = make_slam(config) if prior is None else started_in(prior, config, make_slam)
-    meter, frame_log = Meter(), FrameLog()
-    device = resolve_device(config.device, config.preset)
-    made = None if isinstance(recording, LiveStream) or prior is not None else made_of(config, recording, device)
-    checkpoints = Checkpoints(folder, made or {})
+    slam = _new_slam(recording, config, prior, make_slam, console)
+    state, writer = RunState(slam), ResultWriter(folder, slam, recording, config, source=source, prior=prior)
+    checkpoints = _checkpoints(recording, config, folder, prior, checkpoint_every)
     with (
         viewer.opened(folder, recording.name),
         checkpoints,
@@ -92,208 +83,115 @@ def run(
         ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar,
     ):
         if resume:
-            _restore(checkpoints, slam, recording, meter, frame_log, bar)
+            _restore(state, checkpoints, recording, bar)
         else:
-            _begin(folder, config, source if made else None, viewer.files)
-
-        def keep() -> None:
-            if made and checkpoint_every and (stop.is_set() or meter.frames % checkpoint_every == 0):
-                checkpoints.keep(meter.frames, {"meter": meter.state(), "frame_log": frame_log.state(), "slam": slam.state()})
-
+            _clear(folder, config, source if checkpoints.enabled else None, viewer.files)
         try:
-            _process(slam, frames(recording, meter.frames, source), meter, frame_log, bar, stop, keep, viewer)
+            for frame, readable in read_frames(recording, source, first=state.meter.frames):
+                result = state.process(frame, readable=readable, viewer=viewer)
+                bar.update(result, frames_per_second=state.meter.frames_per_second)
+                if checkpoints.due(state.meter.frames, stopping=stop.is_set()):
+                    checkpoints.save(state.meter.frames, state.state())
+                if stop.is_set():
+                    log.warning("interrupted after frame %d: writing the results so far", frame.index)
+                    break
             bar.describe("refining")
-            if not slam.graph.keyframes:
-                raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
-            slam.finish()
+            _finish(slam, recording)
         except (DivergedError, RecordingError):
-            written = _write_poses(folder, slam, recording, config, source, prior) | _write_log(folder, frame_log, slam)
-            result_folder.remove_stale(folder, written=written | viewer.files)
+            writer.write_poses()
+            writer.write_frames(state.frame_log)
+            writer.remove_stale(keep=viewer.files)
             raise
-        metrics = _metrics(slam, recording, meter, stop)
+        metrics = run_metrics(slam, recording, state.meter, interrupted=stop.is_set()) | _camera_metrics(recording)
         bar.describe("writing")
         mesh = slam.mesh(config.mesh.resolution)
         viewer.finish(slam, mesh)
         with result_folder.writing(folder):
-            written = _write_poses(folder, slam, recording, config, source, prior) | _write_map(folder, slam, mesh)
-            written |= _write_log(folder, frame_log, slam) | viewer.files
-            atomic_files.write_json(folder / result_folder.METRICS, metrics)
-            result_folder.remove_stale(folder, written=written | {result_folder.METRICS})
+            writer.write_all(mesh, state.frame_log, metrics, keep=viewer.files)
         if not stop.is_set():
             checkpoints.remove()
-    return Run(folder, _trajectory(slam, recording), mesh, metrics)
+    return Run(folder, trajectory_of(slam, recording), mesh, metrics)
 
 
-def _metrics(slam: Slam, recording: Dataset | LiveStream, meter: Meter, stop: threading.Event) -> dict[str, Any]:
-    """What metrics.json tells."""
-    metrics = meter.summary(slam.timings) | {"interrupted": stop.is_set()}
+def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None) -> Run | None:
+    """Continues the interrupted run of a result folder, with the values in its config.yaml; None if that run is complete.
+
+    The results are those of a run without the interruption. Raises ResultError for a folder without a run of a recording, and what `run`
+    raises.
+    """
+    config, source = result_folder.read_config(folder)
+    if source is None:
+        raise ResultError(f"{folder / result_folder.CONFIG}: names no recording, so the run cannot be resumed; start a new one")
+    if (folder / result_folder.METRICS).exists() and not (folder / result_folder.CHECKPOINT).exists():
+        return None
+    if is_live(source.path):
+        raise ResultError(f"{folder}: is a run of a live camera ({source.path}), which cannot be resumed; start a new one")
+    return run(open_source(source), config, folder, source=source, console=console, checkpoint_every=checkpoint_every, resume=True)
+
+
+def _new_slam(
+    recording: Dataset | LiveStream,
+    config: Config,
+    prior: PriorMap | None,
+    make_slam: Callable[[Config], Slam],
+    console: Console | None,
+) -> Slam:
+    """The SLAM system, in the prior map if there is one. For a live camera everything is compiled before its first frame."""
     if isinstance(recording, LiveStream):
-        metrics |= {"dropped_frames": recording.dropped, "camera_lost": recording.failure is not None}
-    errors = evaluation(slam, recording)
-    metrics |= counts(slam) | ({} if errors is None else errors.to_dict())
-    if (told := evaluation(slam, recording, live=True)) is not None and told.ate is not None:
-        metrics["live_ate_m"] = told.ate.translation.rmse
-    return metrics
-
-
-def started_in(prior: PriorMap, config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
-    """A system whose map is an earlier run's; the field is as it was there, whatever the config says."""
-    slam = make_slam(replace(config, field=prior.saved.field.config))
+        if console is not None:
+            console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
+        warm_up(config, make_slam)
+    if prior is None:
+        return make_slam(config)
+    slam = make_slam(replace(config, field=prior.saved.field.config))  # the saved field keeps its own shape
     slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
     return slam
 
 
-def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None) -> Run | None:
-    """Goes on with the run of a folder by its config.yaml, to the same results as without a break; None where that run is over.
-
-    Raises ResultError for a folder without a run, and as `run` does.
-    """
-    config, source = result_folder.read_config(folder)
-    if source is None:
-        raise ResultError(f"{folder / result_folder.CONFIG}: names no recording, expected that of a run; start the run anew")
-    if (folder / result_folder.METRICS).exists() and not (folder / result_folder.CHECKPOINT).exists():
-        return None
-    if is_live(source.path):
-        raise ResultError(f"{folder}: is of a live camera ({source.path}), which cannot be gone on with; start a new run")
-    return run(open_source(source), config, folder, source=source, console=console, checkpoint_every=checkpoint_every, resume=True)
+def _checkpoints(recording: Dataset | LiveStream, config: Config, folder: Path, prior: PriorMap | None, every: int) -> Checkpoints:
+    if isinstance(recording, LiveStream) or prior is not None:
+        return Checkpoints(folder, None)
+    return Checkpoints(folder, fingerprint(config, recording, resolve_device(config.device, config.preset)), every=every)
 
 
-def frames(recording: Dataset | LiveStream, first: int = 0, source: result_folder.Source | None = None) -> Iterator[tuple[Frame, bool]]:
-    """Each frame from `first` on, read ahead, and whether it could be read; a blank one stands for one that could not.
-
-    Raises RecordingError where the source as a whole is there no more.
-    """
-    for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording, first=first):
-        if isinstance(frame, Frame):
-            yield frame, True
-        elif source is not None and Path(source.path).is_absolute() and not Path(source.path).exists():
-            raise RecordingError(f"{source.path}: is gone since frame {i}; bring it back, then `idf-slam run --resume` goes on")
-        else:
-            log.warning("%s; the frame is treated as lost", frame)
-            yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
-
-
-def _begin(folder: Path, config: Config, source: result_folder.Source | None, keep: frozenset[str]) -> None:
-    """Makes way for a new run; where it has a source that can be gone on with, its config stands there from now on."""
-    if (folder / result_folder.CHECKPOINT).exists():
-        log.warning("%s: held a run that was not over, which --resume would have gone on with; a new one takes its place", folder)
-    (folder / result_folder.CHECKPOINT).unlink(missing_ok=True)
-    if source is not None:  # a camera may yet give nothing, and then an earlier run's files stay
-        result_folder.remove_stale(folder, written={*keep})
+def _clear(folder: Path, config: Config, source: result_folder.Source | None, keep: frozenset[str]) -> None:
+    """Removes the checkpoint of an earlier run. With a `source` the other results go too, and config.yaml is written for `resume`."""
+    checkpoint = folder / result_folder.CHECKPOINT
+    if checkpoint.exists():
+        log.warning("%s: replaces an unfinished run, which --resume would have continued", folder)
+        checkpoint.unlink()
+    if source is not None:  # a live camera may give no frame at all: then the earlier results stay
+        result_folder.remove_stale(folder, written=set(keep))
         with result_folder.writing(folder):
             result_folder.write_config(folder, config, source)
 
 
-def _restore(
-    checkpoints: Checkpoints, slam: Slam, recording: Dataset | LiveStream, meter: Meter, frame_log: FrameLog, bar: ProgressBar
-) -> None:
-    """Everything as it was at the last checkpoint; at a run's beginning where it had none."""
-    state = checkpoints.read()
-    if state is None or isinstance(recording, LiveStream):
+def _restore(state: RunState, checkpoints: Checkpoints, recording: Dataset | LiveStream, bar: ProgressBar) -> None:
+    """Sets the state of the last checkpoint; without one the run starts at the first frame."""
+    stored = checkpoints.read()
+    if stored is None or isinstance(recording, LiveStream):
         return
 
     def frame(i: int) -> Frame:
         try:
             return recording[i]
         except FrameError as error:
-            raise RecordingError(f"{error}; the run cannot go on without it, since it is a keyframe") from error
+            raise RecordingError(f"{error}; the run cannot be resumed without this frame, because it is a keyframe") from error
 
-    slam.restore(state["slam"], frame)
-    meter.restore(state["meter"])
-    frame_log.restore(state["frame_log"])
-    found = counts(slam)
-    bar.resume(done=meter.frames, keyframes=found["keyframes"], lost=found["lost_frames"])
+    state.restore(stored, frame)
+    counts = keyframe_counts(state.slam)
+    bar.resume(done=state.meter.frames, keyframes=counts["keyframes"], lost=counts["lost_frames"])
 
 
-def _process(
-    slam: Slam,
-    incoming: Iterator[tuple[Frame, bool]],
-    meter: Meter,
-    frame_log: FrameLog,
-    bar: ProgressBar,
-    stop: threading.Event,
-    keep: Callable[[], None],
-    viewer: Viewer,
-) -> None:
-    """Frames through Slam until the end or the first Ctrl-C; `keep` is called after each."""
-    for frame, readable in incoming:
-        result: FrameResult = slam.process(frame)
-        viewer.frame(frame, result, slam)
-        frame_log.add(result, meter.frame(readable=readable))
-        bar.update(result, frames_per_second=meter.frames_per_second)
-        keep()
-        if stop.is_set():
-            log.warning("interrupted after frame %d: writing the results so far", frame.index)
-            break
+def _finish(slam: Slam, recording: Dataset | LiveStream) -> None:
+    """The last refinement. Raises RecordingError if there is nothing to refine."""
+    if not slam.stored_keyframes():
+        raise RecordingError(f"{recording.name}: none of {len(slam.statuses())} frames has depth, so there is nothing to map")
+    slam.finish()
 
 
-def counts(slam: Slam) -> dict[str, Any]:
-    """The keyframes and what connects them, and how many frames are lost (with those whose pose was filled in later) or degenerate."""
-    found = Counter(slam.statuses())
-    frames = {
-        "lost_frames": found[Status.LOST] + found[Status.INTERPOLATED],
-        "interpolated_frames": found[Status.INTERPOLATED],
-        "degenerate_frames": found[Status.DEGENERATE],
-    }
-    return {"keyframes": len(slam.graph.first_submap)} | frames | slam.figures()
-
-
-def evaluation(slam: Slam, recording: FrameSource, *, live: bool = False) -> Evaluation | None:
-    """ATE and RPE where the recording has ground truth, None where it has none; live: of the poses as they were first told."""
-    poses = slam.live_trajectory() if live else slam.trajectory()
-    if recording.ground_truth is None:
-        return None
-    truth = recording.ground_truth[: len(poses)]
-    return evaluate_poses(poses, truth) if np.isfinite(truth).all((1, 2)).any() else None
-
-
-def _trajectory(slam: Slam, recording: FrameSource) -> Trajectory:
-    poses = slam.trajectory()
-    return Trajectory(recording.timestamps[: len(poses)], poses)
-
-
-def _write_poses(
-    folder: Path, slam: Slam, recording: FrameSource, config: Config, source: result_folder.Source | None, prior: PriorMap | None
-) -> set[str]:
-    """Trajectory, keyframes, config and the trajectory's picture; the names of the files."""
-    trajectory = _trajectory(slam, recording)
-    with atomic_files.replacing(folder / result_folder.TRAJECTORY) as part:
-        save_tum(part, trajectory)
-    adopted = [] if prior is None else prior.keyframes
-    own = slam.graph.first_submap[len(adopted) :]
-    indices = np.array([keyframe.index for keyframe in own], np.int64)
-    poses = np.array([np.asarray(keyframe.T_wk) for keyframe in own], np.float64).reshape(-1, 4, 4)
-    earlier = [replace(k.record, T_wk=np.asarray(stored.T_wk)) for k, stored in zip(adopted, slam.graph.keyframes)]
-    result_folder.write_keyframes(
-        folder, result_folder.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses, earlier)
-    )
-    result_folder.write_config(folder, config, source)
-    _draw(folder, slam, recording, indices)
-    return {result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.CONFIG, result_folder.PICTURE}
-
-
-def _draw(folder: Path, slam: Slam, recording: FrameSource, keyframes: NDArray[np.int64]) -> None:
-    """The trajectory's picture, beside the true one where there is one."""
-    errors, poses = evaluation(slam, recording), slam.trajectory()
-    truth = None if errors is None or recording.ground_truth is None else recording.ground_truth[: len(poses)]
-    T_gt_est = None if errors is None or errors.ate is None else errors.ate.T_gt_est
-    with atomic_files.replacing(folder / result_folder.PICTURE) as part:
-        before = slam.live_trajectory() if slam.figures()["loops"] else None
-        plot_trajectory(part, poses, truth, T_gt_est=T_gt_est, keyframes=keyframes, before=before)
-
-
-def _write_map(folder: Path, slam: Slam, mesh: trimesh.Trimesh) -> set[str]:
-    """Mesh and map; the names of the files."""
-    with atomic_files.replacing(folder / result_folder.MESH) as part:
-        mesh.export(part)
-    with atomic_files.replacing(folder / result_folder.MAP) as part:
-        slam.save_map(part)
-    return {result_folder.MESH, result_folder.MAP}
-
-
-def _write_log(folder: Path, frame_log: FrameLog, slam: Slam) -> set[str]:
-    """What the frames were like, and how their poses were found in the end; the name of the file."""
-    frame_log.settle(slam.statuses())
-    with atomic_files.replacing(folder / result_folder.FRAMES) as part:
-        frame_log.save(part)
-    return {result_folder.FRAMES}
+def _camera_metrics(recording: Dataset | LiveStream) -> dict[str, Any]:
+    """What a live camera adds to metrics.json."""
+    if isinstance(recording, LiveStream):
+        return {"dropped_frames": recording.dropped, "camera_lost": recording.failure is not None}
+    return {}

@@ -1,20 +1,42 @@
-"""What a run is, or was, made of, opened: a recording, or a live camera."""
+"""Opens what a run is made of: a recording or a live camera."""
 
+import logging
+from collections.abc import Iterator
 from dataclasses import asdict
+from pathlib import Path
 
-from idfslam.datasets import Dataset, open_recording
+from idfslam.datasets import Dataset, Prefetch, open_recording
+from idfslam.errors import RecordingError
+from idfslam.frame import Frame
 from idfslam.live import LiveStream, is_live, open_live
 from idfslam.runs.result_folder import Source
 
+log = logging.getLogger(__name__)
+
 
 def open_source(source: Source) -> Dataset:
-    """The recording and the frames of it that a run was, or is to be, made of. Raises RecordingError or ConfigError."""
+    """The recording that `source` names, with the frames that it selects. Raises RecordingError or ConfigError."""
     return open_recording(**asdict(source))
 
 
 def open_feed(source: Source) -> Dataset | LiveStream:
-    """What a run is to be made of: a live camera, or else a recording. Raises as `open_live` and `open_source`."""
+    """The recording or live camera that `source` names. Raises as `open_live` and `open_source` do."""
     if not is_live(source.path):
         return open_source(source)
     options = asdict(source)
     return open_live(options.pop("path"), **options)
+
+
+def read_frames(recording: Dataset | LiveStream, source: Source | None = None, *, first: int = 0) -> Iterator[tuple[Frame, bool]]:
+    """Each frame from index `first` on, read ahead, and whether it could be read. A blank frame replaces an unreadable one.
+
+    Raises RecordingError if an unreadable frame is due to the recording's files being gone, which shows when `source` is an absolute path.
+    """
+    for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording, first=first):
+        if isinstance(frame, Frame):
+            yield frame, True
+        elif source is not None and Path(source.path).is_absolute() and not Path(source.path).exists():
+            raise RecordingError(f"{source.path}: is gone since frame {i}; bring it back, then continue with `idf-slam run --resume`")
+        else:
+            log.warning("%s; the frame is treated as lost", frame)
+            yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False

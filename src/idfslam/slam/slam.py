@@ -14,7 +14,7 @@ from torch import Tensor
 
 from idfslam.config import FAST, Config
 from idfslam.errors import RecordingError
-from idfslam.frame import Frame, FrameResult, Status
+from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
@@ -142,6 +142,10 @@ class Slam:
         edges = sum(len(keyframe.edges) for keyframe in self.graph.keyframes) // 2
         submaps = len({keyframe.submap for keyframe in self.graph.keyframes})
         return {"links": edges, **_FIGURES, "pieces": submaps, **self.recovery.figures(), **self.back_end.figures()}
+
+    def stored_keyframes(self) -> list[StoredKeyframe]:
+        """All keyframes in the order in which they were stored, at their present poses."""
+        return [StoredKeyframe(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap) for k in self.graph.keyframes]
 
     def loops(self) -> Sequence[Loop]:
         """The loops that were closed."""

@@ -1,40 +1,46 @@
-"""rerun as it is installed here: its package and its program, and where they can show something."""
+"""Finds rerun's package and program, and checks whether a display and ports are available."""
 
 import os
 import socket
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from idfslam.errors import ConfigError
 
-RECORDING = "recording.rrd"  # the file of a result folder that keeps what the viewer showed
+RECORDING = "recording.rrd"  # the recorded live view in a result folder
+PORT = 9090  # of the page for a browser, as in rerun; the data is served on PORT + 1
+
+Place = Literal["window", "web", "file"]  # where a run is shown
+ViewerOption = Literal["none", "auto", "window", "web", "file"]  # what --viewer accepts; auto: a window if there is a display, else web
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
+    """Whether this machine can open a window."""
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_ports(port: int) -> None:
-    """Raises ConfigError where the port or the one after it is in use."""
+    """Raises ConfigError if `port` or `port` + 1 is in use."""
     for number in (port, port + 1):
-        with socket.socket() as trial:
-            if os.name != "nt":  # where it would let two programs share a port
-                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with socket.socket() as test:
+            if os.name != "nt":  # on Windows this option lets two programs share a port
+                test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                trial.bind(("0.0.0.0", number))
+                test.bind(("0.0.0.0", number))
             except (OSError, OverflowError) as error:
-                raise ConfigError(f"port {number} cannot be served on ({error}); choose another one, and the next, with --port") from error
+                raise ConfigError(
+                    f"port {number} cannot be used ({error}); choose a PORT with --port such that PORT and PORT+1 are free"
+                ) from error
 
 
 def pages(port: int) -> str:
-    """The pages that may ask for the data: ours, by whatever name of this machine they were found."""
+    """The origin that may request the data (CORS): the page on `port`, under any name of this machine."""
     return f"http://*:{port}"
 
 
 def program() -> str:
-    """The viewer's binary in rerun's package, whether the environment is activated or not."""
+    """The path of the viewer's binary in rerun's package. It is found even if the Python environment is not activated."""
     import rerun_cli
 
     name = {"nt": "rerun.exe"}.get(os.name, "rerun")
@@ -44,7 +50,7 @@ def program() -> str:
 
 
 def rerun() -> Any:
-    """The package. Raises ConfigError where it is not installed."""
+    """The rerun package. Raises ConfigError if it is not installed."""
     try:
         import rerun as package
     except ImportError:

@@ -1,4 +1,4 @@
-"""The live view of a run: what is shown of it, in a window, in a browser and as recording.rrd (rerun; `pip install 'idf-slam[viewer]'`)."""
+"""Shows a run live with rerun, in a window or a browser, and records it as recording.rrd (`pip install 'idf-slam[viewer]'`)."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Protocol
 from urllib.parse import quote
 
 import cv2
@@ -19,21 +19,17 @@ from idfslam.errors import ConfigError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.camera import Camera
 from idfslam.viewer import rerun_program
-from idfslam.viewer.rerun_program import RECORDING
+from idfslam.viewer.rerun_program import PORT, RECORDING, Place
+from idfslam.viewer.slam_view import ClosedLoop, SlamView
 from idfslam.viewer.time_budget import Budget
 
-if TYPE_CHECKING:
-    from idfslam.slam import Slam
-
-Place = Literal["window", "web", "file"]
-PORT = 9090  # of the page; the data come from the next one
-
-_SHARES = {"camera": 0.01, "images": 0.015, "graph": 0.01, "mesh": 0.02}  # of the run's time
-_RESOLUTION = 0.05  # [m] of the mesh while it grows
-_HEIGHT = 240  # rows of the images, at most
-_PLOTTED = 30  # frames whose losses and times are handed over together: most of the cost is a call's own
-_TAIL = 30  # frames after which the whole trajectory is due again without a keyframe
-_FRUSTUM = 0.08  # [m] depth of a keyframe's pyramid
+# The four shares add up to 5.5 % of the run's time. A larger share shows its part more often and slows the run down by as much.
+_SHARES = {"camera": 0.01, "images": 0.015, "graph": 0.01, "mesh": 0.02}
+_MESH_RESOLUTION = 0.05  # [m] cells of the mesh during the run; larger: coarser, and shown more often
+_MAX_ROWS = 240  # [px] height of the images; larger: sharper, and a larger file
+_PLOT_BATCH = 30  # frames whose losses and times are sent in one call; larger: cheaper, and the plots lag behind by as many frames
+_MAX_TAIL = 30  # frames; a path of more frames since the last keyframe makes the whole trajectory due; larger: corrections show later
+_FRUSTUM_DEPTH = 0.08  # [m] depth of the pyramid that is drawn for a keyframe
 _COLOURS = {
     Status.OK: (90, 200, 120),
     Status.DEGENERATE: (240, 180, 60),
@@ -41,42 +37,43 @@ _COLOURS = {
     Status.INTERPOLATED: (200, 120, 230),
 }
 _KEYFRAME, _COVISIBLE, _LOOP = (70, 140, 240), (120, 170, 240, 70), (240, 60, 200)
-_TRAJECTORY, _NEWEST = "world/trajectory", "world/trajectory/newest"
+_TRAJECTORY, _TAIL = "world/trajectory", "world/trajectory/newest"
 
 
 class Viewer(Protocol):
-    """Is shown a run as it goes on; looks at Slam and changes nothing."""
+    """Shows a run frame by frame. It reads from Slam and changes nothing in it."""
 
-    files: frozenset[str]  # what it leaves in the result folder
+    files: frozenset[str]  # names of the files that it writes to the result folder
 
     def opened(self, folder: Path, name: str) -> AbstractContextManager[None]:
-        """Within, a run of the recording `name` into `folder` can be shown; its files stand there afterwards, however it ended."""
+        """A context in which the run of the recording `name` can be shown. Its files are complete afterwards, however the run ended."""
 
-    def frame(self, frame: Frame, result: FrameResult, slam: "Slam") -> None:
-        """One more frame."""
+    def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None:
+        """Shows a frame that has just been processed."""
 
-    def finish(self, slam: "Slam", mesh: trimesh.Trimesh) -> None:
-        """The end: poses after the last refinement, and the mesh that is written."""
+    def finish(self, slam: SlamView, mesh: trimesh.Trimesh) -> None:
+        """Shows the final poses and the final mesh."""
 
 
 class NullViewer:
-    """Shows nothing."""
+    """A viewer that shows nothing."""
 
     files: frozenset[str] = frozenset()
 
     def opened(self, folder: Path, name: str) -> AbstractContextManager[None]:
         return nullcontext()
 
-    def frame(self, frame: Frame, result: FrameResult, slam: "Slam") -> None: ...
+    def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None: ...
 
-    def finish(self, slam: "Slam", mesh: trimesh.Trimesh) -> None: ...
+    def finish(self, slam: SlamView, mesh: trimesh.Trimesh) -> None: ...
 
 
 class RerunViewer:
-    """Shows a run with rerun in `place`, and keeps it as recording.rrd.
+    """Shows a run with rerun in `place` and records it as recording.rrd.
 
-    Camera, images, graph and mesh each have a share of the time, 5.5 % together: what does not fit in is left out, and comes later.
-    Raises ConfigError without rerun, without a display for a window, and for a port that is in use.
+    Camera, images, graph and mesh each have a share of the run's time, 5.5 % together. An update that does not fit into its share is
+    skipped, and a later one replaces it. Raises ConfigError if rerun is not installed, if there is no display for a window, and if a port
+    is in use.
     """
 
     files = frozenset({RECORDING})
@@ -90,18 +87,18 @@ class RerunViewer:
             raise ConfigError("there is no display to open a window on; `--viewer web` shows the run in a browser, on any machine")
         self._recorded: Any = None
         self._budgets: dict[str, Budget] = {}
-        self._first: float | None = None  # [s] time stamp of the first frame
+        self._start: float | None = None  # [s] time stamp of the first frame
         self._camera: Camera | None = None
-        self._newest: list[tuple[NDArray[np.float64], Status]] = []  # positions since the trajectory was last drawn, which it ends with
+        self._tail: list[tuple[NDArray[np.float64], Status]] = []  # positions from the last one of the trajectory drawn to the newest
         self._status: Status | None = None
         self._loops: set[tuple[int, int]] = set()
-        self._calls: dict[str, int] = {}  # of each stage of Slam, as far as they are plotted
-        self._plots: dict[str, list[tuple[int, float, float]]] = defaultdict(list)  # frame, [s] and value that have yet to be shown
-        self._poses: list[tuple[int, float, NDArray[np.float64]]] = []  # frame, [s] and T_wc, likewise
+        self._calls: dict[str, int] = {}  # number of calls of each stage that have been plotted
+        self._plots: dict[str, list[tuple[int, float, float]]] = defaultdict(list)  # frame, [s] and value; not sent yet
+        self._poses: list[tuple[int, float, NDArray[np.float64]]] = []  # frame, [s] and T_wc; not sent yet
 
     @contextmanager
     def opened(self, folder: Path, name: str) -> Iterator[None]:
-        self._budgets = {what: Budget(share) for what, share in _SHARES.items()}
+        self._budgets = {part: Budget(share) for part, share in _SHARES.items()}
         part = folder / f".part-{RECORDING}"
         rr = self._rr
         self._recorded = rr.RecordingStream("idf-slam")
@@ -113,22 +110,22 @@ class RerunViewer:
         try:
             yield
         finally:
-            self._show_what_waits()
+            self._send_pending()
             self._recorded.flush()
             self._recorded.disconnect()
             os.replace(part, folder / RECORDING)
 
-    def frame(self, frame: Frame, result: FrameResult, slam: "Slam") -> None:
+    def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None:
         seconds = self._set_time(frame)
         self._show_status(result)
         self._plot(frame.index, seconds, result, slam)
         if self._budgets["images"].allows():
             with self._budgets["images"].spending():
                 self._show_images(frame)
-        self._newest.append((result.T_wc[:3, 3], result.status))
-        closed = self._show_loops_that_closed(slam)
-        due = result.keyframe or len(self._newest) > _TAIL
-        if closed or (due and self._budgets["graph"].allows()):
+        self._tail.append((result.T_wc[:3, 3], result.status))
+        new_loops = self._log_new_loops(slam)
+        due = result.keyframe or len(self._tail) > _MAX_TAIL
+        if new_loops or (due and self._budgets["graph"].allows()):
             with self._budgets["graph"].spending():
                 self._show_graph(slam)
         if self._budgets["camera"].allows():
@@ -136,28 +133,28 @@ class RerunViewer:
                 self._show_camera(result)
         else:
             self._poses.append((frame.index, seconds, result.T_wc))
-        if slam.graph.keyframes and self._budgets["mesh"].allows():
+        if self._budgets["mesh"].allows() and slam.stored_keyframes():
             with self._budgets["mesh"].spending():
-                self._show_mesh(slam.mesh(_RESOLUTION))
+                self._show_mesh(slam.mesh(_MESH_RESOLUTION))
 
-    def finish(self, slam: "Slam", mesh: trimesh.Trimesh) -> None:
-        self._show_loops_that_closed(slam)
+    def finish(self, slam: SlamView, mesh: trimesh.Trimesh) -> None:
+        self._log_new_loops(slam)
         self._show_graph(slam)
         self._show_mesh(mesh)
 
     def address(self) -> str:
-        """Where a browser finds the live view."""
-        return f"http://localhost:{self.port}/?url={quote(self._data(), safe='')}"
+        """The address of the live view for a browser."""
+        return f"http://localhost:{self.port}/?url={quote(self._data_address(), safe='')}"
 
-    def _data(self) -> str:
+    def _data_address(self) -> str:
         return f"rerun+http://localhost:{self.port + 1}/proxy"
 
     def _sinks(self) -> list[Any]:
-        """Where the run goes besides the file."""
+        """Where the data is sent besides the file."""
         rr = self._rr
         if self.place == "web":
             sink = rr.GrpcServerSink(port=self.port + 1, cors_allow_origin=[rerun_program.pages(self.port)])
-            rr.serve_web_viewer(web_port=self.port, open_browser=rerun_program.has_display(), connect_to=self._data())
+            rr.serve_web_viewer(web_port=self.port, open_browser=rerun_program.has_display(), connect_to=self._data_address())
             return [sink]
         if self.place == "window":
             rr.spawn(connect=False, executable_path=rerun_program.program())
@@ -168,30 +165,31 @@ class RerunViewer:
         self._recorded.log(entity, value, static=static)
 
     def _set_time(self, frame: Frame) -> float:
-        """What is logged from now on belongs to this frame; its time [s] since the first."""
-        self._first = frame.timestamp if self._first is None else self._first
+        """Assigns everything that is logged from now on to this frame. Returns its time [s] since the first frame."""
+        self._start = frame.timestamp if self._start is None else self._start
+        seconds = frame.timestamp - self._start
         self._recorded.set_time("frame", sequence=frame.index)
-        self._recorded.set_time("recorded", duration=frame.timestamp - self._first)
-        return frame.timestamp - self._first
+        self._recorded.set_time("recorded", duration=seconds)
+        return seconds
 
     def _show_status(self, result: FrameResult) -> None:
-        """Only where it changes."""
+        """Logs the status if it has changed."""
         if result.status is not self._status:
             self._status = result.status
             self._log("status", self._rr.StateChange(state=result.status.value))
 
-    def _plot(self, frame: int, seconds: float, result: FrameResult, slam: "Slam") -> None:
-        """Losses, and the milliseconds that each stage took for this frame; shown many frames at a time."""
+    def _plot(self, frame: int, seconds: float, result: FrameResult, slam: SlamView) -> None:
+        """Collects the losses and the milliseconds of each stage for this frame, and sends those of many frames at once."""
         for name, loss in result.losses.items():
             self._plots[f"losses/{name}"].append((frame, seconds, loss))
         for stage, ms in slam.timings.items():
             self._plots[f"milliseconds/{stage}"].append((frame, seconds, sum(ms[self._calls.get(stage, 0) :])))
             self._calls[stage] = len(ms)
-        if max(map(len, self._plots.values()), default=0) >= _PLOTTED:
-            self._show_what_waits()
+        if max(map(len, self._plots.values()), default=0) >= _PLOT_BATCH:
+            self._send_pending()
 
-    def _show_what_waits(self) -> None:
-        """What has been plotted since the last time, and the poses that were not shown at once."""
+    def _send_pending(self) -> None:
+        """Sends the collected plots, and the poses of frames whose camera was not shown."""
         rr = self._rr
         for entity, rows in self._plots.items():
             self._send(entity, rows, rr.Scalars.columns(scalars=[value for _, _, value in rows]))
@@ -202,14 +200,14 @@ class RerunViewer:
         self._poses.clear()
 
     def _send(self, entity: str, rows: Sequence[tuple[int, float, Any]], columns: Any) -> None:
-        """Many frames' values at once."""
+        """Sends the values of many frames in one call. rows: frame, [s] and value."""
         frames, seconds, _ = zip(*rows)
         times = [self._rr.TimeColumn("frame", sequence=frames), self._rr.TimeColumn("recorded", duration=seconds)]
         self._recorded.send_columns(entity, times, columns)
 
     def _show_images(self, frame: Frame) -> None:
-        """Colour as JPEG, depth in millimetres as PNG, both reduced."""
-        step = max(1, -(-frame.camera.height // _HEIGHT))
+        """Colour as JPEG and depth in millimetres as PNG, both reduced to at most `_MAX_ROWS` rows."""
+        step = max(1, -(-frame.camera.height // _MAX_ROWS))
         camera = frame.camera.resized(frame.camera.width // step, frame.camera.height // step)
         size = (camera.width, camera.height)
         if camera != self._camera:
@@ -219,52 +217,53 @@ class RerunViewer:
         colour = cv2.resize(frame.colour, size, interpolation=cv2.INTER_AREA)
         jpeg = cv2.imencode(".jpg", np.round(colour[..., ::-1] * 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
         self._log("world/camera/image/colour", self._rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
-        depth = cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST)  # no readings between readings
+        depth = cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST)  # interpolated depth would be points in empty space
         png = cv2.imencode(".png", np.round(depth * 1000).clip(0, 65535).astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
         encoded = self._rr.EncodedDepthImage(png.tobytes(), media_type="image/png", meter=1000.0, colormap="turbo")
         self._log("world/camera/image/depth", encoded)
 
     def _show_camera(self, result: FrameResult) -> None:
-        """Where it is, and its path since the whole trajectory was drawn."""
+        """The camera's pose, and its path since the whole trajectory was last drawn."""
         self._log("world/camera", self._rr.Transform3D(translation=result.T_wc[:3, 3], mat3x3=result.T_wc[:3, :3]))
-        if len(self._newest) > 1:
-            positions, statuses = zip(*self._newest)
-            self._show_path(_NEWEST, np.array(positions), statuses)
+        if len(self._tail) > 1:
+            positions, statuses = zip(*self._tail)
+            self._show_path(_TAIL, np.array(positions), statuses)
 
-    def _show_loops_that_closed(self, slam: "Slam") -> bool:
-        """A line for each new one."""
-        new = _loops(slam) - self._loops
+    def _log_new_loops(self, slam: SlamView) -> bool:
+        """Logs a line for each loop that is new. Returns whether there is one."""
+        new = _pairs(slam.loops()) - self._loops
         self._loops |= new
+        keyframes = slam.stored_keyframes() if new else ()
         for a, b in sorted(new):
-            indices = [slam.graph.keyframes[i].index for i in (a, b)]
-            self._log("events", self._rr.TextLog(f"loop closed between frames {indices[0]} and {indices[1]}"))
+            self._log("events", self._rr.TextLog(f"loop closed between frames {keyframes[a].index} and {keyframes[b].index}"))
         return bool(new)
 
-    def _show_graph(self, slam: "Slam") -> None:
-        """Keyframes, what connects them, and all frames at the poses that they have now."""
-        T_wk = np.array([np.asarray(keyframe.T_wk) for keyframe in slam.graph.keyframes]).reshape(-1, 4, 4)
-        placed = [i for i, keyframe in enumerate(slam.graph.keyframes) if keyframe.submap == 0]
+    def _show_graph(self, slam: SlamView) -> None:
+        """Keyframes of the first submap, their covisibility, loops, and the path of all frames, at their present poses."""
+        keyframes = slam.stored_keyframes()
+        T_wk = np.array([keyframe.T_wk for keyframe in keyframes]).reshape(-1, 4, 4)
+        placed = [i for i, keyframe in enumerate(keyframes) if keyframe.submap == 0]
         self._show_lines("world/keyframes", frustums(T_wk[placed], self._camera) if self._camera else [], _KEYFRAME, width=1)
-        covisible = {(j, i) for i in placed for j in slam.graph.keyframes[i].covisible if j < i}
-        for kind, pairs, colour, width in (("covisible", covisible, _COVISIBLE, 1), ("loop", _loops(slam), _LOOP, 3)):
+        covisible = {(j, i) for i in placed for j in keyframes[i].covisible if j < i}
+        for kind, pairs, colour, width in (("covisible", covisible, _COVISIBLE, 1), ("loop", _pairs(slam.loops()), _LOOP, 3)):
             self._show_lines(f"world/graph/{kind}", [T_wk[list(pair), :3, 3] for pair in sorted(pairs)], colour, width=width)
         positions, statuses = slam.trajectory()[:, :3, 3], slam.statuses()
         self._show_path(_TRAJECTORY, positions, statuses)
-        self._newest = [(positions[-1], statuses[-1])]
-        self._show_lines(_NEWEST, [], _KEYFRAME, width=1)
+        self._tail = [(positions[-1], statuses[-1])]
+        self._show_lines(_TAIL, [], _KEYFRAME, width=1)
 
     def _show_path(self, entity: str, positions: NDArray[np.float64], statuses: Sequence[Status]) -> None:
-        """A line in the colours of the frames' statuses."""
+        """A line through `positions` (N, 3), coloured by the frames' statuses."""
         strips, kinds = coloured_strips(positions, statuses)
         self._show_lines(entity, strips, [_COLOURS[kind] for kind in kinds], width=3)
 
     def _show_lines(self, entity: str, strips: Any, colours: Any, *, width: float) -> None:
-        """Lines, each (N, 3) [m], `width` points of the screen wide."""
+        """Lines, each (N, 3) [m]. width: [points of the screen]."""
         lines = self._rr.LineStrips3D(strips, colors=colours, radii=self._rr.Radius.ui_points(width / 2))
         self._log(entity, lines)
 
     def _show_mesh(self, mesh: trimesh.Trimesh) -> None:
-        """Seen from outside walls are left out, so that one sees into the room."""
+        """The mesh. Its faces are shown from their front only, so that a view from outside looks through the walls into the room."""
         assert isinstance(mesh.visual, trimesh.visual.ColorVisuals)
         colours = mesh.visual.vertex_colors[:, :3]
         vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
@@ -273,13 +272,13 @@ class RerunViewer:
         )
 
 
-def _loops(slam: "Slam") -> set[tuple[int, int]]:
-    """Pairs of stored keyframes between which a loop stands."""
-    return {(loop.a, loop.b) for loop in slam.loops()}
+def _pairs(loops: Sequence[ClosedLoop]) -> set[tuple[int, int]]:
+    """The pairs of keyframes that loops connect."""
+    return {(loop.a, loop.b) for loop in loops}
 
 
 def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) -> tuple[list[NDArray[np.float64]], list[Status]]:
-    """The path through positions (N, 3) cut where the status changes; each strip begins where the last one ended, and has one status."""
+    """Cuts the path through positions (N, 3) where the status changes. Each strip has one status and begins where the last one ends."""
     strips, kinds, first = [], [], 0
     for status, group in groupby(statuses):
         end = first + len(list(group))
@@ -290,18 +289,18 @@ def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) 
 
 
 def frustums(T_wk: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """The edges (K, 10, 3) [m] of what small cameras at T_wk (K, 4, 4) see, each as one line."""
+    """A pyramid for each camera pose T_wk (K, 4, 4), drawn as one line (K, 10, 3) [m] along its edges."""
     left, right = (np.array([0, camera.width]) - 0.5 - camera.cx) / camera.fx
     top, bottom = (np.array([0, camera.height]) - 0.5 - camera.cy) / camera.fy
-    apex, a, b, c, d = np.array([[0, 0, 0], [left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]]) * _FRUSTUM
+    apex, a, b, c, d = np.array([[0, 0, 0], [left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]]) * _FRUSTUM_DEPTH
     line = np.array([apex, a, b, apex, c, b, c, d, apex, d, a])[:, None]
     return (T_wk[:, None, :3, :3] @ line[None, :, 0, :, None])[..., 0] + T_wk[:, None, :3, 3]
 
 
 def show(folder: Path, *, web: bool, port: int = PORT) -> None:
-    """Opens the recording.rrd of a result folder, in a window or in a browser, until it is closed or Ctrl-C.
+    """Shows the recording.rrd of a result folder in a window or a browser, until the window is closed or Ctrl-C is pressed.
 
-    Raises ResultError where there is none, ConfigError as `RerunViewer` does.
+    Raises ResultError if there is no such file, ConfigError as `RerunViewer` does.
     """
     path = folder / RECORDING
     if not path.is_file():
@@ -322,19 +321,19 @@ def show(folder: Path, *, web: bool, port: int = PORT) -> None:
         ]
     environment = {"RUST_LOG": "warn"} | os.environ
     if os.name == "posix":
-        os.execve(command[0], command, environment)  # no parent that could end without it
+        os.execve(command[0], command, environment)  # replaces this process, so that no parent can end and leave the viewer behind
     with suppress(KeyboardInterrupt):
         subprocess.run(command, env=environment, check=False)
 
 
 def _blueprint(name: str) -> Any:
-    """What is where when it opens: the scene large, the images beside it, plots below."""
+    """The layout of the viewer: a large scene, the images to its right, plots below."""
     import rerun.blueprint as rrb
 
     eye = rrb.EyeControls3D(kind="orbital", position=(0.8, -2.4, -2.3), look_target=(0.1, 0.0, 1.9), eye_up=(0, -1, 0))
     scene = rrb.Spatial3DView(
         origin="world",
-        contents=["$origin/**", "- $origin/camera/image/depth"],  # or its points would lie over the mesh
+        contents=["$origin/**", "- $origin/camera/image/depth"],  # the points of the depth image would hide the mesh
         name=name,
         eye_controls=eye,
         background=(16, 18, 22),
@@ -342,7 +341,7 @@ def _blueprint(name: str) -> Any:
     )
     image = "world/camera/image"
     colour, depth = (rrb.Spatial2DView(origin=image, contents=f"$origin/{kind}", name=kind) for kind in ("colour", "depth"))
-    legend = rrb.PlotLegend(corner="lefttop")  # over what is oldest
+    legend = rrb.PlotLegend(corner="lefttop")  # covers the oldest values
     losses = rrb.TimeSeriesView(origin="losses", name="losses", plot_legend=legend)
     milliseconds = rrb.TimeSeriesView(origin="milliseconds", name="milliseconds a frame", plot_legend=legend)
     status = rrb.Tabs(rrb.StateTimelineView(origin="status", name="status of frames"), rrb.TextLogView(origin="events", name="loops"))

@@ -1,4 +1,4 @@
-"""A share of a run's time for work that may be left out."""
+"""Limits optional work to a share of a run's time."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,24 +6,24 @@ from time import perf_counter
 
 
 class Budget:
-    """Allows a piece of work as often as `share` of the time since the budget was made has room for it.
+    """Allows a task as long as the time spent on it stays below `share` of the time since the budget was created.
 
-    The first piece is always allowed, and each one is expected to cost what the last one did: the more it grows, the rarer it becomes.
+    The first task is always allowed. Each task is expected to take as long as the one before, so a task that grows is allowed less often.
     """
 
     def __init__(self, share: float, clock: Callable[[], float] = perf_counter) -> None:
         self.share, self._clock = share, clock
         self._start = clock()
         self.spent = 0.0  # [s]
-        self._last = 0.0  # [s] that the last piece cost
+        self._last = 0.0  # [s] that the last task took
 
     def allows(self) -> bool:
-        """Whether there is time for another piece."""
+        """Whether there is time for another task."""
         return self.spent + self._last <= self.share * (self._clock() - self._start)
 
     @contextmanager
     def spending(self) -> Iterator[None]:
-        """A piece of work, within."""
+        """Counts the time of the `with` block."""
         start = self._clock()
         try:
             yield

@@ -34,7 +34,9 @@ class BenchOdometry:
         import json
 
         from idfslam.benchmark.odometry import bench_odometry, markdown
+        from idfslam.compute.torch_threads import limit_torch_threads
 
+        limit_torch_threads(values.field.encoding)
         report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
         found = bench_odometry(self.recordings, values, seeds=self.seeds, folder=self.out, report=report)
         print(json.dumps(found) if self.json else markdown(found))

@@ -29,8 +29,10 @@ class Demo:
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.cli.tables import print_evaluation, print_files, print_run
+        from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.demo.demo import demo
 
+        limit_torch_threads(values.field.encoding)
         done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, report=self.report, console=console)
         print_run(done, output())
         print_evaluation(evaluation, self.out, output())

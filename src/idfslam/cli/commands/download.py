@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Download:
-    """A public sequence (TUM RGB-D, 7-Scenes, ICL-NUIM, Replica) from where its authors publish it; goes on where it was cut off."""
+    """A public sequence (TUM RGB-D, 7-Scenes, ICL-NUIM, Replica), from its authors' server. An interrupted download is continued."""
 
     name: Positional[str] = ""
     """Name of the sequence, such as tum-fr1-desk; --list shows all names."""

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
+
+from idfslam.export.formats import Format, Texture
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,13 +24,13 @@ class Export:
 
     folder: Positional[Path]
     """Result folder."""
-    to: tuple[Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "grid", "blocks"], ...]
+    to: tuple[Format, ...]
     """One or more formats."""
     resolution: float = 0.02
     """Cell edge of meshes and grids, and spacing of points [m]."""
     images: int | None = None
     """Number of frames whose images and points are exported, spread over the run; none given: the keyframes."""
-    texture: Literal["images", "map"] | None = None
+    texture: Texture | None = None
     """Texture of OBJ and GLB, from the images of the recording or the colours of the map; none given: vertex colours."""
     recording: Path | None = None
     """New path of the recording, if it was moved after the run."""

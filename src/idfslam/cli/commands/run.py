@@ -4,12 +4,13 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
+from idfslam.viewer.rerun_program import PORT, ViewerOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -75,17 +76,14 @@ class OutputFlags:
     """Write report.html with its pictures at the end."""
 
 
-ViewerPlace = Literal["none", "auto", "window", "web", "file"]
-
-
 @dataclass(frozen=True)
 class ViewerFlags:
     """The live view."""
 
-    viewer: ViewerPlace = "none"
+    viewer: ViewerOption = "none"
     """Show the run in a window, in a browser (`web`, also from another machine), or record it for later (`file`). `auto`, or --viewer
     alone, is the window where there is a display and the browser elsewhere. recording.rrd keeps the view for `idf-slam view`."""
-    port: int = 9090
+    port: int = PORT
     """Port of the page of --viewer web; the data use the next port."""
 
 
@@ -97,7 +95,7 @@ class CheckpointFlags:
     """Frames between two checkpoints in the result folder; 0: none. The checkpoint is deleted at the end of the run. Live cameras and runs
     with --map have none."""
     resume: Path | None = None
-    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; the run goes on. Given instead of a recording."""
+    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; it is continued. Given instead of a recording."""
 
 
 _USAGE = 2
@@ -131,6 +129,7 @@ class Run:
             _wrong_usage("expected a recording, or --resume and the result folder of a run")
         values = check(self.values)
         from idfslam.cli.tables import print_run
+        from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.live import LiveStream, located
         from idfslam.report.writing import write_report
         from idfslam.runs.prior_map import load_prior
@@ -144,6 +143,7 @@ class Run:
         part = self.recording
         source = Source(located(str(self.path)), part.format, camera or None, scale, topics or None, part.start, part.frames, part.stride)
         recording = open_feed(source)
+        limit_torch_threads(values.field.encoding)
         folder = self.output.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
         viewer, every = self._viewer(console), self.checkpoints.checkpoint_every
@@ -156,11 +156,14 @@ class Run:
         given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
         if given:
             _wrong_usage(
-                f"--resume goes on with the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
+                f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
             )
         from idfslam.cli.tables import print_run
+        from idfslam.compute.torch_threads import limit_torch_threads
+        from idfslam.runs.result_folder import read_config
         from idfslam.runs.runner import resume
 
+        limit_torch_threads(read_config(folder)[0].field.encoding)
         done = resume(folder, checkpoint_every=self.checkpoints.checkpoint_every, console=console)
         if done is None:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)

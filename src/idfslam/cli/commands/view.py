@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from idfslam.viewer.rerun_program import PORT
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -18,7 +20,7 @@ class View:
     """Result folder."""
     web: bool = False
     """Show it in a browser instead of a window; this is the default without a display."""
-    port: int = 9090
+    port: int = PORT
     """Port of the page; the data use the next port."""
 
     def __call__(self, console: "Console") -> None:

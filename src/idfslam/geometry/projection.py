@@ -1,0 +1,27 @@
+"""The pinhole projection for compiled loops; `Camera.project` is its form for tensors."""
+
+from typing import TypeAlias
+
+from numba import njit
+
+from idfslam.geometry.camera import Camera
+
+Intrinsics: TypeAlias = tuple[float, float, float, float]  # fx, fy, cx, cy [px]
+
+
+def intrinsics_of(camera: Camera) -> Intrinsics:
+    """The focal lengths and the principal point, as `project` takes them."""
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+@njit(cache=True, fastmath=True)
+def project(T_cw, point, intrinsics):  # type: ignore[no-untyped-def]
+    """A world point (3,) [m] -> pixel u, v and depth z [m]; u and v are 0 for a point that is not in front of the camera."""
+    fx, fy, cx, cy = intrinsics
+    x, y, z = point
+    z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
+    if z_c <= 0:
+        return z_c * 0, z_c * 0, z_c
+    u = (T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx
+    v = (T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy
+    return u, v, z_c
