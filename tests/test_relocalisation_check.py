@@ -122,7 +122,7 @@ def test_two_keyframes_in_a_row_must_be_contradicted(answers: list[tuple[float, 
     for witness.answer in answers:
         contradicted.append(check.contradicted(frames.graph.keyframes[4]))
     assert contradicted == verdicts
-    assert check.refuted == check.figures()["places_refuted"] == sum(verdicts)
+    assert check.refuted == check.figures()["relocalisations_refuted"] == sum(verdicts)
 
 
 def test_a_refuted_place_is_split_off_and_learnt_again() -> None:

@@ -108,7 +108,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     for name in (result_folder.TRAJECTORY, result_folder.KEYFRAMES):
         shutil.copy(known_run / name, folder)
     result_folder.write_config(folder, FAST, result_folder.Source(str(tmp_path / "gone")))
-    atomic_files.write_json(folder / result_folder.METRICS, {"pieces": 3})
+    atomic_files.write_json(folder / result_folder.METRICS, {"submaps": 3})
     (folder / result_folder.PICTURES).mkdir()
     (folder / result_folder.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
     (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")

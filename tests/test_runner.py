@@ -64,7 +64,7 @@ class KnownSlam:
         return self.trajectory()
 
     def figures(self) -> dict[str, Any]:
-        return {"links": 2, "loops": [[0, 10]], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
+        return {"edges": 2, "loops": [[0, 10]], "loops_refused": 0, "relocalisations": 0, "finetuning_rollbacks": 0}
 
     def statuses(self) -> list[Status]:
         return [Status.OK if frame.depth.any() else Status.LOST for frame in self.frames]

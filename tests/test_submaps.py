@@ -64,8 +64,8 @@ def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
 @pytest.mark.slow
 def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
     slam, results = walked
-    assert slam.figures()["pieces_joined"] == 1
-    assert slam.figures()["pieces"] == 1
+    assert slam.figures()["submaps_merged"] == 1
+    assert slam.figures()["submaps"] == 1
     met = max(r.index for r in results if r.status is Status.LOST)
     lost = [r.index for r in results if r.status is Status.LOST]
     assert lost == list(range(DARK[0], met + 1))  # from the dark to the meeting, no longer
@@ -106,7 +106,7 @@ def test_meanwhile_the_reported_pose_is_the_last_one(walked: tuple[Slam, list[Fr
 def test_a_submap_that_meets_no_other_is_left_out(room: Selection) -> None:
     slam = Slam(CONFIG)
     shown(room, slam, [*FIRST, -1, *range(75, 60, -1)])
-    assert slam.figures()["pieces"] == 2
+    assert slam.figures()["submaps"] == 2
     assert max(float(k.T_wk[:3, 3].norm()) for k in slam.graph.keyframes) > 90
     slam.finish()
     assert slam.statuses()[len(FIRST) :] == [Status.LOST] * 16

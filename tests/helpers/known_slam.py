@@ -50,7 +50,7 @@ class KnownSlam:
         return self.trajectory()
 
     def figures(self) -> dict[str, Any]:
-        return {"links": 2, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
+        return {"edges": 2, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_rollbacks": 0}
 
     def statuses(self) -> list[Status]:
         odd = {LOST: Status.LOST, DEGENERATE: Status.DEGENERATE}

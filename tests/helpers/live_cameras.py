@@ -108,7 +108,7 @@ class SeeingSlam:
         return self.trajectory()
 
     def figures(self) -> dict[str, Any]:
-        return {"links": 0, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_undone": 0}
+        return {"edges": 0, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_rollbacks": 0}
 
     def statuses(self) -> list[Status]:
         return [Status.OK] * len(self.frames)

@@ -30,7 +30,7 @@ COLUMNS = (
     Column("rpe_30_deg", "[°]"),
     Column("lost_frames", "lost frames", digits=1),
     Column("keyframes", "keyframes", digits=1),
-    Column("finetuning_undone", "undone", digits=1),
+    Column("finetuning_rollbacks", "undone", digits=1),
     Column("ms_a_frame", "ms a frame", digits=0),
     Column("ms_finetuning", "of these finetuning", digits=0),
 )

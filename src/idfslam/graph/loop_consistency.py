@@ -159,10 +159,9 @@ class Loops:
         return moved
 
     def summary(self, graph: KeyframeGraph) -> dict[str, Any]:
-        """Edges and loops between keyframes for metrics.json; loops by the frames' indices."""
+        """The loops for metrics.json, by the frames' indices."""
         closed = [[graph.keyframes[loop.a].index, loop.view] for loop in self.closed]
-        links = sum(len(keyframe.edges) for keyframe in graph.keyframes) // 2
-        return {"links": links, "loops": closed, "loops_refused": self.refused}
+        return {"loops": closed, "loops_refused": self.refused}
 
     def _refuse(self, loop: Loop, why: str) -> None:
         self.refused += 1

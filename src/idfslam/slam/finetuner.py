@@ -19,7 +19,7 @@ class NoFinetuning:
 
     def figures(self) -> dict[str, Any]:
         """Counts for metrics.json."""
-        return {"finetuning_undone": 0}
+        return {"finetuning_rollbacks": 0}
 
 
 class Finetuner(NoFinetuning):
@@ -39,4 +39,4 @@ class Finetuner(NoFinetuning):
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
 
     def figures(self) -> dict[str, Any]:
-        return {"finetuning_undone": self.tracker.guard.undone}
+        return {"finetuning_rollbacks": self.tracker.guard.undone}

@@ -42,7 +42,7 @@ class RelocalisationCheck(KeyframeHook):
         self.max_error, self.contradictions, self.refuted = state["max_error"], state["contradictions"], state["refuted"]
 
     def figures(self) -> dict[str, Any]:
-        return {"places_refuted": self.refuted}
+        return {"relocalisations_refuted": self.refuted}
 
     def begin(self) -> None:
         """The camera was relocalised just now."""

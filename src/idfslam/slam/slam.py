@@ -27,7 +27,7 @@ from idfslam.storage.state import State, parts_of
 log = logging.getLogger(__name__)
 
 _EXAMPLES = 16  # keyframes of a saved map from which the usual photometric error is estimated; more: slower start, surer estimate
-_FIGURES = {"loops": [], "loops_refused": 0, "pieces_joined": 0, "places_refuted": 0}  # of a system without these parts
+_FIGURES = {"loops": [], "loops_refused": 0, "submaps_merged": 0, "relocalisations_refuted": 0}  # of a system without these parts
 
 
 class Slam:
@@ -141,7 +141,7 @@ class Slam:
         """What metrics.json reports of the graph: edges and loops (pairs of frames), relocalisations, submaps, finetuning undone."""
         edges = sum(len(keyframe.edges) for keyframe in self.graph.keyframes) // 2
         submaps = len({keyframe.submap for keyframe in self.graph.keyframes})
-        return {"links": edges, **_FIGURES, "pieces": submaps, **self.recovery.figures(), **self.back_end.figures()}
+        return {"edges": edges, **_FIGURES, "submaps": submaps, **self.recovery.figures(), **self.back_end.figures()}
 
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""

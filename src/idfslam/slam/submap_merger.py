@@ -38,7 +38,7 @@ class SubmapMerger(KeyframeHook):
         self.agreeing, self.merged = [loop_from(loop) for loop in state["agreeing"]], state["merged"]
 
     def figures(self) -> dict[str, Any]:
-        return {"pieces_joined": self.merged}
+        return {"submaps_merged": self.merged}
 
     def on_split(self) -> None:
         self.agreeing = []  # they were made where the camera was thought to be

@@ -46,7 +46,7 @@ def main() -> None:
         error = absolute_trajectory_error(slam.trajectory()[found], truth[[order[i] for i in found]]).translation
         lost = [i for i, status in enumerate(live) if status is Status.LOST]
         told = f"told as lost from frame {lost[0]} to {lost[-1]}" if lost else "never lost"
-        figures = {name: slam.figures()[name] for name in ("pieces", "pieces_joined", "relocalisations")}
+        figures = {name: slam.figures()[name] for name in ("submaps", "submaps_merged", "relocalisations")}
         ate = f"ATE of {len(found)} found of {len(order)} frames {100 * error.rmse:.2f} cm"
         print(f"{name}, {first} to {after}: {told}; {figures}; {ate}", flush=True)
 
