@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idfslam.batch.recordings import Entry, listed
+from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.datasets.generated import kind_of, located
@@ -146,9 +146,9 @@ def test_names(box_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert located(box_recording.name) == str(box_recording)
     assert [kind_of(name) for name in ("corridor", "corridor:3", "corridor:3:kinect:5laps", "corridor:1lap")] == ["corridor"] * 4
     assert [kind_of(name) for name in ("corridor:fine", "corridors", "synthetic:5laps")] == [None] * 3
-    first, second = listed(["kidnap:synthetic:3@50", f"kidnap:{box_recording.name}"])
-    assert first == Entry("kidnap-synthetic-3", "kidnap:synthetic:3", 50)
-    assert second == Entry("kidnap-box", f"kidnap:{box_recording}")
+    first, second = parse_recordings(["kidnap:synthetic:3@50", f"kidnap:{box_recording.name}"])
+    assert first == RecordingSpec("kidnap-synthetic-3", "kidnap:synthetic:3", 50)
+    assert second == RecordingSpec("kidnap-box", f"kidnap:{box_recording}")
     with pytest.raises(RecordingError, match="nowhere: no such file or folder, expected a recording, synthetic"):
         open_recording("kidnap:nowhere")
     with pytest.raises(RecordingError, match=r"corridor:fine: not a corridor recording, expected corridor\[:SEED\]\[:kinect\]\[:Nlaps\]"):

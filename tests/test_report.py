@@ -118,7 +118,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     assert page.counts["svg"] == 3
     assert "no such file or folder" in text
     assert "has no mesh.ply" in text
-    assert re.search(r"pieces apart\W.*?\b2\b", text, re.DOTALL)
+    assert re.search(r"submaps apart\W.*?\b2\b", text, re.DOTALL)
     assert {path.stem for path in (folder / result_folder.PICTURES).iterdir()} == {
         "trajectory_top",
         "trajectory_side",

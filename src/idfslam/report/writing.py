@@ -228,7 +228,7 @@ def _cards(run: FinishedRun, error: Error, metrics: dict[str, Any], mesh: trimes
     if "lost_frames" in metrics:
         cards.append(("lost frames", f"{metrics['lost_frames']}", f"and {metrics.get('degenerate_frames', 0)} degenerate"))
     if metrics.get("submaps", 1) > 1:
-        cards.append(("pieces apart", f"{metrics['pieces'] - 1}", "never met the first one, and are left out"))
+        cards.append(("submaps apart", f"{metrics['submaps'] - 1}", "never met the first one, and are left out"))
     cards.append(("keyframes", f"{len(run.keyframes.indices)}", f"{run.keyframes.camera.width} x {run.keyframes.camera.height} px"))
     if mesh is not None:
         cards.append(("mesh", f"{mesh.area:.0f}", f"m² in {len(mesh.faces) / 1000:.0f} k triangles"))
