@@ -119,7 +119,7 @@ def test_the_map_is_rendered_from_a_pose(taught: Mapper) -> None:
     keyframe = view(torch.eye(4, dtype=torch.float64))
     uv = torch.tensor([[31, 23], [10, 12], [50, 15]])
     T_wc = torch.eye(4, requires_grad=True)
-    colour, depth = taught.renderer([keyframe])(T_wc, uv)
+    colour, depth = taught.renderer([keyframe])(keyframe.camera, T_wc, uv)
     torch.testing.assert_close(depth, keyframe.depth[uv[:, 1], uv[:, 0]], atol=0.1, rtol=0)
     assert colour.shape == (3, 3)
     depth.sum().backward()

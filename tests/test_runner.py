@@ -46,7 +46,7 @@ class KnownSlam:
         pose, status = self.trajectory()[-1], self.statuses()[-1]
         keyframe = status is Status.OK and frame.index % 5 == 0
         if keyframe:
-            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0))
+            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0, camera=frame.camera))
         return FrameResult(frame.index, frame.timestamp, pose, status, keyframe, {"sdf": 0.1} if keyframe else {})
 
     def finish(self) -> None:

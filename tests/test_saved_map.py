@@ -1,5 +1,6 @@
 """A map in one file: what comes back, what it can show, and files that are no map."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,50 @@ def test_the_views_come_back(taught: tuple[Field, list[DepthView]], saved: Path)
         assert view.camera == CAMERA
 
 
+def test_views_of_two_cameras_come_back_with_their_own(taught: tuple[Field, list[DepthView]], tmp_path: Path) -> None:
+    """In turns; afterwards those of one camera stand together, in their order."""
+    other = Camera(100, 72, 90.0, 88.0, 48.0, 36.0)
+    depths = [np.full((60, 80), 1.2, np.float32), np.full((72, 100), 1.5, np.float32)]
+    views = [DepthView(np.diag([1.0, 1.0, 1.0, 1.0 + i]), depths[i % 2], (CAMERA, other)[i % 2]) for i in range(4)]
+    save_map(tmp_path / "map.safetensors", taught[0], views)
+    loaded = load_map(tmp_path / "map.safetensors")
+    assert [view.camera for view in loaded.views] == [CAMERA, CAMERA, other, other]
+    assert [view.T_wc[3, 3] for view in loaded.views] == [1, 3, 2, 4]
+    assert [view.depth.shape for view in loaded.views] == [(60, 80), (60, 80), (72, 100), (72, 100)]
+    assert [round(float(view.depth.mean()), 3) for view in loaded.views] == [1.2, 1.2, 1.5, 1.5]
+
+
+def test_large_views_of_several_cameras_stay_within_the_file_size(taught: tuple[Field, list[DepthView]], tmp_path: Path) -> None:
+    # Reduced to 60 to 119 rows, 300 views of 118 x 118 alone would take 8.4 MB: 43 of that size have room in 1.2 MB.
+    wide = Camera(118, 118, 90.0, 90.0, 58.5, 58.5)
+    views = [DepthView(np.eye(4), np.ones((c.height, c.width), np.float32), c) for c in (CAMERA, wide) for _ in range(300)]
+    save_map(tmp_path / "map.safetensors", taught[0], views)
+    loaded = load_map(tmp_path / "map.safetensors")
+    assert len(loaded.views) == 43
+    assert 20 <= sum(view.camera == wide for view in loaded.views) <= 23  # evenly spread over all
+    assert sum(2 * view.depth.size for view in loaded.views) < 1_200_000
+
+
+def written_in_format_2(saved: Path, path: Path) -> Path:
+    """The map as earlier versions wrote it: one camera for all views."""
+    with safe_open(saved, "pt") as file:
+        tensors = {name.replace("views.0.", "views."): file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
+        metadata = file.metadata()
+    (camera,) = json.loads(metadata.pop("cameras"))
+    save_file(tensors, path, {**metadata, "format": "2", "camera": json.dumps(camera)})
+    return path
+
+
+def test_a_map_of_the_format_before_is_read(saved: Path, tmp_path: Path) -> None:
+    old, new = load_map(written_in_format_2(saved, tmp_path / "map.safetensors")), load_map(saved)
+    assert len(old.views) == 2
+    for a, b in zip(old.views, new.views):
+        assert a.camera == b.camera == CAMERA
+        np.testing.assert_array_equal(a.depth, b.depth)
+        np.testing.assert_array_equal(a.T_wc, b.T_wc)
+    assert all(torch.equal(value, new.field.state_dict()[name]) for name, value in old.field.state_dict().items())
+
+
 def test_mesh_lies_on_the_wall(saved: Path) -> None:
     mesh = load_map(saved).mesh(0.04)
     assert len(mesh.faces) > 200
@@ -125,7 +170,7 @@ def rewritten(saved: Path, path: Path, *, drop: str = "", **metadata: str) -> Pa
 
 
 def test_another_version(saved: Path, tmp_path: Path) -> None:
-    assert "map format 99, expected 2; use the version" in refused(rewritten(saved, tmp_path / "map.safetensors", format="99"))
+    assert "map format 99, expected 3; use the version" in refused(rewritten(saved, tmp_path / "map.safetensors", format="99"))
 
 
 def test_truncated(saved: Path, tmp_path: Path) -> None:
@@ -138,16 +183,23 @@ def test_truncated(saved: Path, tmp_path: Path) -> None:
 def test_other_files(saved: Path, tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     save_file({"weight": torch.zeros(3)}, path)
-    assert "map format none, expected 2" in refused(path)
+    assert "map format none, expected 3" in refused(path)
     (tmp_path / "mesh.ply").write_bytes(b"ply\nformat ascii 1.0\n" * 20)
     refused(tmp_path / "mesh.ply")
     refused(tmp_path / "missing.safetensors")
     refused(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["field.encoding.tables", "field.sdf_head.bias", "views.depth", "views.T_wc"])
+@pytest.mark.parametrize("name", ["field.encoding.tables", "field.sdf_head.bias", "views.0.depth", "views.0.T_wc"])
 def test_a_tensor_is_missing(saved: Path, tmp_path: Path, name: str) -> None:
     refused(rewritten(saved, tmp_path / "map.safetensors", drop=name))
+
+
+@pytest.mark.parametrize(
+    "cameras", ["{", "[]", "[{}]", "{}", '[{"width": 80}]', '[{"width": 8, "height": 6, "fx": 7, "fy": 7, "cx": 4, "cy": 3}]']
+)
+def test_damaged_cameras(saved: Path, tmp_path: Path, cameras: str) -> None:
+    refused(rewritten(saved, tmp_path / "map.safetensors", cameras=cameras))
 
 
 @pytest.mark.parametrize("field", ["{", "[]", '{"layers": 2}', '{"no_such_key": 1}', '{"width": "wide"}'])

@@ -122,9 +122,9 @@ def test_missing_depth_is_taken_from_beside() -> None:
     assert subsampled_depth(depth, 2, 2).tolist() == [[2, 8], [0, 15]]
 
 
-def wall(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+def wall(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
     """A map of the wall at z = 2 m, differentiable in the pose; its colour changes with x."""
-    rays = CAMERA.rays(uv) @ T_wc[:3, :3].T
+    rays = camera.rays(uv) @ T_wc[:3, :3].T
     depth = (2 - T_wc[2, 3]) / rays[:, 2]
     points = T_wc[:3, 3] + rays * depth[:, None]
     return torch.sigmoid(points), depth
@@ -137,7 +137,8 @@ def test_losses_of_equation_6_by_hand() -> None:
     plain = Frame(0, 0.0, np.full((72, 96, 3), 0.5, np.float32), np.full((72, 96), 2.0, np.float32), CAMERA)
     described, same, seen = tracker.describe(plain), torch.tensor([100]), []
 
-    def render(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+    def render(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        assert camera == CAMERA
         seen.append((T_wc, uv))
         return torch.tensor([0.8, 0.9, 0.5]).expand(len(uv), 3), torch.full((len(uv),), 2.2)
 
@@ -156,6 +157,28 @@ def test_losses_of_equation_6_by_hand() -> None:
     torch.testing.assert_close(T_wc[:3, 3], torch.tensor([1.0, 0.03, 0]))
     assert uv.shape == (7, 2)
     assert float(uv[:, 0].max()) <= 95.01
+
+
+def test_the_map_is_rendered_as_the_camera_of_the_current_keyframe_sees_it() -> None:
+    tracker, seen = Tracker(CONFIG, NO_FINETUNING), []
+    other = Camera(48, 36, 50.0, 50.0, 23.5, 17.5)
+    reference, current = (
+        tracker.describe(Frame(0, 0.0, np.full((c.height, c.width, 3), 0.5, np.float32), np.full((c.height, c.width), 2.0, np.float32), c))
+        for c in (CAMERA, other)
+    )
+
+    def render(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        seen.append((camera, uv))
+        return torch.full((len(uv), 3), 0.5), torch.full((len(uv),), 2.0)
+
+    same, generator = torch.tensor([100]), torch.Generator().manual_seed(0)
+    matches = Matches(same, same, torch.tensor([0.5]))
+    losses = finetuning_losses(current, reference, matches, torch.eye(4), torch.eye(4), render=render, pixels=200, generator=generator)
+    ((camera, uv),) = seen
+    assert camera == other
+    assert 40 < float(uv[:, 0].max()) <= 47.01
+    assert float(uv[:, 1].max()) <= 35.01
+    assert float(losses["photometric"]) == float(losses["depth"]) == 0
 
 
 def test_equation_6_weighs_its_losses() -> None:
@@ -273,8 +296,8 @@ def test_a_loss_that_is_not_finite_stops_the_run() -> None:
     tracker = Tracker(CONFIG, FinetuneConfig(keyframes=2))
     keyframes = [tracker.describe(view(pose(0.02 * i, 0, 0, 0, 0, 0))) for i in range(2)]
 
-    def broken(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
-        colour, depth = wall(T_wc, uv)
+    def broken(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        colour, depth = wall(camera, T_wc, uv)
         return colour, depth * float("nan")
 
     with pytest.raises(DivergedError, match="depth loss is nan"):

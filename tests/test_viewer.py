@@ -146,11 +146,11 @@ def test_strips_of_one_status() -> None:
 def test_frustums_begin_at_the_camera_and_look_along_z() -> None:
     T_wk = np.eye(4)[None].repeat(2, 0)
     T_wk[1, :3, 3] = 1, 2, 3
-    edges = frustums(T_wk, Camera(100, 80, 50.0, 50.0, 49.5, 39.5))
+    edges = frustums(T_wk, [Camera(100, 80, 50.0, 50.0, 49.5, 39.5), Camera(50, 50, 50.0, 50.0, 24.5, 24.5)])
     assert edges.shape == (2, 11, 3)
-    assert np.allclose(edges[1] - edges[0], [1, 2, 3])
-    assert np.allclose(edges[0, 0], 0)
+    assert np.allclose(edges[:, 0], [[0, 0, 0], [1, 2, 3]])
     assert np.allclose(edges[0, 1], [-0.08, -0.064, 0.08])  # the image's outer corner is one focal length to the left, 0.8 above
+    assert np.allclose(edges[1, 1] - edges[1, 0], [-0.04, -0.04, 0.08])  # the other camera's
 
 
 @contextmanager

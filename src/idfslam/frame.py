@@ -63,3 +63,4 @@ class StoredKeyframe:
     T_wk: NDArray[np.float64]  # (4, 4)
     covisible: frozenset[int]  # numbers of the stored keyframes that see the same surface
     submap: int  # 0: the first, whose poses are in the world; others have not been merged with it yet
+    camera: Camera

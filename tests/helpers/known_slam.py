@@ -30,7 +30,7 @@ class KnownSlam:
         if keyframe:
             self.timings["map"].append(70.0)
             covisible = frozenset({len(keyframes) - 1} if keyframes else ())
-            keyframes.append(StoredKeyframe(i, self.trajectory()[-1], covisible, submap=0))
+            keyframes.append(StoredKeyframe(i, self.trajectory()[-1], covisible, submap=0, camera=frame.camera))
         losses = {"sdf": 0.5 / (i + 1)} if keyframe else {}
         return FrameResult(i, frame.timestamp, self.trajectory()[-1], self.statuses()[-1], keyframe, losses)
 

@@ -93,7 +93,7 @@ class SeeingSlam:
         self.frames.append(frame)
         pose = self.trajectory()[-1]
         if len(self.frames) == 1:
-            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0))
+            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0, camera=frame.camera))
         return FrameResult(frame.index, frame.timestamp, pose, Status.OK, len(self.frames) == 1, {})
 
     def finish(self) -> None: ...

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from idfslam.export.images import PosedImage
 from idfslam.export.point_cloud import PointCloud
-from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
@@ -31,15 +30,15 @@ class _Sight:
     uv: NDArray[np.float64]  # (M, 2) [px], pixel centres at integers
 
 
-def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, cloud: PointCloud) -> None:
-    """Writes the three files of the model. Points that fewer than two images saw are left out."""
-    sights = [_sight(image, camera, cloud.points) for image in images]
+def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: PointCloud) -> None:
+    """Writes the three files of the model, with every camera of the images. Points that fewer than two images saw are left out."""
+    sights = [_sight(image, cloud.points) for image in images]
+    cameras = {camera: i for i, camera in enumerate(dict.fromkeys(image.frame.camera for image in images), 1)}
     seen = sum((np.bincount(s.points, minlength=len(cloud.points)) for s in sights), np.zeros(len(cloud.points), np.int64))
     kept = seen >= min(_LEAST_TRACK, len(images))
     number = np.cumsum(kept)  # of a point that is kept, from 1
     tracks: list[list[str]] = [[] for _ in range(int(kept.sum()))]
-    c = camera
-    cameras = f"1 PINHOLE {c.width} {c.height} {c.fx:.9g} {c.fy:.9g} {c.cx + 0.5:.9g} {c.cy + 0.5:.9g}\n"
+    pinholes = [f"{i} PINHOLE {c.width} {c.height} {c.fx:.9g} {c.fy:.9g} {c.cx + 0.5:.9g} {c.cy + 0.5:.9g}\n" for c, i in cameras.items()]
     lines = []
     for i, (image, sight) in enumerate(zip(images, sights), 1):
         T_cw = np.linalg.inv(image.T_wc)
@@ -49,7 +48,8 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, clo
         ids, uv = number[sight.points[own]], sight.uv[own] + 0.5
         for place, point in enumerate(ids):
             tracks[point - 1].append(f"{i} {place}")
-        lines.append(f"{i} {numbers} 1 {image.name}\n" + " ".join(f"{u:.4f} {v:.4f} {p}" for (u, v), p in zip(uv, ids)) + "\n")
+        sighted = " ".join(f"{u:.4f} {v:.4f} {p}" for (u, v), p in zip(uv, ids))
+        lines.append(f"{i} {numbers} {cameras[image.frame.camera]} {image.name}\n{sighted}\n")
     rgb = np.round(cloud.colours[kept] * 255).astype(int)
     points = [
         f"{i} {x:.6f} {y:.6f} {z:.6f} {r} {g} {b} 0 {' '.join(track)}\n"
@@ -58,13 +58,14 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], camera: Camera, clo
     header = ("CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then POINTS2D[]")
     heads = (*header, "POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]")
     atomic_files.prepare(folder)
-    for name, head, text in zip(FILES, heads, (cameras, "".join(lines), "".join(points))):
+    for name, head, text in zip(FILES, heads, ("".join(pinholes), "".join(lines), "".join(points))):
         with atomic_files.replacing(folder / name) as part:
             part.write_text(f"# {head}\n{text}", encoding="utf-8")
 
 
-def _sight(image: PosedImage, camera: Camera, points: NDArray[np.float64]) -> _Sight:
+def _sight(image: PosedImage, points: NDArray[np.float64]) -> _Sight:
     """The points (N, 3) [m] whose depth agrees with the image's."""
+    camera = image.frame.camera
     T_cw = np.linalg.inv(image.T_wc)
     uv, z = camera.project(torch.from_numpy(points @ T_cw[:3, :3].T + T_cw[:3, 3]))
     inside = np.flatnonzero(camera.inside(uv, z).numpy())

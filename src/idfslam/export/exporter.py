@@ -1,6 +1,8 @@
 """Exports a finished run to the formats of other programs, one method for each format."""
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,20 +10,21 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
-from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.export import colmap, nerfstudio, tsdf_grid
 from idfslam.export.formats import Format, Texture
 from idfslam.export.images import PosedImage, write_images
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
 from idfslam.export.texture import Floats, from_images, textured
-from idfslam.frame import Frame
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import save_tum
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.prior_map import earlier_keyframes
 from idfslam.storage import atomic_files
+
+log = logging.getLogger(__name__)
 
 _TEXTURED = ("obj", "glb")
 
@@ -64,16 +67,16 @@ class Exporter:
 
     def _nerfstudio(self) -> list[Path]:
         folder = self.out / "nerfstudio"
-        images = self._write_images(folder)
+        images = write_images(folder, self._images())
         with atomic_files.replacing(folder / nerfstudio.POINTS) as part:
             _cloud(images, self.resolution).save(part)
-        nerfstudio.write_transforms(folder / nerfstudio.TRANSFORMS, images, self.run.keyframes.camera)
+        nerfstudio.write_transforms(folder / nerfstudio.TRANSFORMS, images)
         return [folder]
 
     def _colmap(self) -> list[Path]:
         folder = self.out / "colmap"
-        images = self._write_images(folder)
-        colmap.write_colmap(folder / "sparse" / "0", images, self.run.keyframes.camera, _cloud(images, self.resolution))
+        images = write_images(folder, self._images())
+        colmap.write_colmap(folder / "sparse" / "0", images, _cloud(images, self.resolution))
         return [folder]
 
     def _ply(self) -> list[Path]:
@@ -87,7 +90,7 @@ class Exporter:
 
     def _points(self) -> list[Path]:
         with atomic_files.replacing(self.out / "points.ply") as part:
-            fuse(self._frames(), self.resolution).save(part)
+            _cloud(self._images(), self.resolution).save(part)
         return [self.out / "points.ply"]
 
     def _grid(self) -> list[Path]:
@@ -100,13 +103,31 @@ class Exporter:
             tsdf_grid.save_blocks(part, self.run.map, self.resolution)
         return [self.out / "blocks.npz"]
 
-    def _write_images(self, folder: Path) -> list[PosedImage]:
-        return write_images(folder, self.run.recording, self.run.frames_to_show(self.images), self.run.trajectory.poses)
+    def _images(self) -> Iterator[PosedImage]:
+        """The exported frames: the keyframes of the map that the run started in, then frames of the run's own recording.
 
-    def _frames(self) -> Iterator[tuple[Frame, NDArray[np.float64]]]:
-        """The frames that give images, and their poses."""
-        for i in self.run.frames_to_show(self.images):
-            yield self.run.recording[int(i)], self.run.trajectory.poses[i]
+        An unreadable frame is reported and left out. Raises RecordingError if none is left.
+        """
+        found = False
+        for image in itertools.chain(self._earlier_images(), self._own_images()):
+            found = True
+            yield image
+        if not found:
+            raise RecordingError(f"{self.run.folder}: none of the frames to export can be read")
+
+    def _earlier_images(self) -> Iterator[PosedImage]:
+        if self.images is None:
+            for i, keyframe in enumerate(earlier_keyframes(self.run.keyframes.earlier)):
+                yield PosedImage(f"earlier_{i:06d}.png", keyframe.T_wk.numpy(), keyframe.frame)
+
+    def _own_images(self) -> Iterator[PosedImage]:
+        if self.images is None and self.run.keyframes.earlier and not len(self.run.keyframes.indices):
+            return  # the map that the run started in needed no keyframe of it
+        for i in map(int, self.run.frames_to_show(self.images)):
+            try:
+                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i])
+            except FrameError as error:
+                log.warning("%s; the frame is left out", error)
 
     @cached_property
     def _mesh(self) -> trimesh.Trimesh:
@@ -117,7 +138,9 @@ class Exporter:
         """The mesh, with a texture if one is chosen."""
         if self.texture is None:
             return self._mesh
-        return textured(self._mesh, from_images(self._frames(), self._map_colour) if self.texture == "images" else self._map_colour)
+        if self.texture == "map":
+            return textured(self._mesh, self._map_colour)
+        return textured(self._mesh, from_images(((image.frame, image.T_wc) for image in self._images()), self._map_colour))
 
     @torch.no_grad()
     def _map_colour(self, points: Floats, normals: Floats) -> Floats:
@@ -129,5 +152,5 @@ class Exporter:
         return torch.cat([field(p, d if directed else None)[1].cpu() for p, d in zip(*chunks)]).numpy()
 
 
-def _cloud(images: Sequence[PosedImage], spacing: float) -> PointCloud:
+def _cloud(images: Iterable[PosedImage], spacing: float) -> PointCloud:
     return fuse(((image.frame, image.T_wc) for image in images), spacing)

@@ -15,13 +15,27 @@ from idfslam.storage.atomic_files import write_json
 TRANSFORMS, POINTS = "transforms.json", "points.ply"
 
 
-def write_transforms(path: Path, images: Sequence[PosedImage], camera: Camera) -> None:
-    """Writes transforms.json to `path`. The images lie in images/ and depth/, the points in points.ply, all in the same folder."""
+def write_transforms(path: Path, images: Sequence[PosedImage]) -> None:
+    """Writes transforms.json to `path`. The images lie in images/ and depth/, the points in points.ply, all in the same folder.
+
+    The intrinsics stand once for all frames if the frames are of one camera, and otherwise in each frame.
+    """
+    cameras = {image.frame.camera for image in images}
+    shared = _intrinsics(images[0].frame.camera) if len(cameras) == 1 else {}
     frames = [
-        {"file_path": f"{COLOUR}/{image.name}", "depth_file_path": f"{DEPTH}/{image.name}", "transform_matrix": image.T_wc @ OPENGL}
+        {
+            "file_path": f"{COLOUR}/{image.name}",
+            "depth_file_path": f"{DEPTH}/{image.name}",
+            "transform_matrix": image.T_wc @ OPENGL,
+            **({} if shared else _intrinsics(image.frame.camera)),
+        }
         for image in images
     ]
-    intrinsics = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5, "w": camera.width, "h": camera.height}
-    distortion = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
-    values = {"camera_model": "OPENCV", **intrinsics, **distortion, "depth_unit_scale_factor": 0.001, "ply_file_path": POINTS}
+    values = {"camera_model": "OPENCV", **shared, "depth_unit_scale_factor": 0.001, "ply_file_path": POINTS}
     write_json(path, {**values, "frames": frames})
+
+
+def _intrinsics(camera: Camera) -> dict[str, float]:
+    size = {"w": camera.width, "h": camera.height}
+    distortion = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
+    return {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx + 0.5, "cy": camera.cy + 0.5, **size, **distortion}

@@ -3,6 +3,7 @@
 Rays have z = 1, so that the parameter along a ray IS depth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -62,3 +63,11 @@ class Camera:
         """Whether projections (..., 2), (...) lie in front of the camera and within the image's outer edges."""
         u, v = uv.unbind(-1)
         return (z > 0) & (u >= -0.5) & (u < self.width - 0.5) & (v >= -0.5) & (v < self.height - 0.5)
+
+
+def indices_by_camera(cameras: Sequence[Camera]) -> dict[Camera, list[int]]:
+    """Each camera that occurs, in the order of its first occurrence, with the indices where it stands."""
+    found: dict[Camera, list[int]] = {}
+    for i, camera in enumerate(cameras):
+        found.setdefault(camera, []).append(i)
+    return found

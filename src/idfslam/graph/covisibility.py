@@ -1,18 +1,20 @@
 """Covisibility (Eq. 5): how much of what one keyframe measured other keyframes have in view."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from idfslam.compute.backend import Backend, backend_of
-from idfslam.geometry.camera import Camera
+from idfslam.geometry.camera import Camera, indices_by_camera
 
 
 def covisibility(
     depth: Tensor,
     camera: Camera,
     T_kn: Tensor,
-    other_camera: Camera,
-    other_depths: Tensor | None = None,
+    other_cameras: Sequence[Camera],
+    other_depths: Sequence[Tensor] | None = None,
     *,
     subsample: int = 8,
     depth_tolerance: float = 0.1,
@@ -20,18 +22,25 @@ def covisibility(
     """Share (K,) of the new keyframe's measured pixels that project into each of K stored keyframes, u_k = K T_kn K^-1 u_n d_n / d_k.
 
     depth (H, W) [m] of the new keyframe, 0 = no reading; T_kn (K, 4, 4) takes its points into the stored keyframes' frames. Every
-    `subsample`-th row and column is tested. Without a reading the shares are 0.
+    `subsample`-th row and column is tested. Without a reading the shares are 0. `other_cameras` are the K cameras of the stored keyframes:
+    a map may hold the recordings of several.
 
-    Eq. 5 tests the image's bounds alone, so a keyframe on the other side of a wall counts as covisible. With `other_depths` (K, H', W')
-    [m] a point must also not be hidden there: no more than `depth_tolerance` (a share of the depth) behind what that keyframe measured at
-    its pixel; where that has no reading, bounds decide.
+    Eq. 5 tests the image's bounds alone, so a keyframe on the other side of a wall counts as covisible. With `other_depths`, K images
+    (H', W') [m], a point must also not be hidden there: no more than `depth_tolerance` (a share of the depth) behind what that keyframe
+    measured at its pixel; where that has no reading, bounds decide.
     """
     points = sampled_points(depth, camera, subsample)
+    shares = T_kn.new_zeros(len(T_kn), dtype=torch.float32)
     if len(points) == 0:
-        return T_kn.new_zeros(T_kn.shape[0])
-    if other_depths is None and backend_of(points.device) is Backend.NUMBA:
-        return compiled_in_view(points, T_kn, other_camera) / len(points)
-    return plain_in_view(points, T_kn, other_camera, other_depths, depth_tolerance).float().mean(1)
+        return shares
+    for other, members in indices_by_camera(other_cameras).items():
+        T = T_kn[members]
+        if other_depths is None and backend_of(points.device) is Backend.NUMBA:
+            shares[members] = compiled_in_view(points, T, other) / len(points)
+        else:
+            depths = None if other_depths is None else torch.stack([other_depths[i] for i in members])
+            shares[members] = plain_in_view(points, T, other, depths, depth_tolerance).float().mean(1)
+    return shares
 
 
 def sampled_points(depth: Tensor, camera: Camera, subsample: int) -> Tensor:

@@ -112,13 +112,13 @@ class KeyframeGraph:
         if not self.keyframes:
             return torch.zeros(0)
         T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
-        return covisibility(keyframe.depth, keyframe.camera, T_kn, keyframe.camera).cpu()
+        return covisibility(keyframe.depth, keyframe.camera, T_kn, [k.camera for k in self.keyframes]).cpu()
 
     def _shared(self, a: Keyframe, b: Keyframe) -> float:
         """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
         T_ba = se3.inverse(b.T_wk) @ a.T_wk
         directions = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
-        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), k.camera, k.depth[None])) for n, k, T in directions)
+        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), [k.camera], [k.depth])) for n, k, T in directions)
 
     # Edges
 

@@ -11,6 +11,7 @@ from idfslam.compute.devices import repeatable, resolve_precision
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.losses import Losses
@@ -174,16 +175,16 @@ class Mapper(Stateful):
         T_wk = se3.orthonormal(view.T_wk @ se3.exp(xi.detach().double().cpu()))
         return T_wk, {f"pose_{name}": value for name, value in numbers.items()}
 
-    def renderer(self, keyframes: Sequence[PosedFrame]) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
-        """The frozen map as the keyframes' camera sees it: T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
+    def renderer(self, keyframes: Sequence[PosedFrame]) -> Callable[[Camera, Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """The frozen map as a camera sees it: camera, T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
 
         For finetuning (Eqs. 1, 7): differentiable in the pose. Rays end behind the farthest reading of the keyframes.
         """
-        c, camera = self.config, keyframes[0].camera
+        c = self.config
         march = RayMarch(max(c.samples, _VIEW_SAMPLES), max(c.importance_samples, _VIEW_IMPORTANCE), self.truncation, c.sharpness)
         farthest = max(k.farthest for k in keyframes) + 2 * self.truncation
 
-        def view(T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
+        def view(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
             origins, directions = world_rays(T_wc, camera, uv)
             rendered = render(self.published, origins, directions, origins.new_full((len(uv),), farthest), march)
             return rendered.colour, rendered.depth

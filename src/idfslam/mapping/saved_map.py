@@ -15,7 +15,7 @@ from torch import Tensor
 
 from idfslam.config import FieldConfig, update
 from idfslam.errors import ConfigError, ResultError
-from idfslam.geometry.camera import Camera
+from idfslam.geometry.camera import Camera, indices_by_camera
 from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function, tracer
@@ -23,7 +23,8 @@ from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
 
-FORMAT = 2  # of the file; counts up with each change that older versions cannot read
+FORMAT = 3  # of the file; counts up with each change that older versions cannot read
+_ONE_CAMERA = 2  # the format before, in which all views have one camera
 _OBSERVED = 0.03  # [m] from a reading within which rendered surface counts as observed, beside 0.3 tr: as in a mesh of 2 cm
 _SLANT = 1.4  # length of a ray at an image's corner over its depth
 _VIEW_ROWS = 60  # of the depth images in the file
@@ -82,7 +83,8 @@ def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trim
 def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
     """One safetensors file; the tables of a feature grid, and depths in millimetres, take 16 bits.
 
-    Of the views as many as fit, evenly spread. Metadata: `format`, `field` and `camera` (JSON), `precision` (how numbers are rounded).
+    Of the views as many as fit, evenly spread; those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
+    Metadata: `format`, `field` and `cameras` (JSON), `precision` (how numbers are rounded).
     """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
     config = field.config
@@ -90,28 +92,29 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
         config = replace(config, table_log2=field.encoding.tables.shape[1].bit_length() - 1)
         tensors["field.encoding.tables"] = tensors["field.encoding.tables"].half()
     small = [reduced_view(view.T_wc, view.depth, view.camera, _VIEW_ROWS) for view in views]
-    count = min(len(small), max(1, _VIEW_BYTES // (2 * small[0].depth.size)))
+    count = min(len(small), max(1, _VIEW_BYTES // (2 * max(view.depth.size for view in small))))
     kept = [small[i] for i in np.linspace(0, len(small) - 1, count).round().astype(int)]
-    depths = np.stack([np.clip(view.depth * 1000 + 0.5, 0, 65535) for view in kept]).astype(np.uint16)
-    tensors["views.depth"] = torch.from_numpy(depths)
-    tensors["views.T_wc"] = torch.from_numpy(np.stack([view.T_wc for view in kept]))
-    precision = "field.encoding.tables: float16; views.depth: uint16 [mm]"
-    metadata = {"field": json.dumps(asdict(config)), "camera": json.dumps(asdict(kept[0].camera)), "precision": precision}
+    cameras = indices_by_camera([view.camera for view in kept])
+    for i, members in enumerate(cameras.values()):
+        depths = np.stack([np.clip(kept[k].depth * 1000 + 0.5, 0, 65535) for k in members]).astype(np.uint16)
+        tensors[f"views.{i}.depth"] = torch.from_numpy(depths)
+        tensors[f"views.{i}.T_wc"] = torch.from_numpy(np.stack([kept[k].T_wc for k in members]))
+    precision = "field.encoding.tables: float16; views.*.depth: uint16 [mm]"
+    metadata = {"field": json.dumps(asdict(config)), "cameras": json.dumps([asdict(camera) for camera in cameras]), "precision": precision}
     path.write_bytes(save(tensors, {"format": str(FORMAT), **metadata}))
 
 
 def load_map(path: Path) -> SavedMap:
-    """A saved map. Raises ResultError for a file that is damaged, no map, or of another format version."""
+    """A saved map of this format or of the one before. Raises ResultError for a file that is damaged, no map, or of another format."""
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
-            if metadata.get("format") != str(FORMAT):
+            if metadata.get("format") not in (str(FORMAT), str(_ONE_CAMERA)):
                 found = metadata.get("format", "none")
                 raise ResultError(f"{path}: map format {found}, expected {FORMAT}; use the version of idf-slam that wrote it")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
-        camera = Camera(**json.loads(metadata["camera"]))
         field = _field(update(FieldConfig(), json.loads(metadata["field"]), "its metadata"), tensors)
-        return SavedMap(field, _views(camera, tensors))
+        return SavedMap(field, _views(metadata, tensors))
     except (OSError, SafetensorError, ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultError(f"{path}: cannot be read as a map ({type(error).__name__}: {error}); expected a run's map.safetensors") from error
 
@@ -132,9 +135,19 @@ def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
     return field.requires_grad_(False)
 
 
-def _views(camera: Camera, tensors: dict[str, Tensor]) -> list[DepthView]:
-    """What was seen. Raises ValueError where poses, depths and camera do not fit together."""
-    poses, depths = tensors["views.T_wc"].numpy(), tensors["views.depth"].numpy().astype(np.float32) / 1000
+def _views(metadata: dict[str, str], tensors: dict[str, Tensor]) -> list[DepthView]:
+    """What was seen, the views of one camera after those of another. Raises ValueError where there is nothing or it does not fit."""
+    if metadata["format"] == str(_ONE_CAMERA):
+        return _views_of(Camera(**json.loads(metadata["camera"])), tensors, "views")
+    cameras = [Camera(**values) for values in json.loads(metadata["cameras"])]
+    if not cameras:
+        raise ValueError("it has no views")
+    return [view for i, camera in enumerate(cameras) for view in _views_of(camera, tensors, f"views.{i}")]
+
+
+def _views_of(camera: Camera, tensors: dict[str, Tensor], name: str) -> list[DepthView]:
+    """The views of one camera. Raises ValueError where poses, depths and camera do not fit together."""
+    poses, depths = tensors[f"{name}.T_wc"].numpy(), tensors[f"{name}.depth"].numpy().astype(np.float32) / 1000
     if len(depths) == 0 or poses.shape != (len(depths), 4, 4) or depths.shape[1:] != (camera.height, camera.width):
-        raise ValueError(f"views have poses {poses.shape} and depths {depths.shape} of a {camera.width} x {camera.height} camera")
+        raise ValueError(f"{name}: poses {poses.shape} and depths {depths.shape} of a {camera.width} x {camera.height} camera")
     return [DepthView(pose, depth, camera) for pose, depth in zip(poses, depths)]

@@ -1,8 +1,8 @@
 """The map and keyframes of an earlier run, in which a new recording is localised and which it extends."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -44,20 +44,19 @@ def load_prior(folder: Path) -> PriorMap:
     _, source = result_folder.read_config(folder)
     record = result_folder.read_keyframes(folder)
     own = [] if source is None else result_folder.own_keyframes(record, source)
-    found = [*_read([*record.earlier, *own])]
+    found = [*earlier_keyframes([*record.earlier, *own])]
     if not found:
         raise ResultError(f"{folder}: none of its keyframes' images can be read again; expected its recording where it was ({source})")
     return PriorMap(folder, saved, found)
 
 
-def _read(records: Sequence[result_folder.EarlierKeyframe]) -> list[PriorKeyframe]:
-    """The keyframes whose images can be read; each recording is opened once."""
+def earlier_keyframes(records: Sequence[result_folder.EarlierKeyframe]) -> Iterator[PriorKeyframe]:
+    """Yields the keyframes whose images can be read, each with the camera of its recording. Each recording is opened once."""
     opened: dict[str, Dataset | None] = {}
-    found = []
     for record in records:
         key = str(asdict(record.source))
         if key not in opened:
-            opened[key] = _opened(record.source)
+            opened[key] = _opened(record)
         recording = opened[key]
         if recording is None:
             continue
@@ -66,13 +65,21 @@ def _read(records: Sequence[result_folder.EarlierKeyframe]) -> list[PriorKeyfram
         except (FrameError, IndexError) as error:
             log.warning("%s; the keyframe is left out", error)
             continue
-        found.append(PriorKeyframe(frame, torch.from_numpy(record.T_wk), record))
-    return found
+        yield PriorKeyframe(frame, torch.from_numpy(record.T_wk), replace(record, camera=frame.camera))
 
 
-def _opened(source: result_folder.Source) -> Dataset | None:
+def _opened(keyframe: result_folder.EarlierKeyframe) -> Dataset | None:
+    """The recording of a keyframe. None, with a warning, if it cannot be read or its camera is not the keyframe's."""
     try:
-        return open_source(source)
+        recording = open_source(keyframe.source)
     except RecordingError as error:
         log.warning("%s; its keyframes are left out", error)
         return None
+    if keyframe.camera is not None and recording.camera != keyframe.camera:
+        found, expected = (
+            f"{camera.width}x{camera.height}, focal lengths {camera.fx:g} and {camera.fy:g} px"
+            for camera in (recording.camera, keyframe.camera)
+        )
+        log.warning("%s: has a camera of %s; its keyframes are of %s, and are left out", keyframe.source.path, found, expected)
+        return None
+    return recording

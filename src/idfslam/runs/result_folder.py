@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -53,13 +54,14 @@ class EarlierKeyframe:
     index: int  # of the frame in that recording
     timestamp: float  # [s]
     T_wk: NDArray[np.float64]  # (4, 4)
+    camera: Camera | None  # None: the file is of an older version, which did not store it
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeRecord:
     """The content of keyframes.json."""
 
-    camera: Camera
+    camera: Camera  # of the run's own recording
     indices: NDArray[np.int64]  # (K,) frames of the trajectory
     timestamps: NDArray[np.float64]  # (K,) [s]
     poses: NDArray[np.float64]  # (K, 4, 4) T_wk
@@ -114,7 +116,10 @@ def read_config(folder: Path) -> tuple[Config, Source | None]:
 
 
 def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
-    """Writes keyframes.json: the camera, and for each keyframe its frame, time stamp [s] and pose T_wk (4 x 4, by rows)."""
+    """Writes keyframes.json: the camera, and for each keyframe its frame, time stamp [s] and pose T_wk (4 x 4, by rows).
+
+    The keyframes of the map that the run started in are in a list of their own. Each has its recording and its camera as well.
+    """
     keyframes = [
         {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
         for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
@@ -127,7 +132,7 @@ def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
 def own_keyframes(record: KeyframeRecord, source: Source) -> list[EarlierKeyframe]:
     """The keyframes of a run, as an extension of its map stores them."""
     columns = zip(record.indices, record.timestamps, record.poses, strict=True)
-    return [EarlierKeyframe(source, int(index), float(stamp), T_wk) for index, stamp, T_wk in columns]
+    return [EarlierKeyframe(source, int(index), float(stamp), T_wk, record.camera) for index, stamp, T_wk in columns]
 
 
 def read_keyframes(folder: Path) -> KeyframeRecord:
@@ -141,13 +146,16 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
             np.array([k["index"] for k in keyframes], np.int64),
             np.array([k["timestamp"] for k in keyframes], np.float64),
             np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
-            [
-                EarlierKeyframe(Source(**k["source"]), k["index"], k["timestamp"], np.array(k["T_wk"], np.float64).reshape(4, 4))
-                for k in values.get("earlier", [])
-            ],
+            [_earlier_keyframe(k) for k in values.get("earlier", [])],
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ResultError(f"{path}: is damaged ({error}); run again into this folder") from error
+
+
+def _earlier_keyframe(values: dict[str, Any]) -> EarlierKeyframe:
+    camera = Camera(**values["camera"]) if values.get("camera") else None
+    T_wk = np.array(values["T_wk"], np.float64).reshape(4, 4)
+    return EarlierKeyframe(Source(**values["source"]), values["index"], values["timestamp"], T_wk, camera)
 
 
 def existing(folder: Path, name: str) -> Path:

@@ -145,7 +145,7 @@ class Slam:
 
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""
-        return [StoredKeyframe(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap) for k in self.graph.keyframes]
+        return [StoredKeyframe(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap, k.camera) for k in self.graph.keyframes]
 
     def loops(self) -> Sequence[Loop]:
         """The loops that were closed."""

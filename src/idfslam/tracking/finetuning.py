@@ -8,11 +8,12 @@ from torch import Tensor
 from idfslam.compute.devices import repeatable
 from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
+from idfslam.geometry.camera import Camera
 from idfslam.tracking.frame_features import Described
 from idfslam.tracking.matching import Matches
 
-Render = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""The frozen map seen from T_wc (4, 4) at pixels (B, 2) of the recording's image: colour (B, 3), depth (B,) [m].
+Render = Callable[[Camera, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""The frozen map as a recording's camera sees it from T_wc (4, 4) at pixels (B, 2) of its image: colour (B, 3), depth (B,) [m].
 
 Differentiable in the pose.
 """
@@ -46,7 +47,7 @@ def finetuning_losses(
     valid = current.valid.flatten().nonzero()[:, 0]
     chosen = valid[torch.randint(len(valid), (pixels,), generator=generator).to(valid.device)]
     uv, depth = current.source.project(points[chosen])
-    colour, rendered = render((T_wr.to(T_rc) @ T_rc).to(points.dtype), uv)
+    colour, rendered = render(current.source, (T_wr.to(T_rc) @ T_rc).to(points.dtype), uv)
     points_r = reference.points.flatten(0, 1)[matches.keyframe]
     return {
         "photometric": torch.linalg.vector_norm(colour - current.colour.flatten(1).mT[chosen], dim=-1).mean(),  # Eq. 1

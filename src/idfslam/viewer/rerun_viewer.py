@@ -243,7 +243,7 @@ class RerunViewer:
         keyframes = slam.stored_keyframes()
         T_wk = np.array([keyframe.T_wk for keyframe in keyframes]).reshape(-1, 4, 4)
         placed = [i for i, keyframe in enumerate(keyframes) if keyframe.submap == 0]
-        self._show_lines("world/keyframes", frustums(T_wk[placed], self._camera) if self._camera else [], _KEYFRAME, width=1)
+        self._show_lines("world/keyframes", frustums(T_wk[placed], [keyframes[i].camera for i in placed]), _KEYFRAME, width=1)
         covisible = {(j, i) for i in placed for j in keyframes[i].covisible if j < i}
         for kind, pairs, colour, width in (("covisible", covisible, _COVISIBLE, 1), ("loop", _pairs(slam.loops()), _LOOP, 3)):
             self._show_lines(f"world/graph/{kind}", [T_wk[list(pair), :3, 3] for pair in sorted(pairs)], colour, width=width)
@@ -288,13 +288,19 @@ def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) 
     return strips, kinds
 
 
-def frustums(T_wk: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """A pyramid for each camera pose T_wk (K, 4, 4), drawn as one line (K, 10, 3) [m] along its edges."""
+def frustums(T_wk: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """A pyramid for each of K cameras at T_wk (K, 4, 4), drawn as one line (K, 11, 3) [m] along its edges."""
+    lines = {camera: _frustum(camera) for camera in set(cameras)}
+    points = np.array([lines[camera] for camera in cameras]).reshape(-1, 11, 3)
+    return (T_wk[:, None, :3, :3] @ points[..., None])[..., 0] + T_wk[:, None, :3, 3]
+
+
+def _frustum(camera: Camera) -> NDArray[np.float64]:
+    """The pyramid (11, 3) [m] in the camera's own frame."""
     left, right = (np.array([0, camera.width]) - 0.5 - camera.cx) / camera.fx
     top, bottom = (np.array([0, camera.height]) - 0.5 - camera.cy) / camera.fy
     apex, a, b, c, d = np.array([[0, 0, 0], [left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]]) * _FRUSTUM_DEPTH
-    line = np.array([apex, a, b, apex, c, b, c, d, apex, d, a])[:, None]
-    return (T_wk[:, None, :3, :3] @ line[None, :, 0, :, None])[..., 0] + T_wk[:, None, :3, 3]
+    return np.array([apex, a, b, apex, c, b, c, d, apex, d, a])
 
 
 def show(folder: Path, *, web: bool, port: int = PORT) -> None:

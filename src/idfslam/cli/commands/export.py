@@ -29,7 +29,8 @@ class Export:
     resolution: float = 0.02
     """Cell edge of meshes and grids, and spacing of points [m]."""
     images: int | None = None
-    """Number of frames whose images and points are exported, spread over the run; none given: the keyframes."""
+    """Number of frames whose images and points are exported, spread over the run; none given: the keyframes, with those of the
+    map that the run started in."""
     texture: Texture | None = None
     """Texture of OBJ and GLB, from the images of the recording or the colours of the map; none given: vertex colours."""
     recording: Path | None = None
