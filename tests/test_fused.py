@@ -146,7 +146,7 @@ def test_many_samples_are_drawn_for_steps_at_once() -> None:
     assert torch.isclose(first.total, first.per_ray.mean(), rtol=1e-5)
 
 
-@pytest.mark.parametrize("changes", [{"certainty": 1.0}, {"gradient_clip": 1.0}, {"supervision": "rendering"}])
+@pytest.mark.parametrize("changes", [{"gradient_clip": 1.0}, {"supervision": "rendering"}])
 def test_other_ways_of_learning_are_taken_in_turns(changes: dict[str, float | str]) -> None:
     assert not fused.learns_in_steps(field(), replace(MAPPER, **changes))
 
