@@ -1,7 +1,7 @@
-"""Second-order alignment of a frame to the map: depth on the zero of the SDF, images on those of earlier keyframes.
+"""Alignment of a frame to the map: its depth to the zero level of the SDF, its image to those of earlier keyframes.
 
-Gauss-Newton on SE(3) with robust weights, coarse to fine. Depth holds the frame to everything mapped so far; where the map's
-shape leaves a direction open (a bare wall) the brightness of keyframes' landmarks decides, and what neither decides stays at the guess.
+Gauss-Newton on SE(3) with robust weights, coarse to fine. Depth constrains the pose wherever the map has shape. Where the shape leaves a
+direction open (a bare wall), the brightness of the keyframes' landmarks constrains it. A direction that neither constrains keeps its guess.
 """
 
 import math
@@ -26,66 +26,72 @@ from idfslam.graph.keyframe import Images, Keyframe
 from idfslam.sensing.depth_noise import noise_ratio
 from idfslam.storage.state import State, Stateful
 
-# Chosen by hand on generated rooms and redkitchen.
-_MARGIN, _DECAY = (
-    1.5,
-    0.95,
-)  # [1] the prediction error is bounded by this many times the largest recent one, which decays by 5 % a frame. More
-#                              margin: coarser images are used more often, which is slower and safer
-_WRONG_ERROR = 0.1  # [1] photometric error of a landmark that is another place; more: landmarks out of view count against a pose more
-_ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003  # [1], [m] added to photometric error and RMSE in a score; more: small differences decide less
-_USUAL_RATE = 0.1  # [1] by which the usual photometric error follows each frame's; more: it follows faster, and forgets faster
-_COARSE_STRIDE = 3  # points of which one takes part in all but the finest steps; more: faster, and noisier first steps
-_FIRST_SCALE = 4.0  # [1] times `robust` in the first step, halved with each; more: worse guesses are corrected, and more outliers count
-_OVERSHOOT = 2.0  # [1] times the expected error of a guess, beyond which coarser images are needed after all; more: fewer second tries
+# All of these were chosen by hand on generated rooms and redkitchen.
+
+# [1] Bound on the prediction error: `_MARGIN` times the largest recent one, which decays by the factor `_DECAY` a frame.
+# More: coarser images are used more often, which is slower and safer.
+_MARGIN, _DECAY = 1.5, 0.95
+# [1] Photometric error of a landmark that shows another place. More: landmarks out of view count more against a pose.
+_WRONG_ERROR = 0.1
+# [1], [m] Added to the photometric error and to the RMSE in a score. More: small differences decide less.
+_ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003
+# [1] Rate of the running mean of the photometric error. More: the mean follows the last frames faster.
+_USUAL_RATE = 0.1
+# Every so many points one takes part in the coarse steps. More: faster, and noisier first steps.
+_COARSE_STRIDE = 3
+# [1] Factor on `robust` in the first step, halved with each step. More: worse guesses are corrected, and more outliers count.
+_FIRST_SCALE = 4.0
+# [1] An alignment that moves by more than this many times the expected error of its guess has left the reach of its images.
+# More: fewer second tries.
+_OVERSHOOT = 2.0
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """A pose with its evidence."""
+    """The pose of a frame, and how well depth and images constrain and confirm it."""
 
     T_wc: Tensor  # (4, 4) float64
     status: Status
-    overlap: float  # share of the points that fall where the map knows the surface
+    overlap: float  # share of the points that lie near a mapped surface
     rmse: float  # [m] of the robustly weighted distances
-    stiffness: float  # least information of depth in any direction, per unit weight [1]; small: degenerate
-    brightness: float  # typical difference of brightness to the references' landmarks in view, 0 without any
-    in_view: float  # share of the references' landmarks that are in view, 1 of none
-    information: Information | None  # of depth and images together; None without depth
+    stiffness: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
+    brightness: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
+    in_view: float  # share of the references' landmarks that are in view; 1 without landmarks
+    information: Information | None  # of depth and images together; None for a frame without depth
     iterations: int
-    focal: float = 1.0  # of the finest image [px]
+    focal: float = 1.0  # focal length of the finest image [px]
     radius: float = 1.0  # mean distance of the points [m]
 
     @property
     def least_information(self) -> float:
-        """Of depth and images in any direction, per unit weight [1]; 0 without any."""
+        """Smallest eigenvalue of the information of depth and images, per unit weight [1]; 0 without information."""
         return 0.0 if self.information is None else float(self.information.values[0])
 
     @property
     def score(self) -> float:
-        """To compare two alignments of one view: much of it explained, closely, and in its colours; 0 if lost.
+        """Quality of an alignment, to compare several of one view: overlap over photometric error and RMSE; 0 if lost.
 
-        A landmark out of view counts as one that is wrong, or the pose that looks away from all of them would be best.
+        A landmark out of view counts as a wrong one. Otherwise a pose that looks away from all landmarks would score best.
         """
         agreement = self.in_view / (self.brightness + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
         return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + _RMSE_FLOOR)
 
     def distance(self, T_wc: Tensor) -> float:
-        """How far the finest image moves between this pose and another (4, 4), about [px]."""
+        """About how far the finest image moves between this pose and another one (4, 4) [px]."""
         change = change_between(T_wc, self.T_wc)
         return self.focal * float(change[3:].norm() + change[:3].norm() / max(self.radius, 0.1))
 
 
 @dataclass(frozen=True)
 class Surface:
-    """N points of a frame in the camera's frame."""
+    """N points of a frame, in the camera's frame."""
 
     points: Tensor  # (N, 3) [m]
-    sigma: Tensor  # (N,) noise of the depth, relative to the best of the sensor [1]
-    patches: Tensor  # (rows, columns) int32: which of the points lies in each patch of the image, -1 where there is none
+    sigma: Tensor  # (N,) noise of the depth, relative to the sensor's best [1]
+    patches: Tensor  # (rows, columns) int32: index of the point in each patch of the image, -1 for a patch without a point
 
     def every(self, step: int) -> "Surface":
-        """Each `step`-th point."""
+        """Every `step`-th point."""
         kept = (self.patches >= 0) & (self.patches % step == 0)
         patches = torch.where(kept, self.patches // step, -1)
         return Surface(self.points[::step].contiguous(), self.sigma[::step].contiguous(), patches)
@@ -93,40 +99,40 @@ class Surface:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations H delta = b of a pose: shift, and turn about the camera's own centre, both along world axes."""
+    """Normal equations H delta = b of a pose; delta is a shift and a turn about the camera's centre, both along world axes."""
 
     H: Tensor  # (6, 6) float64
     b: Tensor  # (6,)
     weight: float  # sum of the robust weights
-    overlap: float
-    rmse: float
-    radius: float  # mean distance of the points [m], to compare a turn with a shift
+    overlap: float  # share of the points that take part
+    rmse: float  # [m]
+    radius: float  # mean distance of the points [m], by which a turn is compared with a shift
 
 
-_Normals = tuple[Tensor, Tensor]  # (N, 3) unit, and the slope (N,) of the distance along them
+_Normals = tuple[Tensor, Tensor]  # unit normals (N, 3), and the slope (N,) of the distance along them
 
 MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
 class Aligner(Stateful):
-    """Aligns views to a map and to the images of keyframes; both may change between calls."""
+    """Aligns views to a map and to the images of keyframes. Both may change between calls."""
 
     def __init__(self, config: AlignmentConfig, query: MapQuery, truncation: float, generator: torch.Generator) -> None:
-        """query: the map's signed distance; truncation: that of the map [m]."""
+        """query: the map's signed distance. truncation: the map's truncation distance [m]. generator: draws the points."""
         self.config, self.query, self.truncation, self._generator = config, query, truncation, generator
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
         self._usual_brightness = 0.0
-        self.expected: float | None = None  # how far off a prediction is at most, judging by the last ones [px of the finest image]
+        self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
     def state(self) -> State:
-        """How well colours usually fit, how far off predictions are, and the generator."""
+        """The usual photometric error, the bound on the prediction error, and the generator."""
         expected = math.inf if self.expected is None else self.expected
         return {"usual_brightness": self._usual_brightness, "expected": expected, "generator": self._generator.get_state()}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Takes over `state`."""
         self._usual_brightness = state["usual_brightness"]
         self.expected = state["expected"] if math.isfinite(state["expected"]) else None
         self._generator.set_state(state["generator"])
@@ -134,11 +140,11 @@ class Aligner(Stateful):
     def align(
         self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, within: float | None = None, registered: bool = False
     ) -> Alignment:
-        """The view's pose near `T_guess` (4, 4), held to the map and to the images of `references`; LOST if it has no depth.
+        """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4); LOST if too few pixels have depth.
 
-        within: how far off the guess may be [px of the finest image], which spares coarser images; none given: unknown. registered: it
-        is as good as the answer, and comes from the neural tracker: directions that map and images know little of are held to it more
-        firmly than to another guess.
+        within: bound on the error of the guess [px of the finest image]. The steps on images too coarse for it are left out. None: unknown.
+        registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in the directions that
+        map and images constrain weakly.
         """
         hold = self.config.registration_prior_information if registered else self.config.prior_information
         surface = self.surface(view)
@@ -151,7 +157,7 @@ class Aligner(Stateful):
         for step in range(first, self.config.iterations):
             if step < coarse_steps:
                 system, _ = self._depth_system(coarse, T, step, None)
-            else:  # near the end they turn no more
+            else:  # the normals of the first fine step are used again: they hardly turn any more
                 system, normals = self._depth_system(surface, T, step, normals)
             H, b, brightness, in_view = self._with_images(system, view, references, T, step)
             largest = damped_step(H, b, system.weight, system.radius, hold, change, T)
@@ -162,7 +168,7 @@ class Aligner(Stateful):
         return self._judged(T, system, information, brightness, in_view, step + 1 - first, focal)
 
     def _first_step(self, within: float | None) -> int:
-        """Past the images that a guess off by `within` [px] has no need of: on each level that is to be at most `level_reach` pixels."""
+        """The first step for a guess with an error of up to `within` [px]: at most `level_reach` pixels of the coarsest level used."""
         levels = self.config.image_levels
         if within is None:
             return 0
@@ -170,9 +176,9 @@ class Aligner(Stateful):
         return max(0, levels - 1 - level) * self.config.steps_a_level
 
     def surface(self, view: Keyframe) -> Surface:
-        """About `config.points` points of a view, one in each of equal patches, at random within it; patches without depth give none.
+        """About `config.points` points of a view: a random pixel of each of equal patches, if it has depth.
 
-        Where little has depth the patches are smaller: a table at the end of the sensor's range is all there is to hold on to.
+        Patches are smaller if few pixels have depth. A table near the end of the sensor's range may be all there is to align to.
         """
         height, width = view.depth.shape
         patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
@@ -181,7 +187,7 @@ class Aligner(Stateful):
         return pick(view.depth, compiled=compiled_surface, plain=plain_surface)(view.depth, view.camera, jitter, patch)
 
     def doubtful(self, alignment: Alignment) -> bool:
-        """Whether another guess is worth its time: lost, little overlap, or colours that fit much worse than they lately did."""
+        """Whether another guess should be tried: the view is lost, overlaps little with the map, or has a large photometric error."""
         return (
             alignment.status is Status.LOST
             or alignment.overlap < self.config.doubtful_overlap
@@ -189,12 +195,12 @@ class Aligner(Stateful):
         )
 
     def fits(self, alignment: Alignment, times: float) -> bool:
-        """Whether colours differ by at most so many times what they lately did."""
+        """Whether the photometric error is at most `times` the usual one."""
         return alignment.brightness <= times * self._expected_brightness
 
     @property
     def doubtful_brightness(self) -> float:
-        """Colours that differ more than this are not noise: the images do not lie on each other."""
+        """Photometric error [1] above which the images do not match: it is more than noise."""
         return self.config.doubtful_brightness * self._expected_brightness
 
     @property
@@ -203,29 +209,32 @@ class Aligner(Stateful):
 
     @property
     def has_usual_error(self) -> bool:
-        """Whether a frame was aligned already, or the usual photometric error was given."""
+        """Whether the usual photometric error is available: a frame was aligned, or `expect` was called."""
         return self._usual_brightness > 0
 
     def expect(self, differences: Sequence[float]) -> None:
-        """How well colours usually fit, before anything was aligned: the median of differences of brightness; 0: nothing was in view."""
-        if seen := sorted(difference for difference in differences if difference > 0):
-            self._usual_brightness = seen[len(seen) // 2]
+        """Initialises the usual photometric error with the median of some errors, before the first alignment.
+
+        An error of 0 means that nothing was in view, and is left out.
+        """
+        if measured := sorted(difference for difference in differences if difference > 0):
+            self._usual_brightness = measured[len(measured) // 2]
 
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
-        """Remember how well colours fit, as a slow running mean, and how far off the prediction (4, 4) was."""
+        """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
         if alignment.brightness > 0:
             self._usual_brightness += (alignment.brightness - self._usual_brightness) * (_USUAL_RATE if self._usual_brightness else 1.0)
-        lately = 0.0 if self.expected is None else _DECAY * self.expected
-        self.expected = max(_MARGIN * alignment.distance(T_predicted), lately)
+        decayed = 0.0 if self.expected is None else _DECAY * self.expected
+        self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
     def unexpected(self, alignment: Alignment, T_guess: Tensor, within: float | None) -> bool:
-        """Whether a guess that was to be off by `within` [px] turned out to be farther off than the images that were looked at reach."""
+        """Whether the pose moved farther from its guess than the images reach that were used for an error of up to `within` [px]."""
         return within is not None and alignment.distance(T_guess) > _OVERSHOOT * max(within, self.config.level_reach)
 
     def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
-        """The distances of the points to the map's surface along its normals; the robust scale narrows over the first steps.
+        """Normal equations of the points' distances to the map along its normals. The robust scale narrows over the first steps.
 
-        normals: of a step before; none given: those at the points as they lie now.
+        normals: of an earlier step; None: they are computed at the points' present places. Returns the normals too.
         """
         T32 = T.float().to(surface.points)
         turned = surface.points @ T32[:3, :3].T
@@ -237,9 +246,9 @@ class Aligner(Stateful):
     def _with_images(
         self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
     ) -> tuple[Tensor, Tensor, float, float]:
-        """The normal equations with the brightness of each reference's landmarks added, on the pyramid's level for this step.
+        """Adds to the normal equations the brightness of each reference's landmarks, on the level of the pyramid for this step.
 
-        Also the typical difference of brightness, and the share of the landmarks in view.
+        Returns H (6, 6), b (6,), the scale of the brightness differences, and the share of the landmarks in view.
         """
         H, b, brightness, seen, in_view, count = system.H, system.b, 0.0, 0, 0, 0
         frame = self.appearance(view)
@@ -257,13 +266,13 @@ class Aligner(Stateful):
         return H, b, brightness / max(seen, 1), in_view / count if count else 1.0
 
     def compare(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
-        """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the typical difference of their brightness."""
+        """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
         marks, noise, widest = self.landmarks(reference), self.config.colour_noise, self.config.colour_robust
         term = photometric_term(self.appearance(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
 
     def appearance(self, view: Keyframe) -> Appearance:
-        """A view's image pyramid, worked out once for as long as its images are in memory."""
+        """A view's image pyramid, cached for as long as its images are in memory."""
         images = view.images
         if images not in self._appearances:
             levels = pyramid(images.colour, view.camera, height=self.config.image_height, levels=self.config.image_levels)
@@ -271,7 +280,7 @@ class Aligner(Stateful):
         return self._appearances[images]
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:
-        """A keyframe's landmarks, worked out once; its pyramid is released, since only landmarks are compared with other images."""
+        """A keyframe's landmarks, cached. Its pyramid is released: other images are compared with the landmarks alone."""
         if keyframe not in self._landmarks:
             appearance = self.appearance(keyframe)
             self._landmarks[keyframe] = landmarks(appearance.levels, keyframe.depth, count=self.config.landmarks)
@@ -279,7 +288,7 @@ class Aligner(Stateful):
         return self._landmarks[keyframe]
 
     def release(self, view: Keyframe) -> None:
-        """Frees a view's image pyramid, which is worked out anew if it is needed again."""
+        """Frees a view's image pyramid. It is computed again when it is needed again."""
         self._appearances.pop(view.images, None)
 
     def _judged(
@@ -292,24 +301,17 @@ class Aligner(Stateful):
             status = Status.LOST
         elif stiffness < self.config.min_eigenvalue:
             status = Status.DEGENERATE
-        believed = of_depth if brightness > self.doubtful_brightness else information  # images that do not fit know nothing of the motion
-        return Alignment(
-            se3.orthonormal(T),
-            status,
-            system.overlap,
-            system.rmse,
-            stiffness,
-            brightness,
-            in_view,
-            believed,
-            iterations,
-            focal,
-            system.radius,
-        )
+        # Images that do not match say nothing about the motion.
+        trusted = of_depth if brightness > self.doubtful_brightness else information
+        evidence = system.overlap, system.rmse, stiffness, brightness, in_view, trusted
+        return Alignment(se3.orthonormal(T), status, *evidence, iterations, focal, system.radius)
 
 
 def plain_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
-    """Of each patch of a depth image (H, W) [m] the pixel that jitter (2, rows, columns) says, if it has depth; in torch, on any device."""
+    """One pixel of each patch of a depth image (H, W) [m], if it has depth; in torch, on any device.
+
+    jitter (2, rows, columns): row and column of the pixel within its patch.
+    """
     rows, columns = jitter.shape[1:]
     v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(depth.device)
     u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(depth.device)
@@ -329,15 +331,15 @@ def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) 
     patches = torch.empty(jitter.shape[1:], dtype=torch.int32)
     intrinsics = [np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
     outputs = points.numpy(), z.numpy(), patches.numpy()
-    found = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
-    return Surface(points[:found], noise_ratio(z[:found]), patches)
+    count = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
+    return Surface(points[:count], noise_ratio(z[:count]), patches)
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior that holds what they know little of to the guess.
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior at the guess for directions with little information.
 
-    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step. All of
-    these are on the host, wherever the points are.
+    hold: information [1] below which the prior dominates (`Information.prior`). The step moves in place the pose T (4, 4) and its change
+    since the guess, change (6,). Returns the largest entry of the step. All tensors are on the host, wherever the points are.
     """
     return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, hold, change, T)
 
@@ -363,7 +365,8 @@ def depth_system(
 ) -> _System:
     """Normal equations of the distances (N,) [m] of points to the map, along its normals (N, 3).
 
-    turned (N, 3) [m]: the points from the camera's centre, world axes; slope (N,) of the distance; sigma (N,) the relative noise.
+    turned (N, 3) [m]: the points from the camera's centre, along world axes. slope (N,): the length of the distance's gradient.
+    sigma (N,): the noise relative to the sensor's best. robust [m]: scale of the robust kernel. widest: the largest sigma that widens it.
     """
     build = pick(turned, compiled=compiled_depth_system, plain=plain_depth_system)
     return build(turned, distance, normal, slope, sigma, truncation, robust, widest)
@@ -377,22 +380,22 @@ def compiled_depth_system(
 
     H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma)]
-    found = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
-    weight, squares, known, radius = found
-    return _System(H, b, weight, known / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
+    sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
+    weight, squares, count, radius = sums
+    return _System(H, b, weight, count / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
 
 
 def plain_depth_system(
     turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
     """`depth_system` in torch, on any device."""
-    known = (distance.abs() < KNOWN * truncation) & (slope > LEAST_SLOPE)
+    mapped = (distance.abs() < KNOWN * truncation) & (slope > LEAST_SLOPE)
     r = distance / slope.clamp(min=SLOPE_FLOOR)
     J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
     scale = robust * sigma.clamp(max=widest)
-    w = known / ((1 + (r / scale) ** 2) ** 2 * sigma**2)  # Geman-McClure, and the sensor's own noise
+    w = mapped / ((1 + (r / scale) ** 2) ** 2 * sigma**2)  # Geman-McClure, divided by the sensor's variance
     JtW = (J * w[:, None]).T
     weight = float(w.sum())
     rmse = (float((w * r * r).sum()) / max(weight, 1e-9)) ** 0.5
-    overlap = float(known.float().mean())
+    overlap = float(mapped.float().mean())
     return _System((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), weight, overlap, rmse, float(turned.norm(dim=-1).mean()))

@@ -1,21 +1,22 @@
-"""Numbers of the alignment's normal equations, for the plain and the compiled form. None comes from a paper.
+"""Constants of the alignment's normal equations, shared by the plain and the compiled forms. They were chosen by hand.
 
-Compiled kernels freeze them, and Numba's cache does not notice when they change: delete it then (`idf-slam doctor` says where).
+Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
+where it is).
 """
 
 # Distances to the map (`aligner.depth_system`)
-KNOWN = 0.9  # of the truncation distance [1]: a point nearer to the surface than this takes part; raised to 1, points in free space do too
-LEAST_SLOPE = 0.2  # of the signed distance along its gradient [1]: a point with less takes no part; raised, badly learnt places drop out
-SLOPE_FLOOR = 0.7  # [1] distances are divided by the slope, but by no less than this; lowered, flat places count as farther off
+KNOWN = 0.9  # [1] share of the truncation distance within which a point takes part. Raised to 1: points in free space take part too
+LEAST_SLOPE = 0.2  # [1] least length of the distance's gradient at a point that takes part. More: badly learnt places drop out
+SLOPE_FLOOR = 0.7  # [1] least slope by which a distance is divided. Less: distances at flat places of the field become larger
 
 # Brightness of landmarks (`photometric.photometric_term`)
-NEAREST = 0.05  # [m] least depth of a landmark in the frame; raised, landmarks close to the camera drop out
-OCCLUSION = 0.05  # [m] off the frame's own reading a landmark lies on another surface; raised, landmarks that are hidden take part
-OCCLUSION_SHARE = 0.05  # [1] of the depth, added to it; raised, hidden landmarks that are far away take part
-LEAST_SPREAD = 1e-3  # [1] of the landmarks' brightness, which divides the gain; raised, the gain of bare images is smaller
-LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4  # [1] change of exposure between a keyframe and a frame; wider, other differences pass as exposure
-DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation; a fact, not a choice
+NEAREST = 0.05  # [m] least depth of a landmark in the frame. More: landmarks close to the camera drop out
+OCCLUSION = 0.05  # [m] difference to the frame's own depth from which a landmark is hidden. More: hidden landmarks take part
+OCCLUSION_SHARE = 0.05  # [1] share of the depth, added to `OCCLUSION`. More: hidden landmarks that are far away take part
+LEAST_SPREAD = 1e-3  # [1] least standard deviation of the landmarks' brightness, which divides the gain. More: smaller gains of bare images
+LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4  # [1] range of the change of exposure. Wider: other differences pass as a change of exposure
+DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 
 # Information of a pose by direction (`motion.Information`)
-LEAST_RADIUS = 0.1  # [m] mean distance of the points by which a turn is compared with a shift; raised, turns count less close to a surface
-LEAST_VALUE = 0.1  # of `hold` [1]: less information in a direction counts as this; lowered, an open direction is held more firmly
+LEAST_RADIUS = 0.1  # [m] least distance of the points by which a turn is compared with a shift. More: turns close to a surface count less
+LEAST_VALUE = 0.1  # [1] least information of a direction, as a share of `hold`. Less: the prior is stronger in an open direction

@@ -1,4 +1,4 @@
-"""Normals of the map at a frame's points, smoothed over similar neighbours: their noise would look like information along a wall."""
+"""Normals of the map at a frame's points, smoothed over similar neighbours. Otherwise their noise looks like information along a wall."""
 
 import numpy as np
 import torch
@@ -7,16 +7,21 @@ from torch import Tensor
 
 from idfslam.compute.backend import pick
 
-_SIMILAR = 0.906  # [1] least cosine between normals that are averaged: 25 degrees; more: less smoothing, sharper edges. Chosen by hand
-_COPLANAR = 0.03  # [m] largest distance of a neighbour from the tangent plane; more: averages reach over small steps. Chosen by hand
-_REACH = 2  # patches to each side; more: smoother. Without smoothing a bare wall shows 15 times its information (docs/findings.md)
+# [1] Least cosine between normals that are averaged (25 degrees). More: less smoothing, sharper edges. Chosen by hand.
+_SIMILAR = 0.906
+# [m] Largest distance of a neighbour from the tangent plane. More: averages reach over small steps. Chosen by hand.
+_COPLANAR = 0.03
+# [patches] Neighbours to each side. More: smoother. Without smoothing, a bare wall has 15 times too much information along it; with 2,
+# little (docs/findings.md).
+_REACH = 2
 
 
 def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and its length (N,).
+    """Unit normals (N, 3) from the gradient (N, 3) of the distance at points (N, 3) [m], and the gradient's length (N,).
 
-    A normal is the mean over 5 x 5 `patches` of the similar ones: within 25 degrees, and within 3 cm of the point's tangent plane. The
-    normals of a wall learnt from noisy depth are off by several degrees, which looks like information along the wall. Edges stay edges.
+    A normal is the mean of the similar normals in the 5 x 5 `patches` around it: those within 25 degrees whose points lie within 3 cm of
+    its tangent plane. The normals of a wall learnt from noisy depth are off by several degrees, which looks like information along the
+    wall. Edges stay sharp.
     """
     return pick(points, compiled=compiled_smoothed_normals, plain=plain_smoothed_normals)(points, gradient, patches)
 
@@ -38,10 +43,10 @@ def plain_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) ->
 
 
 def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
-    """The normals alone, from unit gradients (N, 3)."""
+    """The smoothed normals (N, 3) alone, from unit gradients (N, 3)."""
     rows, columns = patches.shape
     padded = F.pad(patches.long(), (_REACH,) * 4, value=-1)
-    here, known = patches.clamp(min=0).long(), patches >= 0
+    here, filled = patches.clamp(min=0).long(), patches >= 0
     total = torch.zeros(rows, columns, 3, dtype=unit.dtype, device=unit.device)
     for i in range(2 * _REACH + 1):
         for j in range(2 * _REACH + 1):
@@ -50,4 +55,4 @@ def plain_smoothed(points: Tensor, unit: Tensor, patches: Tensor) -> Tensor:
             off = (n * (points[there.clamp(min=0)] - points[here])).sum(-1)
             similar = (there >= 0) & ((n * other).sum(-1) >= _SIMILAR) & (off.abs() < _COPLANAR)
             total += other * similar[..., None]
-    return F.normalize(total[known], dim=-1)[patches[known].long().argsort()]
+    return F.normalize(total[filled], dim=-1)[patches[filled].long().argsort()]

@@ -1,7 +1,7 @@
-"""Direct photometric alignment: points of a keyframe that stand out keep their brightness in the frame.
+"""Direct photometric alignment: landmarks of a keyframe have the same brightness in the frame.
 
-What the shape of the map leaves open (along a bare wall everything fits) the images of earlier keyframes decide, to a
-fraction of a pixel. An image pyramid, the coarsest level first, widens the reach.
+The images of earlier keyframes constrain directions that the shape of the map leaves open (along a bare wall), to a fraction of a pixel.
+An image pyramid, used from the coarsest level on, widens the range of convergence.
 """
 
 from dataclasses import dataclass
@@ -27,11 +27,11 @@ class Level:
     camera: Camera
 
     def at(self, uv: Tensor) -> Tensor:
-        """Luminance and its derivatives along u and v [1/px], bilinear: (3, N) at pixels (N, 2); the nearest edge's outside."""
+        """Luminance and its derivatives along u and v [1/px] at pixels (N, 2), bilinear: (3, N). Outside, those of the nearest border."""
         return self._sampled(with_slopes(self.luminance), uv)
 
     def luminance_at(self, uv: Tensor) -> Tensor:
-        """The first of these alone, (N,)."""
+        """Luminance (N,) at pixels (N, 2), as `at` gives it."""
         return self._sampled(self.luminance[None], uv)[0]
 
     def _sampled(self, channels: Tensor, uv: Tensor) -> Tensor:
@@ -41,13 +41,13 @@ class Level:
 
 
 def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
-    """Luminance of an image (H, W, 3), the finest level of at least `height` rows and each next of half as many."""
+    """The luminance pyramid of an image (H, W, 3), finest level first. That has at least `height` rows, each next one half as many."""
     full = luminance(colour)
     shrink = max(1, camera.height // height)
     out: list[Level] = []
     for _ in range(levels):
         finer = out[-1].luminance if out else full
-        halved = bool(out) and finer.shape[0] % 2 == 0 and finer.shape[1] % 2 == 0  # means of means of as many are means
+        halved = bool(out) and finer.shape[0] % 2 == 0 and finer.shape[1] % 2 == 0  # a mean of equally many pixels' means is their mean
         image = half(finer) if halved else F.avg_pool2d(full[None], shrink)[0] if shrink > 1 else full
         out.append(Level(image, camera.resized(image.shape[1], image.shape[0])))
         shrink *= 2
@@ -99,16 +99,16 @@ def with_slopes(image: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Points of a keyframe where its image changes most, spread over it."""
+    """Points of a keyframe with a strong image gradient, spread over the image."""
 
     points: Tensor  # (M, 3) [m] in the keyframe's frame
-    luminance: list[Tensor]  # of each level (M,)
+    luminance: list[Tensor]  # (M,) for each level of the pyramid
 
 
 def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
-    """The steepest pixel of each of the cells of the finest level that it takes for `count` where there is depth.
+    """About `count` landmarks: the pixel with the largest gradient in each cell of the finest level.
 
-    If it has depth, no edge of it near, and a slope [1/px].
+    A landmark has depth, no edge of the depth beside it, and a gradient above `least` [1/px].
     """
     fine = levels[0]
     measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
@@ -120,7 +120,7 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
 
 
 def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
-    """u (M,) and v (M,) of the steepest pixel of each cell, in torch, on any device."""
+    """u (M,) and v (M,) of the pixel with the largest gradient of each cell, in torch, on any device."""
     h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
     slope = with_slopes(fine.luminance)[1:].norm(dim=0)
     row, column = _rows_of(fine, depth)
@@ -141,12 +141,12 @@ def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tu
 
     most = (fine.camera.height // cell) * (fine.camera.width // cell)
     u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
-    found = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
-    return u[:found], v[:found]
+    count = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
+    return u[:count], v[:count]
 
 
 def _rows_of(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """The row of a depth image (H, W) that each row of a level lies in, and the column that each of its columns does."""
+    """The row of a depth image (H, W) in which each row of a level lies, and the column for each of its columns."""
     row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
     column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
     return row, column
@@ -154,7 +154,7 @@ def _rows_of(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Appearance:
-    """A frame's image and depth, to hold landmarks against."""
+    """A frame's image and depth, with which landmarks are compared."""
 
     levels: list[Level]
     depth: Tensor  # (H, W) [m]
@@ -163,19 +163,19 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Term:
-    """What the images add to the normal equations of a pose (shift, turn about the camera, both along world axes)."""
+    """The photometric part of the normal equations of a pose (shift, and turn about the camera, both along world axes)."""
 
     H: Tensor  # (6, 6) float64
     b: Tensor  # (6,) float64
     seen: int  # landmarks in view
-    noise: float  # scale of the differences of brightness
+    noise: float  # scale of the brightness differences [1]
 
 
 def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
-    """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, exposure taken out.
+    """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, after exposure is compensated.
 
-    Each difference counts by the inverse square of their own scale, so that sharp, well-registered images count for more than blurred
-    ones: the median, at least `floor`; robustly from `widest` scales on. Poses (4, 4) float64.
+    Differences are divided by their own scale, so that sharp, well-registered images count more than blurred ones. The scale comes from
+    their median and is at least `floor` [1]. The robust kernel has a width of `widest` scales. Poses are (4, 4) float64.
     """
     term = pick(marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
     return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
@@ -228,12 +228,12 @@ def plain_photometric_term(
 
 
 def _median(values: Tensor) -> Tensor:
-    """The median with the middle two averaged, as numpy has it; 0 of nothing."""
+    """The median, as numpy computes it: the middle two are averaged. 0 for no values."""
     return values.quantile(0.5) if len(values) else values.new_zeros(())
 
 
 def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
-    """Whether the frame's own depth agrees with the landmark's; where it has none, yes."""
+    """Whether a landmark's depth agrees with the frame's own depth at its pixel, or the frame has none there."""
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
     depth = frame.depth[v, u]
@@ -241,7 +241,7 @@ def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Ten
 
 
 def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Gain and offset with value = gain * target + offset over the landmarks in view, from means and spreads."""
+    """Gain and offset with value = gain * target + offset over the landmarks in view, from means and standard deviations."""
     n = inside.sum().clamp(min=1)
     mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
     spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()

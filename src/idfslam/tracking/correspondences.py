@@ -1,4 +1,4 @@
-"""Matched points of a frame and of its keyframe, the pose they give, and whether it can be believed; whatever features they came from."""
+"""Matched points of a frame and of its keyframe, the pose estimated from them, and whether it is valid."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,10 @@ from idfslam.tracking.spatial_consistency import compatible_subsets
 class Correspondences:
     """M points seen in both images."""
 
-    frame_uv: Tensor  # (M, 2) pixels of the recorded images
-    keyframe_uv: Tensor  # (M, 2)
-    frame: Tensor  # (M, 3) points in each camera's own frame [m]
-    keyframe: Tensor  # (M, 3)
+    frame_uv: Tensor  # (M, 2) pixels of the frame's recorded image
+    keyframe_uv: Tensor  # (M, 2) pixels of the keyframe's recorded image
+    frame: Tensor  # (M, 3) points in the frame's camera frame [m]
+    keyframe: Tensor  # (M, 3) points in the keyframe's camera frame [m]
     weight: Tensor  # (M,) in [0, 1]
 
     def __len__(self) -> int:
@@ -29,26 +29,26 @@ class Correspondences:
         )
 
 
-def estimate_pose(found: Correspondences, config: TrackerConfig, generator: torch.Generator) -> Registration | None:
-    """T_kc by the robust Procrustes; None where there are too few correspondences to say anything."""
-    if len(found) < max(3, config.min_inliers):
+def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torch.Generator) -> Registration | None:
+    """T_kc by the robust Procrustes; None for too few correspondences."""
+    if len(pairs) < max(3, config.min_inliers):
         return None
-    subsets, share = config.subsets, config.subset_share
+    size = {"subsets": config.subsets, "share": config.subset_share}
     if config.consensus == "spatial_consistency":
-        tried = compatible_subsets(found.frame, found.keyframe, subsets=subsets, share=share, tolerance=config.inlier_distance)
+        subsets = compatible_subsets(pairs.frame, pairs.keyframe, tolerance=config.inlier_distance, **size)
     else:
-        tried = random_subsets(len(found), subsets=subsets, share=share, generator=generator)
+        subsets = random_subsets(len(pairs), generator=generator, **size)
     fit = {"inlier_distance": config.inlier_distance, "truncation": config.truncation}
-    return register(found.frame, found.keyframe, found.weight, tried, refits=config.refits, **fit)
+    return register(pairs.frame, pairs.keyframe, pairs.weight, subsets, refits=config.refits, **fit)
 
 
-def believable(pose: Registration, found: Correspondences, config: TrackerConfig) -> bool:
-    """Whether enough of the correspondences support the pose, and spread enough to hold it."""
-    enough = int(pose.inliers.sum()) >= max(3, config.min_inliers, config.min_inlier_share * len(found))
-    return enough and spans_plane(found.frame[pose.inliers], config.min_extent)
+def believable(pose: Registration, pairs: Correspondences, config: TrackerConfig) -> bool:
+    """Whether enough of the correspondences are inliers of the pose, and lie far enough apart to determine it."""
+    enough = int(pose.inliers.sum()) >= max(3, config.min_inliers, config.min_inlier_share * len(pairs))
+    return enough and spans_plane(pairs.frame[pose.inliers], config.min_extent)
 
 
 def spans_plane(points: Tensor, extent: float) -> bool:
-    """Whether points (M, 3) spread (standard deviation) by more than `extent` [m] in two directions; on a line a rotation stays free."""
+    """Whether the standard deviation of points (M, 3) exceeds `extent` [m] in two directions. Points on a line leave a rotation open."""
     centred = (points - points.mean(0)).double()
     return float(torch.linalg.svdvals(centred)[1]) > extent * len(points) ** 0.5

@@ -36,7 +36,8 @@ class BasicBlock(nn.Module):
 class FeatureExtractor(nn.Module):
     """Colour images (B, 3, H, W) in [0, 1] -> unit features (B, 32, H, W); Fig. 4 of the paper.
 
-    `trunk` is all but the out-conv, which alone learns during a run: `head(trunk(images))` is `forward(images)`.
+    `trunk` is all but the out-conv, and `head` is the out-conv: `head(trunk(images))` is `forward(images)`. The out-conv alone learns
+    during a run.
     """
 
     def __init__(self) -> None:
@@ -77,13 +78,13 @@ def folded(extractor: FeatureExtractor, dtype: torch.dtype) -> FeatureExtractor:
 
 
 def untrained_extractor(images: Tensor, seed: int = 0) -> FeatureExtractor:
-    """Random filters whose batch norms are fitted to some images (B, 3, H, W): what the architecture gives without learning."""
+    """Random filters whose batch norms are fitted to some images (B, 3, H, W): the baseline of the architecture without training."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         extractor = FeatureExtractor()
     for norm in extractor.modules():
         if isinstance(norm, nn.BatchNorm2d):
-            norm.momentum = 1.0  # the statistics of these images alone
+            norm.momentum = 1.0  # the batch norms take over the statistics of these images
     with torch.no_grad():
         extractor.train()(images)
     return extractor.eval()
@@ -103,9 +104,9 @@ def load_extractor(path: Path | None = None) -> FeatureExtractor:
         raise ConfigError(f"{path}: cannot be read as safetensors ({error}); expected weights written by `idf-slam pretrain`") from error
     extractor = FeatureExtractor()
     expected = {name: tuple(tensor.shape) for name, tensor in extractor.state_dict().items()}
-    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    if found != expected:
-        odd = sorted(name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name))
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if shapes != expected:
+        odd = sorted(name for name in expected.keys() | shapes.keys() if expected.get(name) != shapes.get(name))
         raise ConfigError(f"{path}: {len(odd)} tensors do not fit the extractor, first {odd[0]}; expected weights from `idf-slam pretrain`")
     extractor.load_state_dict(tensors)
     return extractor.eval()

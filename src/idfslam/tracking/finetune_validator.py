@@ -1,4 +1,4 @@
-"""Validation of finetuning: steps that make the tracker worse on pairs of keyframes that it never trains on are rolled back."""
+"""Validation of finetuning on pairs of keyframes that are never trained on. Steps that make the tracker worse there are rolled back."""
 
 import copy
 from collections import OrderedDict
@@ -14,44 +14,47 @@ from idfslam.storage.state import State, adam_dict, plain_adam
 from idfslam.tracking.frame_features import Described
 from idfslam.tracking.overlap import partners
 
-_APART = 2  # keyframes between the two of a validation pair; finetuning trains on consecutive ones, so these are never trained on
-_MIN_OVERLAP = 0.2  # [1] least share of a keyframe's measured pixels that the other sees too; more: fewer and easier pairs
+# Distance of the two keyframes of a validation pair in the graph's order. Finetuning trains on consecutive ones, so these are never trained
+# on. More: harder pairs. Chosen by hand.
+_APART = 2
+# [1] Least share of a keyframe's measured pixels that the other one sees too. More: fewer and easier pairs. Chosen by hand.
+_MIN_OVERLAP = 0.2
 
 
 class Guard:
-    """Remembers the weights that did best, and their optimiser; goes back to both when later ones do clearly worse.
+    """Keeps the best weights and their optimiser's state, and rolls back to both when later weights are clearly worse.
 
-    After going back, the rate is half of what it was: a rate that does harm once will do it again.
+    A rollback halves the learning rate: a rate that did harm once will do it again.
     """
 
     def __init__(self, learning: nn.Module, optimiser: torch.optim.Optimizer, margin: float) -> None:
         self._learning, self._optimiser, self._margin = learning, optimiser, margin
         self._best: tuple[dict[str, Tensor], dict[str, Any]] = self._state()
-        self.undone = 0  # how often it went back
+        self.undone = 0  # number of rollbacks
 
     def state(self) -> State:
-        """The best weights, their optimiser, and how often it went back."""
+        """The best weights, their optimiser's state, and the number of rollbacks."""
         weights, optimiser = self._best
         return {"weights": dict(weights), "adam": plain_adam(optimiser), "undone": self.undone}
 
     def restore(self, state: State) -> None:
-        """What `state` told."""
+        """Takes over `state`."""
         self._best, self.undone = (OrderedDict(state["weights"]), adam_dict(state["adam"])), state["undone"]
 
     @torch.no_grad()
     def examine(self, score: Callable[[], float]) -> bool:
-        """Whether the weights may stay: `score` (higher is better) of them and of the best, on the same pairs, decides."""
-        now, state = score(), self._state()
+        """Compares the present weights with the best ones by `score` (higher is better); False if they were rolled back."""
+        present, state = score(), self._state()
         self._restore(self._best)
         best = score()
-        if now < (1 - self._margin) * best:
+        if present < (1 - self._margin) * best:
             self.undone += 1
             for group in self._optimiser.param_groups:
                 group["lr"] /= 2
             self._best = self._state()
             return False
         self._restore(state)
-        if now >= best:
+        if present >= best:
             self._best = state
         return True
 
@@ -64,14 +67,14 @@ class Guard:
 
 
 def held_out(keyframes: Sequence[Described], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
-    """Up to `count` pairs (i, i + 2) of keyframes with poses (N, 4, 4) that see the same, at random; of at most 3 * count drawn."""
+    """Up to `count` random pairs (i, i + 2) of overlapping keyframes with poses (N, 4, 4). At most 3 * count pairs are tested."""
 
-    def see_the_same(i: int, j: int) -> bool:
+    def overlap(i: int, j: int) -> bool:
         return _overlap(keyframes[i], keyframes[j], se3.inverse(T_wk[i]) @ T_wk[j]) >= _MIN_OVERLAP
 
     drawn = torch.randperm(max(0, len(keyframes) - _APART), generator=generator)[: 3 * count].tolist()
-    pairs = ((i, i + _APART) for i in drawn if see_the_same(i, i + _APART))
-    return list(islice(pairs, count))  # and no more are looked at: to describe a keyframe anew takes as long as to track a frame
+    pairs = ((i, i + _APART) for i in drawn if overlap(i, i + _APART))
+    return list(islice(pairs, count))  # stops early: extracting a keyframe's features again takes as long as tracking a frame
 
 
 def _overlap(keyframe: Described, frame: Described, T_kc: Tensor) -> float:

@@ -1,4 +1,4 @@
-"""Online finetuning of the out-conv to the scene (Sec. V-B): Eq. 6's losses of a pair of keyframes, and one step on them."""
+"""Online finetuning of the out-conv to the scene (Sec. V-B): the losses of Eq. 6 for a pair of keyframes, and one step on them."""
 
 from collections.abc import Callable
 
@@ -57,7 +57,7 @@ def finetuning_losses(
 
 
 def finetune_step(optimiser: torch.optim.Optimizer, losses: dict[str, Tensor], config: FinetuneConfig) -> dict[str, float]:
-    """One step on Eq. 6's weighted sum; the losses as numbers. Raises DivergedError, before the step, for one that is not finite."""
+    """One step on the weighted sum of Eq. 6; returns the losses as numbers. Raises DivergedError, before the step, if one is not finite."""
     values = {name: float(loss.detach()) for name, loss in losses.items()}
     for name, value in values.items():
         if not torch.isfinite(torch.tensor(value)):

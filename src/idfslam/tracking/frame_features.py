@@ -1,4 +1,4 @@
-"""A frame as the tracker keeps it: images at the tracker's resolution, points, and the trunk's features."""
+"""What the tracker extracts from a frame: images at the tracker's resolution, points, and the trunk's features."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,16 +14,17 @@ from torch.nn import functional as F
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 
-_ONE_SURFACE = 0.03  # [1] relative difference of depth within which readings are of one surface; more: edges are averaged over
-_NORMAL_REACH = 2  # [px] to each side of a normal's pixel; more: smoother normals, missing nearer to edges
-_NORMAL_EDGE = 0.1  # [1] relative difference of depth over that distance beyond which there is no normal; more: normals across edges
+# All of these were chosen by hand.
+_ONE_SURFACE = 0.03  # [1] largest relative difference of depths on one surface. More: depth is averaged over edges
+_NORMAL_REACH = 2  # [px] distance to the neighbours that a normal is computed from. More: smoother normals, missing nearer to edges
+_NORMAL_EDGE = 0.1  # [1] largest relative difference of depth between these neighbours. More: normals are computed over edges
 
 
 @dataclass(frozen=True)
 class Described:
-    """A frame at the tracker's resolution (h, w).
+    """The features of a frame at the tracker's resolution (h, w).
 
-    It holds the trunk's output rather than features, so that a finetuned out-conv holds for stored keyframes as well.
+    The trunk's output is kept rather than the final features, so that a finetuned out-conv applies to stored keyframes too.
     """
 
     trunk: Tensor  # (64, h, w)
@@ -39,11 +40,11 @@ class Described:
 
     @cached_property
     def normals(self) -> Tensor:
-        """(h, w, 3) unit normals of the points, towards the camera; zero where they are not known."""
+        """(h, w, 3) unit normals of the points, towards the camera; zero where there is none."""
         return surface_normals(self.points)
 
     def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], "Described"]]:
-        """Its tensors in the order they have in memory, channels last, and what makes the same description of them again."""
+        """The tensors in their memory order (channels last), and a function that makes the same features of them again."""
         camera, source, device = self.camera, self.source, self.points.device
 
         def unpacked(tensors: Sequence[Tensor]) -> Described:
@@ -54,7 +55,7 @@ class Described:
 
 
 def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
-    """Colour (h, w, 3), depth (h, w) [m] and camera of the frame reduced to `height` rows (never enlarged)."""
+    """Colour (h, w, 3), depth (h, w) [m] and camera of a frame reduced to `height` rows. A frame is never enlarged."""
     h = min(height, frame.camera.height)
     w = round(frame.camera.width * h / frame.camera.height)
     colour = cv2.resize(frame.colour, (w, h), interpolation=cv2.INTER_AREA)
@@ -62,9 +63,10 @@ def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 def averaged_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
-    """Depth (H, W) as the mean of the readings under each pixel of a (height, width) image, where they lie on one surface.
+    """Depth (H, W) reduced to (height, width): the mean of the readings under each pixel, if they lie on one surface.
 
-    Where the mean is off the reading at the centre by more than a few percent, an edge runs through, and that reading stands alone.
+    If the mean differs from the reading at the centre by more than 3 %, an edge runs through the pixel, and the reading at the centre is
+    taken.
     """
     share = cv2.resize((depth > 0).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     mean = cv2.resize(depth, (width, height), interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-6)
@@ -73,13 +75,13 @@ def averaged_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArr
 
 
 def subsampled_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
-    """Depth (H, W) at the centres of a (height, width) image; a missing reading is taken from a pixel beside it, never averaged."""
+    """Depth (H, W) at the pixel centres of a (height, width) image. A missing reading is taken from a neighbour, never averaged."""
     rows = ((np.arange(height) + 0.5) * depth.shape[0] / height).astype(int)
     columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(int)
     out = depth[np.ix_(rows, columns)]
     for up, left in ((1, 0), (0, 1), (1, 1)):
-        beside = depth[np.ix_(np.maximum(rows - up, 0), np.maximum(columns - left, 0))]
-        out = np.where(out > 0, out, beside)
+        neighbour = depth[np.ix_(np.maximum(rows - up, 0), np.maximum(columns - left, 0))]
+        out = np.where(out > 0, out, neighbour)
     return out
 
 

@@ -1,4 +1,4 @@
-"""Correspondences by nearest neighbours in feature space (Sec. V, V-A): both ways, ratio weights, spread over the image."""
+"""Matches of pixels by nearest neighbours in feature space (Sec. V, V-A): in both directions, weighted by ratios, in grid buckets."""
 
 import math
 from collections.abc import Callable
@@ -9,21 +9,21 @@ from torch import Tensor
 
 from idfslam.compute.backend import pick
 
-_SIMILARITIES = 1 << 19  # held at a time, so that they stay near in the caches
+_SIMILARITIES = 1 << 19  # similarities computed at a time. More: they no longer fit the caches. Chosen by hand
 
 Features = Callable[[Tensor], Tensor]
-"""Pixels (N,), flat indices -> their unit features (N, C)."""
+"""Flat indices of pixels (N,) -> their unit features (N, C)."""
 
 
 def features_in(image: Tensor) -> Features:
-    """The pixels of an image of unit features (C, H, W)."""
+    """The lookup of features in an image of unit features (C, H, W)."""
     rows = image.flatten(1).mT
     return lambda pixels: rows[pixels]
 
 
 @dataclass(frozen=True)
 class Matches:
-    """M correspondences between the pixels of a frame and of a keyframe, as indices into the flattened images."""
+    """M matches between the pixels of a frame and of a keyframe, as indices into the flattened images."""
 
     frame: Tensor  # (M,) int64
     keyframe: Tensor  # (M,) int64
@@ -38,17 +38,17 @@ class Matches:
 
 @torch.no_grad()
 def nearest(queries: Tensor, targets: Tensor) -> Tensor:
-    """The two targets (M, C), M >= 2, nearest in cosine to each of the queries (N, C), unit rows: indices (N, 2), the nearest first.
+    """For each of the queries (N, C) the two of the targets (M, C), M >= 2, with the largest cosine: indices (N, 2), nearest first.
 
-    Memory is bounded: a chunk of queries at a time.
+    All rows are unit vectors. Queries are processed in chunks, so memory is bounded.
     """
     rows = max(1, _SIMILARITIES // len(targets))
-    similarity = queries.new_empty(min(rows, len(queries)), len(targets))  # used again by each chunk: fresh memory is slow
+    similarity = queries.new_empty(min(rows, len(queries)), len(targets))  # shared by all chunks: fresh memory is slow
     return torch.cat([two_largest(torch.mm(chunk, targets.mT, out=similarity[: len(chunk)])) for chunk in queries.split(rows)])
 
 
 def two_largest(values: Tensor) -> Tensor:
-    """The places (N, 2) of the two largest in each row of values (N, M), the largest first."""
+    """The indices (N, 2) of the two largest values in each row of values (N, M), the largest first."""
     return pick(values, compiled=compiled_two_largest, plain=plain_two_largest)(values)
 
 
@@ -67,7 +67,7 @@ def compiled_two_largest(values: Tensor) -> Tensor:
 
 
 def ratio_weights(queries: Tensor, targets: Tensor, neighbours: Tensor) -> Tensor:
-    """w = 1 - d1/d2 with d = 1 - cosine, of each query's two neighbours (N, 2); (N,), differentiable [31]."""
+    """Weights (N,) w = 1 - d1 / d2 with d = 1 - cosine to each query's two neighbours (N, 2) [31]. Differentiable in the features."""
     distance = 1 - (queries[:, None] * targets[neighbours]).sum(-1)
     first, second = distance.clamp(min=1e-6).unbind(-1)
     return (1 - first / second).clamp(min=0)
@@ -80,7 +80,7 @@ def lattice(valid: Tensor, stride: int) -> Tensor:
 
 
 def _directed(queries: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-    """For features (N, C) the nearest of `targets` (M, C) by index, and the ratio weights."""
+    """For each of the features (N, C) the index of the nearest of `targets` (M, C), and the ratio weight."""
     neighbours = nearest(queries.detach(), targets.detach())
     return neighbours[:, 0], ratio_weights(queries, targets, neighbours)
 
@@ -97,9 +97,9 @@ def match(
 ) -> Matches:
     """Nearest neighbours in feature space among the pixels with depth (H, W), from each image to the other.
 
-    Strides thin the lattice of pixels that ask and of pixels that may answer; 1 and 1 is the paper's full search.
-    `mutual` keeps the frame's matches whose answer, asked back, returns to within one query of where it came from, instead of
-    adding the keyframe's own matches. Empty if either image has fewer than two candidates.
+    The strides thin the lattices of query pixels and of target pixels; 1 and 1 is the paper's full search. `mutual` adds no matches from
+    the keyframe to the frame. It keeps the frame's matches whose target's own nearest neighbour lies within one stride of the query.
+    Without two candidates in each image there are no matches.
     """
     width = frame_valid.shape[1]
     frame_targets, keyframe_targets = lattice(frame_valid, target_stride), lattice(keyframe_valid, target_stride)
@@ -107,32 +107,32 @@ def match(
     if min(len(frame_targets), len(keyframe_targets), len(queries)) < 2:
         none = frame_targets[:0]
         return Matches(none, none, torch.zeros(0, device=none.device))
-    frame_field, keyframe_field = frame(frame_targets), keyframe(keyframe_targets)
-    found, weight = _directed(frame(queries), keyframe_field)
-    answers = keyframe_targets[found]
+    frame_features, keyframe_features = frame(frame_targets), keyframe(keyframe_targets)
+    neighbour, weight = _directed(frame(queries), keyframe_features)
+    matched = keyframe_targets[neighbour]
     if mutual:
-        asked, place = found.unique(return_inverse=True)  # some answer several queries
-        returned, back_weight = _directed(keyframe_field[asked], frame_field)
-        back = frame_targets[returned][place]
-        near = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs()) <= max(
-            query_stride, target_stride
-        )
-        return Matches(queries, answers, torch.minimum(weight, back_weight[place]))[near]
-    others = lattice(keyframe_valid, query_stride)
-    found, other_weight = _directed(keyframe(others), frame_field)
-    return Matches(torch.cat([queries, frame_targets[found]]), torch.cat([answers, others]), torch.cat([weight, other_weight]))
+        distinct, inverse = neighbour.unique(return_inverse=True)  # several queries may share a neighbour
+        back_neighbour, back_weight = _directed(keyframe_features[distinct], frame_features)
+        back = frame_targets[back_neighbour][inverse]
+        offset = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs())
+        near = offset <= max(query_stride, target_stride)
+        return Matches(queries, matched, torch.minimum(weight, back_weight[inverse]))[near]
+    keyframe_queries = lattice(keyframe_valid, query_stride)
+    neighbour, keyframe_weight = _directed(keyframe(keyframe_queries), frame_features)
+    pixels = torch.cat([queries, frame_targets[neighbour]]), torch.cat([matched, keyframe_queries])
+    return Matches(*pixels, torch.cat([weight, keyframe_weight]))
 
 
 def spread(matches: Matches, shape: tuple[int, int], *, limit: int, grid: int) -> Matches:
-    """The best `limit` = K matches by weight, at most K / grid^2 (rounded up) of them from a cell of the frame's image (H, W) (Sec. V-A).
+    """Grid bucketing (Sec. V-A): the best K = `limit` matches by weight, at most K / grid^2 (rounded up) from each cell of the frame.
 
-    `grid` = 1 is [31]'s plain top K.
+    shape: (H, W) of the frame's image. `grid` = 1 is the plain top K of [31].
     """
     height, width = shape
     row, column = matches.frame // width * grid // height, matches.frame % width * grid // width
     best = matches.weight.detach().argsort(descending=True, stable=True)
     cell = (row * grid + column)[best]
-    by_cell = cell.argsort(stable=True)  # cells together, each in order of weight
+    by_cell = cell.argsort(stable=True)  # sorted by cell, and by weight within a cell
     counts = torch.bincount(cell, minlength=grid * grid)
     first = counts.cumsum(0) - counts
     rank = torch.empty_like(cell)

@@ -1,4 +1,4 @@
-"""Which pixels of two depth images see the same point at a given pose, and how well the images agree there."""
+"""The overlap of two depth images at a relative pose: which pixels see the same points, and how well the depths agree."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,7 +11,7 @@ from idfslam.geometry.camera import Camera
 
 
 class DepthImage(Protocol):
-    """Points of an image."""
+    """An image of points."""
 
     @property
     def points(self) -> Tensor: ...  # (h, w, 3) in the camera's frame [m]
@@ -25,16 +25,16 @@ class DepthImage(Protocol):
 
 @dataclass(frozen=True)
 class Partners:
-    """Pixels of one view that another sees too."""
+    """Pixels of view b that view a sees too."""
 
-    index: Tensor  # (N,) int64, flat
-    uv: Tensor  # (N, 2) their places in the other view [px]
-    agreement: float  # the share of the points on measured pixels of the other view, not hidden behind them, that lie on its surface
+    index: Tensor  # (N,) int64: flat indices of the pixels in b
+    uv: Tensor  # (N, 2) where a sees them [px]
+    agreement: float  # of b's points that a should see (measured there and not occluded), the share that lies on a's surface
 
 
 @torch.no_grad()
 def partners(T_ab: Tensor, a: DepthImage, b: DepthImage, tolerance: float = 0.03) -> Partners:
-    """Pixels of b that a sees too, by pose and depth, which agree within `tolerance` times the depth, taken as 1 m at least."""
+    """Pixels of b that a sees too, by pose and depth. Depths agree within `tolerance` times the depth; less than 1 m counts as 1 m."""
     index = b.valid.flatten().nonzero()[:, 0]
     uv, z = a.camera.project(se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[index]))
     inside = a.camera.inside(uv, z)

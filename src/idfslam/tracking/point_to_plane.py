@@ -1,7 +1,7 @@
 """Projective point-to-plane ICP of two depth images (Chen and Medioni 1992; Blais and Levine 1995), constrained by matched points.
 
-Matched features give the initial pose, to within their pixels, and the surfaces the exact one. Where surfaces can slide on each other (a
-bare wall), the matches constrain them.
+Matched features give the initial pose, to about a pixel of the features. The surfaces then give the exact pose. Where surfaces can slide on
+each other (a bare wall), the matches constrain the pose.
 """
 
 import numpy as np
@@ -15,20 +15,21 @@ from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.frame_features import Described
 
 # Chosen by hand on pairs of frames (docs/model-card.md).
-_STRIDE = 4  # rows and columns of the frame, of which one takes part, in all but the last steps; more: faster, and noisier first steps
-_FINE_STEPS = 2  # last steps, in which all rows and columns take part; more: slower, hardly more exact
-_REACH = (0.10, 0.03)  # [m] from a plane that a point may be, in the first and in the last step; more: worse first poses are corrected, and
-#                        more outliers take part
-_FACING = 0.8  # [1] least cosine between two normals that may correspond; more: fewer wrong pairs, and fewer pairs
-_MATCH_NOISE = 0.01  # [m] of a match beside the sensor's noise: a pixel of the features, seen from 2 m; more: matches count for less
-_MATCH_WEIGHT = 0.1  # [1] of a match relative to a point: errors of neighbouring matches are correlated; more: matches count for more
-_PRIOR = 1.0  # [1/m^2, 1/rad^2] information that the pose stays, which keeps the system solvable: a point has about 10^4
-_ROBUST = 3.0  # standard deviations at which a residual's weight has fallen to a quarter; more: outliers count for more
+_STRIDE = 4  # of the rows and columns of the frame in all but the last steps. More: faster, and noisier first steps
+_FINE_STEPS = 2  # number of last steps, in which all rows and columns take part. More: slower, hardly more exact
+# [m] Largest distance of a point from its plane, in the first and in the last step. More: worse first poses are corrected, and more
+# outliers take part.
+_REACH = (0.10, 0.03)
+_FACING = 0.8  # [1] least cosine between the normals of a pair. More: fewer wrong pairs, and fewer pairs
+_MATCH_NOISE = 0.01  # [m] noise of a match, added to the sensor's: a pixel of the features, seen from 2 m. More: matches count less
+_MATCH_WEIGHT = 0.1  # [1] weight of a match relative to a point: errors of neighbouring matches are correlated. More: matches count more
+_PRIOR = 1.0  # [1/m^2, 1/rad^2] prior information at the present pose. It keeps the system solvable; a point has about 10^4
+_ROBUST = 3.0  # [standard deviations] residual at which the weight has fallen to a quarter. More: outliers count more
 
 
 @torch.no_grad()
 def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches: Correspondences, *, steps: int) -> Tensor:
-    """T_kc (4, 4) float64 after `steps` of Gauss-Newton from a T_kc that is right to within a few cm."""
+    """T_kc (4, 4) float64 after `steps` steps of Gauss-Newton from a T_kc that is exact to a few cm."""
     for step in range(steps):
         stride = 1 if step >= steps - _FINE_STEPS else _STRIDE
         reach = _REACH[0] + step / max(steps - 1, 1) * (_REACH[1] - _REACH[0])
@@ -40,7 +41,10 @@ def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches:
 
 
 def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
-    """Normal equations H (6, 6), b (6,) of the distances of every `stride`-th row and column to the planes where they fall."""
+    """Normal equations H (6, 6), b (6,) of the distances of the frame's points to the keyframe's planes that they project to.
+
+    Every `stride`-th row and column takes part, and distances up to `reach` [m].
+    """
     return pick(frame.points, compiled=compiled_plane_system, plain=plain_plane_system)(T_kc, frame, keyframe, stride, reach)
 
 
@@ -75,11 +79,11 @@ def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stri
 
 
 def _surface(frame: Described, stride: int) -> tuple[Tensor, Tensor]:
-    """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where both are known."""
+    """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where there is a normal."""
     inside = slice(stride // 2, None, stride)
     points, normals = (image[inside, inside].flatten(0, 1) for image in (frame.points, frame.normals))
-    known = normals[:, 2] != 0
-    return points[known], normals[known]
+    valid = normals[:, 2] != 0
+    return points[valid], normals[valid]
 
 
 def _match_system(T_kc: Tensor, matches: Correspondences) -> tuple[Tensor, Tensor]:
@@ -93,5 +97,5 @@ def _match_system(T_kc: Tensor, matches: Correspondences) -> tuple[Tensor, Tenso
 
 
 def _robust(residual: Tensor, sigma: Tensor) -> Tensor:
-    """Weights of Geman-McClure, over the variance."""
+    """Weights of the Geman-McClure kernel, divided by the variance."""
     return 1 / (sigma * (1 + (residual / (_ROBUST * sigma)) ** 2)) ** 2

@@ -10,11 +10,11 @@ from idfslam.geometry import se3
 
 @dataclass(frozen=True)
 class Registration:
-    """The transform found and what supports it."""
+    """An estimated transform and its inliers."""
 
     T_ab: Tensor  # (4, 4) float64, differentiable in points and weights
     inliers: Tensor  # (M,) bool
-    rmse: float  # of the inliers' distances [m]; nan without any
+    rmse: float  # of the inliers' distances [m]; nan without inliers
 
 
 def procrustes(source: Tensor, target: Tensor, weight: Tensor) -> Tensor:
@@ -41,16 +41,16 @@ def residuals(T_ab: Tensor, source: Tensor, target: Tensor) -> Tensor:
 
 
 def random_subsets(count: int, *, subsets: int, share: float, generator: torch.Generator) -> Tensor:
-    """`subsets` random choices of a `share` of `count` matches, three at least: indices (S, n) [31]."""
+    """S = `subsets` random subsets of `count` matches, each a `share` of them and at least three: indices (S, n) [31]."""
     size = min(count, max(3, round(share * count)))
     return torch.rand(subsets, count, generator=generator).topk(size, dim=-1).indices
 
 
 @torch.no_grad()
 def best_subset(source: Tensor, target: Tensor, weight: Tensor, subsets: Tensor, *, truncation: float = 0.0) -> Tensor:
-    """The one of the index sets (S, n) whose Procrustes leaves the least weighted residual over ALL matches: (n,) [31].
+    """The subset (n,) of `subsets` (S, n) whose Procrustes has the least weighted residual over all matches [31].
 
-    `truncation` [m] caps a match's residual, so that outliers count alike however far off; 0: not capped.
+    `truncation` [m] caps a match's residual, so that all outliers count the same; 0: no cap.
     """
     residual = residuals(procrustes(source[subsets], target[subsets], weight[subsets]), source, target)
     if truncation > 0:
@@ -68,10 +68,10 @@ def register(
     truncation: float = 0.0,
     refits: int = 0,
 ) -> Registration:
-    """T_ab from points b `source` (M, 3) to points a `target` (M, 3) [m] with weights (M,), M >= 3, some of them outliers.
+    """Robust T_ab from points `source` (M, 3) in b to points `target` (M, 3) in a [m] with weights (M,), M >= 3, with outliers among them.
 
-    The best of the `subsets` (S, n) of the matches gives the transform; each of `refits` rounds then repeats Procrustes on all inliers,
-    those within `inlier_distance` [m]. Gradients flow through the winning fit (and the refits).
+    The best of the `subsets` (S, n) of the matches gives the transform. Each of `refits` rounds then repeats Procrustes on all inliers,
+    which are the matches within `inlier_distance` [m]. Gradients flow through the best subset's fit and the refits.
     """
     chosen = best_subset(source, target, weight, subsets.to(weight.device), truncation=truncation)
     T_ab = procrustes(source[chosen], target[chosen], weight[chosen])
@@ -84,7 +84,7 @@ def register(
 
 
 def supported(T_ab: Tensor, source: Tensor, target: Tensor, inlier_distance: float) -> Registration:
-    """A transform with the matches that it explains."""
+    """A transform with its inliers: the matches within `inlier_distance` [m]."""
     distance = residuals(T_ab.detach(), source, target)
     inliers = distance < inlier_distance
     return Registration(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))

@@ -1,20 +1,22 @@
-"""Spatial consistency of matches: a rigid motion keeps the distance between any two points, so right matches keep each other's distances.
+"""Spatial consistency of matches: a rigid motion preserves the distance between two points, so right matches preserve it too.
 
-Second-order spatial compatibility after SC2-PCR (Chen et al., CVPR 2022); seeds by the leading eigenvector (Leordeanu and Hebert, 2005).
+Second-order spatial compatibility as in SC2-PCR (Chen et al., CVPR 2022). Seeds come from the leading eigenvector (Leordeanu and Hebert,
+2005).
 """
 
 import torch
 from torch import Tensor
 
-_POWER_STEPS = 10  # of the power iteration for the leading eigenvector; more: nothing, it has converged
+_POWER_STEPS = 10  # steps of the power iteration for the leading eigenvector. More: nothing, it has converged. Chosen by hand
 
 
 @torch.no_grad()
 def compatible_subsets(source: Tensor, target: Tensor, *, subsets: int, share: float, tolerance: float) -> Tensor:
-    """For each of `subsets` seeds the `share` of the matches (M, 3), three at least, most compatible with it: indices (S, n).
+    """Subsets of consistent matches: for each of S = `subsets` seeds the `share` of the matches (M, 3) most consistent with it.
 
-    Two matches are compatible if the distance between their points differs by less than `tolerance` [m] in the two clouds; to the second
-    order, by how many others are compatible with both. Seeds are those most compatible with all.
+    Two matches are consistent if the distance between their points differs by less than `tolerance` [m] in the two clouds. Their
+    second-order consistency is the number of matches that are consistent with both. The seeds are the matches most consistent with all. A
+    subset has at least three matches. Returns indices (S, n).
     """
     count = len(source)
     apart = (torch.cdist(source, source) - torch.cdist(target, target)).abs()

@@ -1,4 +1,4 @@
-"""The neural tracker (Sec. V): features, matches and robust Procrustes give a frame's pose in its reference keyframe."""
+"""The neural tracker (Sec. V): a frame's pose in its reference keyframe by features, matches and robust Procrustes."""
 
 import zlib
 from collections.abc import Sequence
@@ -25,24 +25,26 @@ from idfslam.tracking.overlap import partners
 from idfslam.tracking.point_to_plane import point_to_plane
 from idfslam.tracking.procrustes import Registration, supported
 
-_ASKING, _ANSWERING = 8, 2  # strides of the pixels that the guard has ask and answer: a few ms a pair, whatever the tracker's own are
+# [px] Strides of query and target pixels in validation. More: faster, and noisier scores. With these a pair takes a few ms. Chosen by hand.
+_QUERY_STRIDE, _TARGET_STRIDE = 8, 2
 
 
 @dataclass(frozen=True)
 class TrackingResult:
     """A frame's pose in a keyframe, and the evidence for it."""
 
-    T_kc: NDArray[np.float64]  # (4, 4); the identity if there were too few matches to say anything
+    T_kc: NDArray[np.float64]  # (4, 4); the identity if there were too few matches
     status: Status  # OK or LOST
-    matches: int  # correspondences that the registration was given
-    inliers: int  # of them, those it explains
-    rmse: float  # of the inliers' distances [m]; nan without any
+    matches: int  # matches that went into the registration
+    inliers: int  # inliers among them
+    rmse: float  # of the inliers' distances [m]; nan without inliers
 
 
 class Tracker(Stateful):
-    """Tracks frames against keyframes; the extractor's out-conv learns the scene by `finetune`.
+    """Tracks frames against keyframes. `finetune` adapts the extractor's out-conv to the scene.
 
-    Deterministic given the seed. `extractor` stands in for the one that the config names. Raises ConfigError if its weights cannot be used.
+    The tracker is deterministic for a given seed. `extractor` replaces the one that the config names. Raises ConfigError if the weights
+    cannot be used.
     """
 
     def __init__(
@@ -62,29 +64,29 @@ class Tracker(Stateful):
         learning = self.extractor.out_conv.requires_grad_(True)
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
         self.guard = Guard(learning, self.optimiser, finetune.margin)
-        self._steps = 0  # of finetuning
-        self._asked = 0  # registrations since the last
+        self._steps = 0  # steps of finetuning
+        self._registrations = 0  # since the last step of finetuning
 
     def state(self) -> State:
-        """What is finetuned, its optimiser and the generator; of the rest a checksum."""
+        """The finetuned weights, their optimiser and the generator, and a checksum of the other weights."""
         learnt = dict(self.extractor.out_conv.state_dict())
-        counts = {"steps": self._steps, "asked": self._asked}
+        counts = {"steps": self._steps, "asked": self._registrations}
         optimiser = {"adam": plain_adam(self.optimiser.state_dict()), **counts, "guard": self.guard.state()}
         return {"weights": self._checksum(), "learnt": learnt, "generator": self.generator.get_state(), **optimiser}
 
     def restore(self, state: State) -> None:
-        """What `state` told. Raises ConfigError where the weights that this tracker began with are others."""
+        """Takes over `state`. Raises ConfigError if this tracker was made with other weights."""
         if state["weights"] != self._checksum():
-            found = "the file has changed" if self.config.weights else "this version ships others"
-            raise ConfigError(f"the tracker's weights are not those that the run began with ({found}); start the run anew")
+            reason = "the file has changed" if self.config.weights else "this version ships others"
+            raise ConfigError(f"the tracker's weights are not those that the run began with ({reason}); start the run anew")
         self.extractor.out_conv.load_state_dict(state["learnt"])
         self.optimiser.load_state_dict(adam_dict(state["adam"]))
         self.guard.restore(state["guard"])
-        self._steps, self._asked = state["steps"], state["asked"]
+        self._steps, self._registrations = state["steps"], state["asked"]
         self.generator.set_state(state["generator"])
 
     def _checksum(self) -> int:
-        """Of the weights that stay as they are."""
+        """Checksum of the frozen weights."""
         total = 0
         for weights in self.inference.state_dict().values():
             total = zlib.crc32(weights.float().cpu().numpy().tobytes(), total)
@@ -92,7 +94,7 @@ class Tracker(Stateful):
 
     @torch.no_grad()
     def describe(self, frame: Frame) -> Described:
-        """The frame's trunk features and points at the tracker's resolution; callers keep it for as long as the frame is a reference."""
+        """A frame's trunk features and points at the tracker's resolution. The caller keeps them while the frame serves as a reference."""
         image, depth, camera = reduced(frame, self.config.height)
         colour = torch.from_numpy(image).to(self.device).permute(2, 0, 1)
         trunk = self.inference.trunk(colour[None].to(self.dtype, memory_format=torch.channels_last))[0]
@@ -100,48 +102,48 @@ class Tracker(Stateful):
 
     @torch.no_grad()
     def track(self, frame: Described, keyframe: Described) -> TrackingResult:
-        """The frame's pose in the keyframe; LOST without the matches, inliers or spread that a pose needs."""
-        self._asked += 1
-        found, pose = self.register(frame, keyframe)
+        """The frame's pose in the keyframe; LOST if it has too few matches, or is not consistent with matches and depth."""
+        self._registrations += 1
+        pairs, pose = self.register(frame, keyframe)
         if pose is None:
-            return TrackingResult(np.eye(4), Status.LOST, len(found), 0, float("nan"))
-        status = Status.OK if self.believes(pose, found, frame, keyframe) else Status.LOST
-        return TrackingResult(pose.T_ab.cpu().numpy(), status, len(found), int(pose.inliers.sum()), pose.rmse)
+            return TrackingResult(np.eye(4), Status.LOST, len(pairs), 0, float("nan"))
+        status = Status.OK if self.believes(pose, pairs, frame, keyframe) else Status.LOST
+        return TrackingResult(pose.T_ab.cpu().numpy(), status, len(pairs), int(pose.inliers.sum()), pose.rmse)
 
     @torch.no_grad()
     def register(self, frame: Described, keyframe: Described) -> tuple[Correspondences, Registration | None]:
-        """The best matches of the two, and T_kc by them and by the depth images; None where the matches are too few."""
-        found = lifted(self._match(frame, keyframe), frame, keyframe)
-        pose = estimate_pose(found, self.config, self.generator)
+        """The best matches of the two, and T_kc by the matches and the depth images; None for too few matches."""
+        pairs = lifted(self._match(frame, keyframe), frame, keyframe)
+        pose = estimate_pose(pairs, self.config, self.generator)
         if pose is None or self.config.plane_steps == 0 or not bool(pose.inliers.any()):
-            return found, pose
-        T_kc = point_to_plane(pose.T_ab, frame, keyframe, found[pose.inliers], steps=self.config.plane_steps)
-        return found, supported(T_kc, found.frame, found.keyframe, self.config.inlier_distance)
+            return pairs, pose
+        T_kc = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=self.config.plane_steps)
+        return pairs, supported(T_kc, pairs.frame, pairs.keyframe, self.config.inlier_distance)
 
-    def believes(self, pose: Registration, found: Correspondences, frame: Described, keyframe: Described) -> bool:
-        """Whether matches support the pose, and the depth images do not contradict it."""
+    def believes(self, pose: Registration, pairs: Correspondences, frame: Described, keyframe: Described) -> bool:
+        """Whether a pose is consistent with the matches and with the depth images."""
         least = self.config.min_agreement
-        return believable(pose, found, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
+        return believable(pose, pairs, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
 
     def learns(self, keyframes: int) -> bool:
-        """Whether it is finetuned once so many keyframes are stored: N_kf of them."""
+        """Whether the tracker is finetuned when this many keyframes are stored; at least N_kf are needed."""
         return self.finetuning.enabled and keyframes >= max(2, self.finetuning.keyframes)
 
     @property
     def due(self) -> bool:
-        """Whether `every` registrations have been asked for since the last step of finetuning."""
-        return self._asked >= self.finetuning.every
+        """Whether there were `every` registrations since the last step of finetuning."""
+        return self._registrations >= self.finetuning.every
 
     def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
-        """One step of Eq. 6 on a random pair of consecutive keyframes with poses (N, 4, 4); its losses by name.
+        """One step on Eq. 6 for a random pair of consecutive keyframes with poses (N, 4, 4); returns its losses by name.
 
-        None where finetuning is off, while there are fewer than N_kf keyframes, and for a pair with too few matches.
-        Raises DivergedError for a loss that is not finite.
+        Returns None if finetuning is off, if there are fewer than N_kf keyframes, or if the pair has too few matches. Raises DivergedError
+        for a loss that is not finite.
         """
         config = self.finetuning
         if not self.learns(len(keyframes)):
             return None
-        self._asked = 0
+        self._registrations = 0
         i = int(torch.randint(len(keyframes) - 1, (), generator=self.generator))
         reference, current = keyframes[i], keyframes[i + 1]
         matches = self._match(current, reference)
@@ -159,33 +161,33 @@ class Tracker(Stateful):
         return numbers
 
     def _examine(self, keyframes: Sequence[Described], T_wk: Tensor) -> None:
-        """The weights on held-out pairs of keyframes; the steps since the best are undone if they do worse."""
-        pairs = held_out(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
-        seen = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in pairs]
-        if seen:
-            self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in seen))
+        """Validates the weights on pairs of keyframes that are never trained on; a worse result rolls them back."""
+        indices = held_out(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
+        pairs = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in indices]
+        if pairs:
+            self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in pairs))
 
     @torch.no_grad()
     def right_matches(self, frame: Described, keyframe: Described, T_kc: Tensor) -> int:
-        """How many pixels on a lattice find, both ways, the point that they show, by a pose that is known (4, 4)."""
+        """The number of mutual matches that are inliers of a pose T_kc (4, 4) that is taken as right."""
         features = self._features(frame), self._features(keyframe)
-        found = match(*features, frame.valid, keyframe.valid, query_stride=_ASKING, target_stride=_ANSWERING, mutual=True)
-        pair = lifted(found, frame, keyframe)
-        return int(supported(T_kc.to(self.device), pair.frame, pair.keyframe, self.config.inlier_distance).inliers.sum())
+        strides = {"query_stride": _QUERY_STRIDE, "target_stride": _TARGET_STRIDE}
+        pairs = lifted(match(*features, frame.valid, keyframe.valid, mutual=True, **strides), frame, keyframe)
+        return int(supported(T_kc.to(self.device), pairs.frame, pairs.keyframe, self.config.inlier_distance).inliers.sum())
 
     def _match(self, frame: Described, keyframe: Described) -> Matches:
         config = self.config
         strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
-        found = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
-        return spread(found, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
+        matches = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
+        return spread(matches, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
 
-    def _features(self, described: Described) -> Features:
-        """By the out-conv as it is now, of the pixels that are asked for."""
-        trunk = described.trunk.flatten(1).mT
+    def _features(self, frame: Described) -> Features:
+        """The lookup of a frame's features, computed by the present out-conv for the requested pixels alone."""
+        trunk = frame.trunk.flatten(1).mT
         return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
 def lifted(matches: Matches, frame: Described, keyframe: Described) -> Correspondences:
-    """Matches of pixels with the points there; differentiable in the weights."""
+    """Matches of pixels as correspondences of points; differentiable in the weights."""
     points_c, points_k = frame.points.flatten(0, 1)[matches.frame], keyframe.points.flatten(0, 1)[matches.keyframe]
     return Correspondences(frame.source.project(points_c)[0], keyframe.source.project(points_k)[0], points_c, points_k, matches.weight)

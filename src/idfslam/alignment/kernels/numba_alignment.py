@@ -1,6 +1,6 @@
-"""The normal equations of a pose on the CPU, compiled by Numba; `aligner.py`, `normals.py` and `photometric.py` hold the plain forms.
+"""The normal equations of a pose on the CPU, compiled by Numba. The plain forms are in `aligner.py`, `normals.py` and `photometric.py`.
 
-A frame's alignment builds them ten times from a few thousand points: in torch the calls cost more than the arithmetic.
+The alignment of a frame builds them ten times from a few thousand points. In torch the calls would cost more than the arithmetic.
 """
 
 import numpy as np
@@ -50,9 +50,9 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 @_compiled
 def smoothed_normals(points, gradient, patches, reach, alike, coplanar, normal, slope) -> None:  # type: ignore[no-untyped-def]
-    """Fills slope (N,) with the lengths of the gradients (N, 3) at points (N, 3), and normal (N, 3) with means of their directions.
+    """Fills slope (N,) with the lengths of the gradients (N, 3) at points (N, 3), and normal (N, 3) with their smoothed directions.
 
-    Over those of the points in neighbouring patches (rows, columns) that are alike.
+    A direction is averaged with the similar ones in neighbouring patches (rows, columns): `normals.plain_smoothed`.
     """
     unit = np.empty_like(gradient)
     for n in range(len(gradient)):
@@ -81,9 +81,10 @@ def smoothed_normals(points, gradient, patches, reach, alike, coplanar, normal, 
 
 @_compiled
 def depth_system(turned, distance, normal, slope, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
-    """Distances of points to the map: fills H (6, 6), b (6,); returns the sums of weights and of weighted squares [m^2].
+    """Fills the normal equations H (6, 6), b (6,) of the points' distances to the map.
 
-    And how many points are known, and the mean distance of all [m].
+    Returns the sum of the weights, the sum of the weighted squares [m^2], the number of points near a mapped surface, and the mean distance
+    of all points from the camera [m].
     """
     J = np.empty(6)
     total, squares, known, radius = 0.0, 0.0, 0, 0.0
@@ -109,9 +110,9 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
 
 @_compiled
 def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, patches) -> int:  # type: ignore[no-untyped-def]
-    """Fills points (N, 3) [m], z (N,) and patches (rows, columns) with one pixel of each patch that has depth there; returns N.
+    """Fills points (N, 3) [m], z (N,) and patches (rows, columns) with one pixel of each patch, if it has depth; returns N.
 
-    jitter (2, rows, columns) says which: its row and its column within the patch.
+    jitter (2, rows, columns): row and column of the pixel within its patch.
     """
     rows, columns = patches.shape
     found = 0
@@ -139,9 +140,9 @@ def luminance_of(colour, out) -> None:  # type: ignore[no-untyped-def]
 
 @_compiled
 def steepest(image, depth, cell, least, u, v) -> int:  # type: ignore[no-untyped-def]
-    """Fills u and v with the steepest pixel of each cell of an image (h, w), if it is steeper than `least` [1/px]; returns how many are.
+    """Fills u and v with the pixel of the largest gradient in each cell of an image (h, w), if that is above `least` [1/px].
 
-    A pixel counts that has depth, (H, W) [m], and so have its neighbours, not across an edge: `photometric.plain_steepest`.
+    Returns their number. The pixel and its neighbours have depth (H, W) [m], with no edge between them: `photometric.plain_steepest`.
     """
     h, w = image.shape
     found = 0
@@ -187,13 +188,12 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 @_compiled
 def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
-    """Brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w): fills H (6, 6), b (6,).
+    """Fills the normal equations H (6, 6), b (6,) of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
 
-    Returns the number in view and the scale of the differences. Each counts by the inverse square of the differences' own scale (their
-    median, at least `floor`), robustly from `widest` scales on.
+    Returns the number of landmarks in view and the scale of the differences: `photometric.photometric_term`.
 
-    d = R_wk p + shift are the points from the frame's centre along world axes, R_cw d those in its own; `depth` (H, W) [m] is the
-    frame's, its pixels `ratio` times the image's.
+    d = R_wk p + shift are the landmarks from the frame's centre along world axes, and R_cw d along the frame's axes. `depth` (H, W) [m]
+    is the frame's. It has `ratio` times as many pixels along each axis as the image.
     """
     m = len(points)
     values, d = np.empty((m, 3)), np.empty((m, 3))
@@ -255,7 +255,7 @@ def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy,
 
 @_inlined
 def _solved(A, b):  # type: ignore[no-untyped-def]
-    """x with A x = b, for A (N, N) symmetric and positive: Cholesky's way, in place. numpy's takes three seconds to compile."""
+    """x with A x = b for a symmetric positive A (N, N), by Cholesky decomposition in place. numpy's takes three seconds to compile."""
     n = len(b)
     for i in range(n):
         for j in range(i + 1):
@@ -276,9 +276,9 @@ def _solved(A, b):  # type: ignore[no-untyped-def]
 
 @_compiled
 def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore[no-untyped-def]
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,), held to the guess: `aligner.plain_damped_step`.
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,) with a prior at the guess: `aligner.plain_damped_step`.
 
-    Moves the pose T (4, 4), and what it has changed since the guess, change (6,), in place; returns the largest entry of the step.
+    Moves in place the pose T (4, 4) and its change since the guess, change (6,). Returns the largest entry of the step.
     """
     unit = np.ones(6)
     unit[3:] = 1 / max(radius, LEAST_RADIUS)
@@ -307,7 +307,7 @@ def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore
 
 @_inlined
 def _move(T, delta) -> None:  # type: ignore[no-untyped-def]
-    """The pose after a shift and a turn about its own centre, both along world axes."""
+    """Moves a pose by a shift and a turn about its own centre, both along world axes, in place."""
     x, y, z = delta[3], delta[4], delta[5]
     angle = np.sqrt(x * x + y * y + z * z)
     a = np.sin(angle) / angle if angle > 1e-6 else 1.0 - angle * angle / 6

@@ -1,4 +1,4 @@
-"""The tracker's inner loops on the CPU, compiled by Numba; `tracking/matching.py` and `point_to_plane.py` hold the plain forms."""
+"""The tracker's inner loops on the CPU, compiled by Numba. The plain forms are in `tracking/matching.py` and `point_to_plane.py`."""
 
 import numpy as np
 from numba import njit
@@ -8,12 +8,12 @@ from idfslam.sensing.depth_noise import GROWTH, NEAREST
 _FASTMATH = {"nnan", "nsz", "reassoc", "contract", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 _NEAREST, _GROWTH = np.float32(NEAREST), np.float32(GROWTH)
-_BLOCK = 64  # values of which the largest is found first, by vector instructions
+_BLOCK = 64  # values whose maximum is computed first, by vector instructions
 
 
 @_compiled
 def two_largest(values, indices) -> None:  # type: ignore[no-untyped-def]
-    """Fills indices (N, 2) with the places of the two largest in each row of values (N, M), M >= 2, the largest first."""
+    """Fills indices (N, 2) with those of the two largest values in each row of values (N, M), M >= 2, the largest first."""
     columns = values.shape[1]
     for n in range(len(values)):
         row = values[n]
@@ -25,7 +25,7 @@ def two_largest(values, indices) -> None:  # type: ignore[no-untyped-def]
             for m in range(len(block)):
                 largest = max(largest, block[m])
             if largest <= second:
-                continue  # as most blocks, after a few
+                continue  # most blocks end here, after the first few
             for m in range(len(block)):
                 if block[m] > first:
                     second, j = first, i
@@ -37,9 +37,10 @@ def two_largest(values, indices) -> None:  # type: ignore[no-untyped-def]
 
 @_compiled
 def plane_system(T, points, normals, stride, to_points, to_normals, camera, reach, facing, noise, robust, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (one test a reason to leave a point out)
-    """Adds to H (6, 6), b (6,) the distances of every `stride`-th row and column of an image (h, w, 3) to another's planes, at T (4, 4).
+    """Adds to H (6, 6), b (6,) the distances of the points (h, w, 3) of one image to the planes of another, at T (4, 4).
 
-    camera: fx, fy, cx, cy of the other image; noise: standard deviation [m] of the difference of two readings at their best.
+    Every `stride`-th row and column takes part. camera: fx, fy, cx, cy of the other image. noise: least standard deviation [m] of the
+    difference of two readings.
     """
     fx, fy, cx, cy = camera
     rows, columns = to_points.shape[:2]
