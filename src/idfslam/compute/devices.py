@@ -39,6 +39,14 @@ def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.devic
     return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]
 
 
+def updates_may_overlap(device: torch.device) -> bool:
+    """Whether a map that learns in a second thread leaves the frames beside it undisturbed.
+
+    Compiled kernels on the CPU do. On CUDA both threads would queue on one stream, and compete for Python's interpreter between kernels.
+    """
+    return device.type == "cpu"
+
+
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Within, torch's global generator, from which networks draw their first weights, starts at `seed`; afterwards it is as it was."""

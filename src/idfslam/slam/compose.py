@@ -11,7 +11,7 @@ import torch
 
 from idfslam.alignment.aligner import Aligner
 from idfslam.alignment.motion import MotionModel
-from idfslam.compute.devices import resolve_device, seeded
+from idfslam.compute.devices import resolve_device, seeded, updates_may_overlap
 from idfslam.config import Config
 from idfslam.errors import ConfigError
 from idfslam.graph.coverage import Coverage
@@ -152,7 +152,8 @@ class System:
 
 def _neural_field(system: System) -> Mapper:
     c = system.config
-    updates = InBackground() if c.mapper.background else InTurns()
+    background = c.mapper.background and updates_may_overlap(system.device)
+    updates = InBackground() if background else InTurns()
     return Mapper(c.mapper, c.field, system.device, torch.Generator(system.device).manual_seed(c.seed), updates)
 
 
