@@ -1,7 +1,7 @@
-"""The one choice of who computes: loops compiled by Numba on the CPU, Triton kernels on CUDA, plain torch anywhere.
+"""The choice of a backend: loops compiled by Numba on the CPU, Triton kernels on CUDA, plain torch on any device.
 
-A computation that is worth a compiled kernel exists twice: `plain_X` in torch, `compiled_X` by Numba. `X` picks one of them by the device
-of its tensors, and tests hold the two against each other. A backend for another device is added here.
+A computation with a compiled kernel has two forms: `plain_X` in torch, and `compiled_X` by Numba. `X` picks one of them by the device of
+its tensors, and tests compare the two. A backend for another device is added here.
 """
 
 import functools
@@ -22,11 +22,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Backend(Enum):
-    """Who computes."""
+    """What computes."""
 
-    NUMBA = "numba"  # every kernel, compiled for the CPU
-    TRITON = "triton"  # the kernels of the feature grid, compiled for CUDA; all else is plain torch
-    TORCH = "torch"  # no kernel: plain torch on any device
+    NUMBA = "numba"  # all kernels, compiled for the CPU
+    TRITON = "triton"  # the kernels of the feature grid, compiled for CUDA; everything else is plain torch
+    TORCH = "torch"  # no kernels: plain torch on any device
 
 
 def backend_of(device: torch.device) -> Backend:
@@ -39,12 +39,12 @@ def backend_of(device: torch.device) -> Backend:
 
 
 def pick(tensor: Tensor, *, compiled: Function, plain: Function) -> Function:
-    """Which of two forms of one computation is to be called for this tensor: the one compiled by Numba, or the one in torch."""
+    """The form of a computation for this tensor: the one compiled by Numba, or the plain one in torch."""
     return compiled if backend_of(tensor.device) is Backend.NUMBA else plain
 
 
 class _PlainTorch:
-    """How many `plain_torch` contexts are open, in all threads of the process: the mapper's thread has to compute as the caller's does."""
+    """The number of open `plain_torch` contexts in all threads: the mapper's thread must compute as its caller's thread does."""
 
     lock = Lock()
     count = 0
@@ -52,7 +52,7 @@ class _PlainTorch:
 
 @contextmanager
 def plain_torch() -> Iterator[None]:
-    """Within, no thread of this process calls a kernel: plain torch computes on every device. For tests and debugging, it is slow."""
+    """A context in which no thread of the process calls kernels: plain torch computes on every device. Slow; for tests and debugging."""
     with _PlainTorch.lock:
         _PlainTorch.count += 1
     try:
@@ -64,8 +64,8 @@ def plain_torch() -> Iterator[None]:
 
 @functools.cache
 def _has_triton() -> bool:
-    """Whether Triton is installed; a warning, once, if it is not."""
-    found = importlib.util.find_spec("triton") is not None
-    if not found:
+    """Whether Triton is installed. Logs a warning, once, if it is not."""
+    installed = importlib.util.find_spec("triton") is not None
+    if not installed:
         log.warning("the package triton is missing: on CUDA plain torch computes the feature grid, slower")
-    return found
+    return installed

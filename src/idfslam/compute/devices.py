@@ -1,4 +1,4 @@
-"""What this machine has, and what is best used of it."""
+"""Torch's devices, arithmetic, random numbers and threads."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,13 +10,13 @@ import torch
 from idfslam.errors import ConfigError
 
 KEPT_ON_CPU = ("fast",)
-"""Presets that `auto` keeps on the CPU: no run of them on a GPU was measured. One alignment makes 7 000 torch calls on the plain path."""
+"""Presets that `auto` runs on the CPU: no run of them on a GPU was measured. One alignment makes 7 000 torch calls on the plain path."""
 
 
 def resolve_device(name: Literal["auto", "cpu", "cuda"], preset: str | None = None) -> torch.device:
-    """The device by that name. `auto` is a GPU where there is one, but the CPU for a run with a preset of `KEPT_ON_CPU`.
+    """The device of a name. `auto` is a GPU if there is one, but the CPU for a run with a preset of `KEPT_ON_CPU`.
 
-    preset: that of a run; none for pretraining. Raises ConfigError for a GPU that is not there.
+    preset: of the run; None for pretraining. Raises ConfigError if a GPU is named and there is none.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device cuda: this torch finds no CUDA device; use --device cpu, or install a CUDA build of torch")
@@ -26,14 +26,14 @@ def resolve_device(name: Literal["auto", "cpu", "cuda"], preset: str | None = No
 
 
 def bf16_pays(device: torch.device) -> bool:
-    """Whether the device multiplies bf16 natively; then it is 2 to 12 times as fast as fp32 (docs/performance.md)."""
+    """Whether the device multiplies bf16 natively. It is then 2 to 12 times as fast as fp32 (docs/performance.md)."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     return torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
 
 
 def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.device) -> torch.dtype:
-    """The arithmetic by that name; `auto` is bf16 where it pays."""
+    """The dtype of a name. `auto` is bf16 if the device multiplies it natively."""
     if name == "auto":
         return torch.bfloat16 if bf16_pays(device) else torch.float32
     return {"fp32": torch.float32, "bf16": torch.bfloat16}[name]
@@ -49,25 +49,25 @@ def updates_may_overlap(device: torch.device) -> bool:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Within, torch's global generator, from which networks draw their first weights, starts at `seed`; afterwards it is as it was."""
+    """A context in which torch's global generator, which initialises networks, starts at `seed`. Afterwards its state is restored."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         yield
 
 
 class _Repeating:
-    """How many are within `repeatable` now, in all threads: torch has one setting for them all."""
+    """Counts the open `repeatable` contexts in all threads. Torch's setting is global, so only the last one to close restores it."""
 
     lock = Lock()
     count = 0
-    before = (False, False)  # the setting of those who are not
+    before = (False, False)  # the setting outside of `repeatable`
 
 
 @contextmanager
 def repeatable(device: torch.device) -> Iterator[None]:
-    """Within, gradients on the CPU are summed in one order; torch would add those of indexed tensors as its threads happen to come.
+    """A context in which gradients on the CPU are summed in a fixed order. Otherwise torch's threads add those of indexed tensors in any.
 
-    How many threads it has is not only its own setting: Numba and torch share OpenMP's.
+    The number of torch's threads is not only torch's setting: Numba and torch share OpenMP's.
     """
     if device.type != "cpu":
         yield
@@ -88,7 +88,7 @@ def repeatable(device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def threads(share: float) -> Iterator[None]:
-    """Within, this thread's compiled loops take a share of the threads that they may have: those that run side by side share the cores."""
+    """A context in which this thread's compiled loops use a share of Numba's threads, so that concurrent loops share the cores."""
     import numba
 
     before = numba.get_num_threads()

@@ -1,4 +1,4 @@
-"""What this machine has that needs no torch to be known: cores, memory, disk, the processor's name and abilities."""
+"""The machine without torch: cores, memory, disk, the processor's name and its instruction sets."""
 
 import os
 import platform
@@ -6,46 +6,46 @@ import re
 import shutil
 from pathlib import Path
 
-MOST_THREADS = 8  # of one run: the networks are small
+MOST_THREADS = 8  # threads of one run at most. More: no faster, since the networks are small. Chosen by hand
 _CPUINFO, _MEMINFO = Path("/proc/cpuinfo"), Path("/proc/meminfo")
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def default_threads(workers: int = 1) -> int:
-    """Threads of each of so many runs at once: its share of the cores, at most 8."""
+    """The number of threads of each of `workers` concurrent runs: its share of the cores, at most 8."""
     return max(1, min(cores() // workers, MOST_THREADS))
 
 
 def processor() -> str:
     """The processor's name."""
-    found = re.search(r"^model name\s*:\s*(.+)$", _read(_CPUINFO), re.MULTILINE)
-    return found[1] if found else platform.processor() or platform.machine()
+    model = re.search(r"^model name\s*:\s*(.+)$", _read(_CPUINFO), re.MULTILINE)
+    return model[1] if model else platform.processor() or platform.machine()
 
 
 def instruction_sets() -> list[str]:
-    """Those of AVX2, AVX512, AVX512-BF16 and AMX that the system reports; none where it reports nothing (not Linux)."""
-    found = re.search(r"^flags\s*:\s*(.+)$", _read(_CPUINFO), re.MULTILINE)
-    flags = set(found[1].split()) if found else set()
+    """The reported instruction sets among AVX2, AVX512, AVX512-BF16 and AMX; empty if the system reports none (not Linux)."""
+    line = re.search(r"^flags\s*:\s*(.+)$", _read(_CPUINFO), re.MULTILINE)
+    flags = set(line[1].split()) if line else set()
     names = {"avx2": "AVX2", "avx512f": "AVX512", "avx512_bf16": "AVX512-BF16", "amx_bf16": "AMX-BF16"}
     return [name for flag, name in names.items() if flag in flags]
 
 
 def memory() -> tuple[int, int] | None:
-    """Bytes of memory, all and available; None where the system does not tell (not Linux)."""
-    found = dict(re.findall(r"^(MemTotal|MemAvailable):\s+(\d+) kB$", _read(_MEMINFO), re.MULTILINE))
-    return (int(found["MemTotal"]) * 1024, int(found["MemAvailable"]) * 1024) if len(found) == 2 else None
+    """Total and available memory [bytes]; None if the system does not report it (not Linux)."""
+    sizes = dict(re.findall(r"^(MemTotal|MemAvailable):\s+(\d+) kB$", _read(_MEMINFO), re.MULTILINE))
+    return (int(sizes["MemTotal"]) * 1024, int(sizes["MemAvailable"]) * 1024) if len(sizes) == 2 else None
 
 
 def free_disk(folder: Path) -> int:
-    """Bytes free where `folder` is, or would be made."""
-    place = folder.absolute()
-    while not place.exists():
-        place = place.parent
-    return shutil.disk_usage(place).free
+    """Free space [bytes] on the disk of a folder, which need not exist yet."""
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    return shutil.disk_usage(existing).free
 
 
 def _read(path: Path) -> str:

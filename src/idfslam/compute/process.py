@@ -1,8 +1,8 @@
-"""Settings of the whole process that its numerical libraries read when they are imported: threads, and how they wait.
+"""Settings of the process that numerical libraries read when they are imported: the number of threads, and how idle threads wait.
 
-The libraries use one thread a core, at most 8 (the networks are small), and idle threads sleep instead of spinning: with another program
-on the same cores, spinning costs most of the speed. OMP_NUM_THREADS, NUMBA_NUM_THREADS, OMP_WAIT_POLICY and GOMP_SPINCOUNT, where set,
-win. OpenCV runs on one thread.
+The libraries use one thread for each core, at most 8 (the networks are small). Idle threads sleep instead of spinning: with another program
+on the same cores, spinning costs most of the speed. The environment variables OMP_NUM_THREADS, NUMBA_NUM_THREADS, OMP_WAIT_POLICY and
+GOMP_SPINCOUNT take precedence if they are set. OpenCV runs on one thread.
 """
 
 import os
@@ -11,7 +11,7 @@ from idfslam.compute.host import default_threads
 
 
 def prepare_process() -> None:
-    """Threads and their waiting, to be called before torch or numba is imported; see the head of this file."""
+    """Sets the threads of the process as the head of this file says. It must be called before torch or numba is imported."""
     threads = str(default_threads())
     for name, value in {
         "OMP_WAIT_POLICY": "PASSIVE",

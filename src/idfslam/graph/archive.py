@@ -1,7 +1,7 @@
-"""The archive: what keyframes that have not been used for long hold in memory, in a temporary file.
+"""The archive: a temporary file with the images and features of keyframes that have not been used for long.
 
-However long a recording, the images of so many keyframes are in memory and no more; the file goes with the process. Nothing is packed:
-replay asks for some of them at each update of the map, and the system's cache gives them faster than anything unpacks.
+It bounds the number of keyframes with images in memory, however long the recording is. The file is deleted with the process. Its tensors
+are not compressed: replay reads some of them at each update of the map, and reading from the system's cache is faster than decompressing.
 """
 
 import tempfile
@@ -15,37 +15,39 @@ from torch import Tensor
 
 
 class Archived(Protocol):
-    """What holds tensors that can be put away and had again."""
+    """An owner of tensors that can be released from memory and read again."""
 
-    def put_away(self) -> None: ...
+    def put_away(self) -> None:
+        """Releases the tensors from memory."""
+        ...
 
 
 @dataclass(frozen=True)
 class Stored:
-    """Tensors in the archive's file: where the first begins, and what each is; they follow each other."""
+    """Where tensors lie in the archive's file, one after the other."""
 
-    offset: int
-    kinds: tuple[tuple[torch.Size, torch.dtype], ...]
+    offset: int  # [bytes] of the first tensor
+    kinds: tuple[tuple[torch.Size, torch.dtype], ...]  # shape and dtype of each tensor
 
 
 class Archive:
-    """Lets the `in_memory` most recently used owners hold what they hold, and has the others put it away into its file."""
+    """Keeps the tensors of the `in_memory` most recently used owners in memory. All others put theirs into the file."""
 
     def __init__(self, in_memory: int) -> None:
         self.in_memory = in_memory
-        self._loaded: OrderedDict[int, Archived] = OrderedDict()  # the least recently used first
+        self._loaded: OrderedDict[int, Archived] = OrderedDict()  # least recently used first
         self._file = tempfile.TemporaryFile(prefix="idf-slam-")  # noqa: SIM115 (open as long as the archive)
         self._end = 0
 
     def used(self, key: int, owner: Archived) -> None:
-        """What the owner holds was just used; those that have not been used for longest put theirs away."""
+        """Notes that an owner's tensors are in use. The least recently used owners put theirs away."""
         self._loaded[key] = owner
         self._loaded.move_to_end(key)
         while len(self._loaded) > self.in_memory:
             self._loaded.popitem(last=False)[1].put_away()
 
     def write(self, tensors: Sequence[Tensor]) -> Stored:
-        """Puts tensors into the file."""
+        """Appends tensors to the file; returns where they are."""
         stored = Stored(self._end, tuple((tensor.shape, tensor.dtype) for tensor in tensors))
         self._file.seek(self._end)
         for tensor in tensors:
@@ -53,7 +55,7 @@ class Archive:
         return stored
 
     def read(self, stored: Stored) -> list[Tensor]:
-        """The tensors that were put there, exactly as they were, on the CPU."""
+        """Reads tensors back, exactly as they were written, on the CPU."""
         tensors = [torch.empty(shape, dtype=dtype) for shape, dtype in stored.kinds]
         self._file.seek(stored.offset)
         for tensor in tensors:
@@ -62,5 +64,5 @@ class Archive:
 
 
 def _raw(tensor: Tensor) -> memoryview:
-    """A tensor's own bytes."""
+    """The bytes of a tensor, sharing its memory."""
     return tensor.flatten().view(torch.uint8).numpy().data

@@ -1,4 +1,4 @@
-"""Coverage: what the mapped views observed, so that a mesh keeps to it. Each view hangs on a keyframe and moves with it."""
+"""Coverage: the depth that the mapped views observed, to which a mesh is restricted. Each view moves with its host keyframe."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,8 +13,9 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.storage.state import State, Stateful
 
-_ROWS = 120  # of the reduced depth of a view. More: finer outlines of what was observed, more memory (77 kB a view at 120 x 160).
-_MOST = 1000  # views. More: more memory and time to mesh; at this number every other one is dropped.
+# Both were chosen by hand.
+_ROWS = 120  # [px] of a view's reduced depth image. More: finer outlines of the observed surface, more memory (77 kB a view at 120 x 160)
+_MOST = 1000  # views, beyond which every other one is dropped. More: more memory, and more time for a mesh
 
 
 class Coverage(Stateful):
@@ -22,7 +23,7 @@ class Coverage(Stateful):
 
     def __init__(self, graph: KeyframeGraph) -> None:
         self.graph = graph
-        self._views: list[tuple[int, DepthView]] = []  # host keyframe, and a view at its pose T_kc
+        self._views: list[tuple[int, DepthView]] = []  # host keyframe, and the view at its pose T_kc in the host
 
     def state(self) -> State:
         """The views."""
@@ -44,7 +45,7 @@ class Coverage(Stateful):
         host, T_kc = self.graph.relative_to_host(view.T_wk)
         self._views.append((host, reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _ROWS)))
         if len(self._views) > _MOST:
-            del self._views[1::2]  # what is left still spreads over the whole run
+            del self._views[1::2]  # the views left are still spread over the whole run
 
     def load(self, views: Sequence[DepthView]) -> None:
         """Adds the views of an earlier run, each relative to the nearest stored keyframe."""
@@ -55,6 +56,6 @@ class Coverage(Stateful):
             self._views.append((k, DepthView(T_kc, view.depth, view.camera)))
 
     def views(self) -> list[DepthView]:
-        """All views of the first submap, at the poses that their keyframes have now."""
+        """All views of the first submap, at the present poses of their host keyframes."""
         hosted = [(self.graph.keyframes[k], view) for k, view in self._views if self.graph.keyframes[k].submap == 0]
         return [DepthView(keyframe.T_wk.numpy() @ view.T_wc, view.depth, view.camera) for keyframe, view in hosted]

@@ -1,4 +1,4 @@
-"""The pose of every frame, relative to a stored keyframe: when a keyframe moves, its frames move with it."""
+"""The pose of every frame, relative to a stored keyframe. A frame moves with its host keyframe."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -17,16 +17,16 @@ from idfslam.storage.state import State, Stateful
 
 @dataclass(frozen=True)
 class _FramePose:
-    """A frame in its host keyframe."""
+    """The pose of a frame in its host keyframe."""
 
     host: int
-    T_kc: Tensor
+    T_kc: Tensor  # (4, 4) float64
     status: Status
     timestamp: float
 
 
 class FramePoses(Stateful):
-    """All frames processed, in their order."""
+    """The poses of all processed frames, in order."""
 
     def __init__(self, graph: KeyframeGraph) -> None:
         self.graph = graph
@@ -36,7 +36,7 @@ class FramePoses(Stateful):
         return len(self._frames)
 
     def state(self) -> State:
-        """The frames, column by column."""
+        """The frames' poses, column by column."""
         frames = self._frames
         return {
             "host": [frame.host for frame in frames],
@@ -56,13 +56,13 @@ class FramePoses(Stateful):
         self._frames.append(_FramePose(host, T_kc, status, timestamp))
 
     def attach_last(self, keyframe: Keyframe) -> None:
-        """The last frame has become a keyframe: its pose follows that keyframe, or the one that covers it."""
+        """Attaches the last frame, which has become a keyframe, to that keyframe's host."""
         host, T_kc = self.graph.relative_to_host(keyframe.T_wk)
         self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc)
 
     @property
     def last_status(self) -> Status:
-        """How the pose of the last frame was found."""
+        """The status of the last frame."""
         return self._frames[-1].status
 
     def T_wc(self, i: int) -> Tensor:
@@ -75,23 +75,23 @@ class FramePoses(Stateful):
         return self.graph.keyframes[self._frames[i].host].submap if self.graph.keyframes else 0
 
     def trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) poses of all frames. A frame of another submap than the first has the pose of the last frame before it."""
+        """(N, 4, 4) poses of all frames. A frame outside the first submap has the pose of the last frame before it inside."""
         poses: list[NDArray[np.float64]] = []
         for i in range(len(self)):
             poses.append(self.T_wc(i).numpy() if self.submap(i) == 0 else poses[-1] if poses else np.eye(4))
         return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
     def statuses(self) -> list[Status]:
-        """How each frame's pose was found. Frames of other submaps than the first count as lost."""
+        """The status of each frame. Frames outside the first submap count as lost."""
         return [frame.status if self.submap(i) == 0 else Status.LOST for i, frame in enumerate(self._frames)]
 
     def interpolate_gaps(self) -> int:
-        """Gives lost frames between two frames of one submap with a pose interpolated poses; returns how many."""
+        """Interpolates the poses of lost frames between two tracked frames of one submap; returns how many there were."""
         posed = [i for i, frame in enumerate(self._frames) if frame.status is not Status.LOST]
         return sum(self._interpolate(i, j) for i, j in itertools.pairwise(posed) if j > i + 1 and self.submap(i) == self.submap(j))
 
     def _interpolate(self, start: int, end: int) -> int:
-        """The frames between these two, at constant velocity."""
+        """Interpolates the frames between frames `start` and `end`, at constant velocity."""
         T_before, T_after = self.T_wc(start), self.T_wc(end)
         t_before, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
         step = se3.log(se3.inverse(T_before) @ T_after)
@@ -103,7 +103,7 @@ class FramePoses(Stateful):
         return end - start - 1
 
     def undo_interpolation_before(self, keyframe: int) -> None:
-        """The frames just before the first frame of a keyframe are lost again: what they were interpolated to was wrong."""
+        """Marks the interpolated frames just before the first frame of a keyframe as lost again: that keyframe's pose was wrong."""
         gap = next(i for i, frame in enumerate(self._frames) if frame.host >= keyframe) - 1
         while gap >= 0 and self._frames[gap].status is Status.INTERPOLATED:
             self._frames[gap] = replace(self._frames[gap], status=Status.LOST)

@@ -1,6 +1,6 @@
-"""A keyframe: a frame that is kept, its pose, and its relations to the other keyframes of the graph.
+"""A keyframe: a selected frame, its pose, and its relations to the other keyframes of the graph.
 
-What other parts work out from a keyframe (image pyramids, landmarks, pixel groups, descriptors) belongs to those parts.
+What other parts compute from a keyframe (image pyramids, landmarks, pixel groups, descriptors) belongs to those parts.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,20 +17,20 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive, Stored
 from idfslam.storage.state import State
 
-_EIGHT_BITS = np.float32(1 / 255)  # most cameras give colour in such steps
+_EIGHT_BITS = np.float32(1 / 255)  # step of a colour channel of 8 bits, as most cameras have it
 
 
 class ArchivedFeatures(Protocol):
-    """What the tracker keeps of a frame, as the archive sees it."""
+    """The tracker's features of a frame, as the archive sees them."""
 
     def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], Any]]:
-        """The tensors, and a function that makes the features of them again."""
+        """The tensors, and a function that makes the features from them again."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of one frame. What is worked out from them can be keyed by this object: it goes when the images are put away."""
+    """The images of one frame. A weak cache of what is computed from them can use this object as its key: it dies with the images."""
 
     frame: Frame
     depth: Tensor  # (H, W) [m] on the map's device, 0 = no reading
@@ -40,7 +40,7 @@ class Images:
 class Keyframe:
     """A frame with a pose. The graph alone changes its pose and relations.
 
-    The archive may put its images and features away; whoever asks for them gets them again.
+    The archive may release its images and features from memory. They are read again on the next access.
     """
 
     def __init__(self, frame: Frame, T_wk: Tensor, depth: Tensor, colour: Tensor) -> None:
@@ -48,11 +48,11 @@ class Keyframe:
         self.T_wk = T_wk
         self.index, self.timestamp = frame.index, frame.timestamp
         self.camera: Camera = frame.camera
-        self.host = 0  # the stored keyframe that it is, or, of a culled one, that it hangs on
-        self.submap = 0  # the first stored keyframe of its submap
-        self.covisible: set[int] = set()  # stored keyframes that see the same, judging by the poses (Eq. 5)
-        self.edges: set[int] = set()  # of these, those whose relative pose was measured: edges of the pose graph
-        self.unverified: list[int] = []  # of these, those without an edge, the most covisible first
+        self.host = 0  # number of this keyframe if it is stored; else of the stored keyframe that its pose is relative to
+        self.submap = 0  # number of the first stored keyframe of its submap
+        self.covisible: set[int] = set()  # stored keyframes that are covisible at the present poses (Eq. 5)
+        self.edges: set[int] = set()  # stored keyframes whose relative pose was measured: edges of the pose graph
+        self.unverified: list[int] = []  # covisible keyframes without an edge, the most covisible first
         self.covisible_references: list[int] = []  # stored keyframes that see most of what it sees, the oldest first
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
@@ -64,7 +64,7 @@ class Keyframe:
 
     @property
     def images(self) -> Images:
-        """Its images, from the archive where they are not in memory."""
+        """The images; they are read from the archive if they are not in memory."""
         if self._images is None:
             assert self._archive is not None and self._images_at is not None
             colour, depth = self._archive.read(self._images_at)
@@ -93,7 +93,7 @@ class Keyframe:
 
     @cached_property
     def farthest(self) -> float:
-        """Its farthest reading [m]; 0 if it has no depth."""
+        """The farthest depth reading [m]; 0 without depth."""
         return float(self.depth.max())
 
     @cached_property
@@ -103,7 +103,7 @@ class Keyframe:
 
     @property
     def features(self) -> Any:
-        """The tracker's features of it; None before they were extracted."""
+        """The tracker's features of the frame; None before they were extracted."""
         features = self._features
         if features is None and self._features_at is not None:
             assert self._archive is not None
@@ -117,7 +117,7 @@ class Keyframe:
         self._features = features
 
     def keep_in(self, archive: Archive) -> None:
-        """From now on the archive decides how long images and features stay in memory."""
+        """Hands the images and features to an archive, which decides how long they stay in memory."""
         self._archive = archive
         archive.used(self.host, self)
 
@@ -156,7 +156,7 @@ class Keyframe:
 
 
 def _reduced_to_bytes(frame: Frame) -> tuple[Tensor, Tensor]:
-    """A frame's colour, in bytes where that loses nothing, and its depth."""
+    """A frame's colour, in bytes if that loses nothing, and its depth."""
     steps = np.rint(frame.colour * 255).astype(np.uint8)
     exact = np.array_equal(steps * _EIGHT_BITS, frame.colour)
     return torch.from_numpy(steps if exact else frame.colour), torch.from_numpy(frame.depth)

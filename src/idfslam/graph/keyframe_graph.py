@@ -1,4 +1,4 @@
-"""The keyframe graph (Sec. IV-C): stored keyframes, which of them see the same, and which were measured against each other."""
+"""The keyframe graph (Sec. IV-C): stored keyframes, their covisibility, and the edges whose relative poses were measured."""
 
 import bisect
 from collections.abc import Callable, Collection, Sequence
@@ -17,25 +17,25 @@ from idfslam.graph.path_length import path_lengths
 from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.storage.state import State
 
-_CANDIDATES = 4  # stored keyframes compared closely for the most covisible; more: a better choice, at a covisibility test each
+_CANDIDATES = 4  # stored keyframes whose mutual covisibility is tested. More: a better choice, at two tests each. Chosen by hand
 
 Revive = Callable[[State], Keyframe]
 """A keyframe's state -> the keyframe, with its images again."""
 
 
 class KeyframeGraph:
-    """Stored keyframes, connected by covisibility and by measured edges. It alone moves keyframes."""
+    """Stored keyframes, connected by covisibility and by measured edges. Only the graph moves keyframes."""
 
     def __init__(self, config: KeyframeConfig, *, verify: bool = False) -> None:
-        """verify: only keyframes that short paths of measurements connect have edges; otherwise all covisible ones, as in the paper."""
+        """verify: a new keyframe gets edges only to keyframes at a short path of measured edges. False: to all covisible ones (paper)."""
         self.config, self.verify = config, verify
         self.archive = Archive(config.in_memory)
         self.keyframes: list[Keyframe] = []
-        self.last_keyframe: Keyframe | None = None  # the last frame that was selected, whether stored or culled
-        self.unverified_from: int | None = None  # the first keyframe stored since a relocalisation that may yet prove wrong
+        self.last_keyframe: Keyframe | None = None  # the last selected frame, stored or culled
+        self.unverified_from: int | None = None  # the first keyframe stored since a relocalisation that is not verified yet
 
     def state(self) -> State:
-        """All keyframes. The last one is the number of a stored keyframe, or its own state where it was culled."""
+        """All keyframes. The last one is stored as its number, or as its own state if it was culled."""
         last = self.last_keyframe
         stored = last in self.keyframes
         return {
@@ -45,7 +45,7 @@ class KeyframeGraph:
         }
 
     def restore(self, state: State, revive: Revive) -> None:
-        """Takes over `state`; `revive` gives the keyframes their images again."""
+        """Takes over `state`. `revive` makes the keyframes with their images."""
         for kept in state["keyframes"]:
             self.keyframes.append(revive(kept))
             self.keyframes[-1].keep_in(self.archive)
@@ -53,12 +53,12 @@ class KeyframeGraph:
         self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
         self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
 
-    # Keyframes that come
+    # New keyframes
 
     def insert(self, keyframe: Keyframe) -> bool:
-        """Stores a selected frame, connected to the keyframes that see the same; False if it was culled.
+        """Stores a selected frame and connects it to the covisible keyframes; returns False if it was culled instead.
 
-        Either way it is the last keyframe from now on.
+        In both cases it becomes the last keyframe.
         """
         scores, measured = self._covisibility(keyframe), self._measured()
         covisible = torch.nonzero(scores > self.config.covisible).flatten().tolist()
@@ -77,7 +77,7 @@ class KeyframeGraph:
         return covering is None
 
     def load(self, keyframe: Keyframe) -> None:
-        """Stores a keyframe of an earlier run, before this one's first frame; its pose counts as measured against all others'."""
+        """Stores a keyframe of an earlier run, before the first frame of this one. All its covisible keyframes count as measured edges."""
         scores = self._covisibility(keyframe)
         keyframe.host = len(self.keyframes)
         keyframe.covisible.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
@@ -95,12 +95,12 @@ class KeyframeGraph:
             self.keyframes[i].edges.add(keyframe.host)
 
     def connect_like_last(self, view: Keyframe) -> None:
-        """A frame that is not kept counts as covisible with what the last keyframe is covisible with."""
+        """Gives a frame that is no keyframe the covisible keyframes of the last keyframe."""
         assert self.last_keyframe is not None
         view.covisible = set(self.last_keyframe.covisible)
 
     def _covering(self, keyframe: Keyframe, scores: Tensor) -> int | None:
-        """The stored keyframe with an edge that makes the new one superfluous, or None: it sees the same, from hardly farther off."""
+        """The stored keyframe with an edge that makes a new one redundant: it is covisible and near. None if there is none."""
         near = self.config.cull_reach * float(keyframe.depth[keyframe.depth > 0].median())
         covering = [i for i in keyframe.edges if float(scores[i]) > self.config.cull and i >= (self.unverified_from or 0)]
         if self.config.cull_reach:
@@ -108,14 +108,14 @@ class KeyframeGraph:
         return max(covering, key=lambda i: float(scores[i]), default=None)
 
     def _covisibility(self, keyframe: Keyframe) -> Tensor:
-        """Eq. 5 against all stored keyframes: (K,)."""
+        """Covisibility (K,) of a keyframe with all stored ones (Eq. 5)."""
         if not self.keyframes:
             return torch.zeros(0)
         T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
         return covisibility(keyframe.depth, keyframe.camera, T_kn, [k.camera for k in self.keyframes]).cpu()
 
     def _shared(self, a: Keyframe, b: Keyframe) -> float:
-        """Eq. 5 both ways, the lesser: a view from afar has all of a near one in view, but shows little of it."""
+        """The smaller covisibility of both directions (Eq. 5). A distant view has all of a near one in view, but shows little of it."""
         T_ba = se3.inverse(b.T_wk) @ a.T_wk
         directions = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
         return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), [k.camera], [k.depth])) for n, k, T in directions)
@@ -123,22 +123,22 @@ class KeyframeGraph:
     # Edges
 
     def _measured(self) -> Collection[int]:
-        """Stored keyframes whose pose relative to the last keyframe was measured, over a short path."""
+        """Stored keyframes whose pose relative to the last keyframe counts as measured: those at a short path of edges."""
         if not self.verify or self.last_keyframe is None:
             return range(len(self.keyframes))
         return self._near(self.last_keyframe, path_lengths(self.keyframes, self.last_keyframe.host))
 
     def _near(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> set[int]:
-        """Stored keyframes at a short path of edges from a keyframe; lengths (K,) [m] from its host."""
+        """Stored keyframes at a short path of edges from a keyframe. lengths (K,) [m]: of the paths from its host."""
         return {keyframe.host, *keyframe.edges, *np.flatnonzero(lengths <= self.config.edge_length).tolist()}
 
     def beyond(self, keyframe: Keyframe, lengths: NDArray[np.float64]) -> list[int]:
-        """Stored keyframes that no short path of edges connects with a keyframe; lengths (K,) [m] from its host."""
+        """Stored keyframes without a short path of edges to a keyframe. lengths (K,) [m]: of the paths from its host."""
         near = self._near(keyframe, lengths)
         return [i for i in range(len(self.keyframes)) if i not in near]
 
     def add_edge(self, keyframe: Keyframe, i: int) -> None:
-        """The pose of a keyframe relative to stored keyframe `i` was measured: each may serve the other as a reference."""
+        """Adds an edge from a keyframe to stored keyframe `i`, whose relative pose was measured. The older one becomes a reference."""
         keyframe.edges.add(i)
         if i < keyframe.host and i not in keyframe.covisible_references:
             bisect.insort(keyframe.covisible_references, i)
@@ -148,7 +148,7 @@ class KeyframeGraph:
     # Poses
 
     def relative_to_host(self, T_wc: Tensor) -> tuple[int, Tensor]:
-        """The host of the last keyframe, and a pose (4, 4) in it; before the first keyframe, 0 and the pose itself."""
+        """The host of the last keyframe, and a pose (4, 4) relative to it. Before the first keyframe: 0 and the pose itself."""
         host = self.last_keyframe.host if self.last_keyframe else 0
         return host, se3.inverse(self.keyframes[host].T_wk) @ T_wc if self.keyframes else T_wc
 
@@ -157,7 +157,10 @@ class KeyframeGraph:
         keyframe.T_wk = T_wk
 
     def move(self, poses: Sequence[Tensor]) -> list[float]:
-        """Moves all stored keyframes; what hangs on them follows. Returns how far [m] each moves a point two metres ahead, at most."""
+        """Moves all stored keyframes to poses T_wk (4, 4), and everything attached to them.
+
+        Returns for each a bound on the shift [m] of a point two metres in front of the camera.
+        """
         changes = []
         last = self.last_keyframe
         if last is not None and self.keyframes[last.host] is not last:
@@ -171,33 +174,33 @@ class KeyframeGraph:
     # Relocalisation and submaps
 
     def attach(self, view: Keyframe, keyframe: Keyframe) -> None:
-        """A lost view was found beside a stored keyframe: coming frames follow that keyframe, and the place is yet to be verified."""
+        """Attaches a relocalised view to a stored keyframe, which becomes the last keyframe. The place is not verified yet."""
         self.last_keyframe = keyframe
         view.host = keyframe.host
         self.unverified_from = len(self.keyframes)
 
     def confirm(self) -> None:
-        """The last relocalisation was right."""
+        """Confirms the last relocalisation."""
         self.unverified_from = None
 
     @property
     def awaits_first_unverified(self) -> bool:
-        """Whether no keyframe was stored since a relocalisation that is yet to be verified."""
+        """Whether no keyframe was stored since a relocalisation that is not verified yet."""
         return self.unverified_from == len(self.keyframes)
 
     def start_submap(self) -> Tensor:
-        """The next keyframe is not connected with the stored ones and begins a submap; returns a pose T_wc (4, 4) for it."""
+        """Starts a submap with the next keyframe, without connections to the stored ones; returns a pose T_wc (4, 4) for it."""
         self.last_keyframe = self.unverified_from = None
         return separate_origin(self.keyframes)
 
     @property
     def starts_submap(self) -> bool:
-        """Whether the next keyframe belongs to no stored submap."""
+        """Whether the next keyframe starts a submap."""
         return self.last_keyframe is None
 
     @property
     def first_submap(self) -> list[Keyframe]:
-        """The stored keyframes of the first submap, whose world is reported."""
+        """The stored keyframes of the first submap; all reported poses are in its world."""
         return [keyframe for keyframe in self.keyframes if keyframe.submap == 0]
 
     def merge_submaps(self, a: int, b: int, T_ab: Tensor) -> list[float]:
@@ -208,11 +211,11 @@ class KeyframeGraph:
             if keyframe.submap == max(submaps):
                 keyframe.submap = min(submaps)
         self.add_edge(self.keyframes[b], a)
-        self.unverified_from = None  # an earlier relocalisation says nothing of where the submaps meet
+        self.unverified_from = None  # an earlier relocalisation does not bear on the pose between the submaps
         return moved
 
     def split_off(self) -> list[Keyframe]:
-        """Makes the keyframes stored since a wrong relocalisation a submap; returns the old ones that they seemed covisible with."""
+        """Splits off the keyframes stored since a wrong relocalisation as a submap; returns the old ones that seemed covisible."""
         first, self.unverified_from = self.unverified_from, None
         assert first is not None
         old, new = self.keyframes[:first], self.keyframes[first:]
@@ -229,28 +232,27 @@ class KeyframeGraph:
         return [self.keyframes[i] for i in seemingly_covisible]
 
     def _with_last(self, keyframes: Sequence[Keyframe]) -> list[Keyframe]:
-        """Keyframes and the last one, which may be a culled one."""
+        """Keyframes together with the last one, which may be culled."""
         return [*keyframes] if self.last_keyframe is None else [*keyframes, self.last_keyframe]
 
     # References
 
     def references(self, count: int) -> list[Keyframe]:
-        """Up to `count` keyframes that a coming frame is compared with: the last, and the oldest that see most of the same."""
+        """Up to `count` references for the next frame: the last keyframe and its oldest covisible references."""
         return [] if self.last_keyframe is None else self.references_for(self.last_keyframe, count)[:count]
 
     def references_for(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
-        """What a view beside a stored keyframe is compared with: that one and, up to `count` in all, `older_references`."""
+        """Up to `count` references for a view near a stored keyframe: that keyframe and its `older_references`."""
         return [keyframe, *self.older_references(keyframe, count - 1)]
 
     def older_references(self, keyframe: Keyframe, count: int) -> list[Keyframe]:
-        """Up to `count` keyframes older than a keyframe that see most of what it sees, the oldest first: they have drifted least."""
+        """Up to `count` older keyframes that see most of what a keyframe sees, the oldest first: they have drifted least."""
         return [self.keyframes[i] for i in keyframe.covisible_references if i in keyframe.edges][:count]
 
     def tracking_references(self, frame: Keyframe) -> list[Keyframe]:
-        """The keyframes to register a frame against, the next where it is lost against one: by `KeyframeConfig.reference`.
+        """The keyframes to register a frame against, in order, chosen by `KeyframeConfig.reference`; later ones are for a frame still lost.
 
-        "covisible" is the keyframe, among the most covisible stored ones and the last, that shares most with the frame at its predicted
-        pose.
+        "covisible" tries the keyframe with the largest mutual covisibility at the predicted pose first, then the last keyframe.
         """
         if self.last_keyframe is None:
             return []

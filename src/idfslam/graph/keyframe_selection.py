@@ -1,4 +1,4 @@
-"""Which frames become keyframes (Sec. III): those that moved or turned enough, and those that would lose sight of their references."""
+"""Selection of keyframes (Sec. III): frames that moved or turned enough, and frames that see too little of their references."""
 
 import math
 
@@ -12,15 +12,15 @@ from idfslam.storage.state import State, Stateful
 
 
 class KeyframeSelection(Stateful):
-    """Decides for each tracked frame."""
+    """Decides for each tracked frame whether it becomes a keyframe."""
 
     def __init__(self, config: KeyframeConfig, graph: KeyframeGraph, frames: FramePoses, *, lost_frames: bool) -> None:
-        """lost_frames: frames that were lost become keyframes (Sec. III); off where a lost camera is looked for instead."""
+        """lost_frames: whether lost frames become keyframes (Sec. III). They do not if a lost camera is relocalised instead."""
         self.config, self.graph, self.frames, self.lost_frames = config, graph, frames, lost_frames
-        self._last_at = 0  # frames processed when the last was selected
+        self._last_at = 0  # number of frames at the last selection
 
     def state(self) -> State:
-        """When the last keyframe was selected."""
+        """The number of frames at the last selection."""
         return {"last_at": self._last_at}
 
     def restore(self, state: State) -> None:
@@ -28,9 +28,9 @@ class KeyframeSelection(Stateful):
         self._last_at = state["last_at"]
 
     def selects(self, view: Keyframe, status: Status, in_view: float = 1.0) -> bool:
-        """Whether the frame appended last becomes a keyframe; never one without depth.
+        """Whether the frame appended last becomes a keyframe. A frame without depth never does.
 
-        in_view: the share of its references' landmarks that it sees.
+        in_view: the share of the references' landmarks that the frame sees.
         """
         if not view.has_depth or (status is Status.LOST and not self.lost_frames):
             return False

@@ -1,7 +1,7 @@
 """Loop consistency: which of the verified loops are accepted.
 
-A loop is accepted if it corrects no more than the path between its keyframes may have drifted (places that look alike lie farther off), if
-a second loop asks for the same correction, and if the pose graph passes a chi-square test with it.
+A loop must pass three tests. Its correction is no larger than the drift that the path between its keyframes allows: places that only look
+alike are usually farther apart. A second loop gives the same correction. The pose graph with the loop passes a chi-square test.
 """
 
 import logging
@@ -24,34 +24,32 @@ from idfslam.storage.state import State
 
 log = logging.getLogger(__name__)
 
-# Chosen by hand; no wrong loop in ten corridors with look-alike doors (docs/results.md).
-_EDGE_SIGMA = (
-    (0.01, 0.02),
-    (0.004, 0.02),
-)  # standard deviation of an edge: [m] and per metre, [rad] and per radian. More: loops bend the graph
-#                                            more, and fewer fail the chi-square test
-_LOOP_SIGMA = 0.005, 0.002  # of a loop [m], [rad]: it comes from one alignment and has crossed no distance. More: loops correct less
-_NO_DRIFT = 0.01, math.radians(0.3)  # [m], [rad] of disagreement below which two keyframes get an edge and no loop. More: small drift stays
-_OVERLAP = 1.5, math.radians(40)  # [m], [rad] between two views that the tracker can register. More: more candidates a keyframe, more time
-_SAME = (
-    0.02,
-    0.05,
-    math.radians(1.0),
-)  # [m], [m] per metre between them, [rad]: corrections of two loops that count as the same. More: look-alike
-#                                        places pass more easily
+# All of these were chosen by hand. With them no wrong loop passes in ten corridors with look-alike doors (docs/results.md).
+
+# Standard deviation of an edge: [m] and [m per m], [rad] and [rad per rad]. More: loops bend the graph more, and fewer fail the chi-square
+# test.
+_EDGE_SIGMA = (0.01, 0.02), (0.004, 0.02)
+# Standard deviation of a loop [m], [rad]; it comes from one alignment, whatever the path's length. More: loops correct less.
+_LOOP_SIGMA = 0.005, 0.002
+# [m], [rad] Correction below which the two keyframes get an edge instead of a loop. More: small drift stays.
+_NO_DRIFT = 0.01, math.radians(0.3)
+# [m], [rad] Largest difference of two views that the tracker can register. More: more candidates for each keyframe, more time.
+_OVERLAP = 1.5, math.radians(40)
+# [m], [m per m between the loops], [rad] Largest difference of two equal corrections. More: look-alike places pass more easily.
+_SAME = 0.02, 0.05, math.radians(1.0)
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Keyframe b sees again what keyframe a saw."""
+    """A measured relative pose of two keyframes: b sees again what a saw before."""
 
     a: int
     b: int
-    T_ab: Tensor  # (4, 4) float64, measured
-    view: int  # the frame that showed it: b, or one that hangs on b
+    T_ab: Tensor  # (4, 4) float64
+    view: int  # index of the frame that was measured: that of b, or of a culled keyframe whose host is b
 
     def disagreement(self, graph: KeyframeGraph) -> Tensor:
-        """(4, 4) the correction of the present pose of b that the loop asks for, in b's own frame."""
+        """The correction (4, 4) that the loop implies for the present pose of b, in b's own frame."""
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
 
 
@@ -66,7 +64,7 @@ def loop_from(state: State) -> Loop:
 
 
 def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float) -> bool:
-    """Whether two loops of different views, no farther than `within` [m] from each other, ask for the same correction."""
+    """Whether two loops of different views, at most `within` [m] apart, imply the same correction."""
     if loop.view == other.view:
         return False
     T_between = se3.inverse(graph.keyframes[loop.b].T_wk) @ graph.keyframes[other.b].T_wk
@@ -77,7 +75,7 @@ def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float
 
 
 class Loops:
-    """The loops of a run: the accepted ones, one that waits for confirmation, and how many were refused."""
+    """The loops of a run: the closed ones, one that waits for confirmation, and the number of refused ones."""
 
     def __init__(self, config: LoopConfig) -> None:
         self.config = config
@@ -86,7 +84,7 @@ class Loops:
         self.waiting: Loop | None = None
 
     def state(self) -> State:
-        """Loops by their keyframes' numbers."""
+        """The closed loops, the waiting one, and the number of refused ones."""
         closed, waiting = [plain_loop(loop) for loop in self.closed], None if self.waiting is None else plain_loop(self.waiting)
         return {"closed": closed, "waiting": waiting, "refused": self.refused}
 
@@ -96,7 +94,7 @@ class Loops:
         self.waiting = None if state["waiting"] is None else loop_from(state["waiting"])
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
-        """Stored keyframes of the same submap, beyond a short path, that may see the same as a keyframe, whatever drift lies between."""
+        """Stored keyframes of the same submap, beyond a short path, that may be covisible with a keyframe once drift is corrected."""
         lengths = path_lengths(graph.keyframes, keyframe.host)
         distant = [i for i in graph.beyond(keyframe, lengths) if graph.keyframes[i].submap == keyframe.submap]
         if not distant:
@@ -109,14 +107,14 @@ class Loops:
         return [i for i, reachable in zip(distant, near) if reachable]
 
     def _allowed(self, length: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """How much a loop may correct after a path of `length` [m]: [m] and [rad]."""
+        """The largest correction [m], [rad] of a loop after a path of `length` [m]."""
         c = self.config
         return c.slack + c.drift * length, np.radians(c.turn_slack + c.turn_drift * length)
 
     def offer(self, graph: KeyframeGraph, loop: Loop) -> list[float]:
-        """Takes a verified loop; if that closes it, the graph's poses follow. Returns how far [m] each keyframe moved, or nothing.
+        """Tests a verified loop; if it is accepted, optimises the graph. Returns how far [m] each keyframe moved; empty if none moved.
 
-        Without drift there is nothing to close, and the two keyframes get an edge.
+        Without drift the two keyframes get an edge instead.
         """
         change = loop.disagreement(graph)
         shift, turn = float(change[:3, 3].norm()), float(se3.angle(change))
@@ -134,12 +132,12 @@ class Loops:
         return self._close(graph, [self.waiting, loop])
 
     def forget_between(self, graph: KeyframeGraph) -> None:
-        """After a submap was split off: loops between submaps were wrong."""
+        """Forgets the loops between submaps and the waiting one, after a submap was split off: they were wrong."""
         self.closed = [loop for loop in self.closed if graph.keyframes[loop.a].submap == graph.keyframes[loop.b].submap]
         self.waiting = None
 
     def _close(self, graph: KeyframeGraph, new: list[Loop]) -> list[float]:
-        """Optimises the pose graph with all loops, old and new, and drops those that fail the chi-square test."""
+        """Optimises the pose graph with all loops, old and new, and refuses those that fail the chi-square test."""
         self.waiting = None
         loops = [*self.closed, *new]
         edges = links(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP_SIGMA, loop=True) for loop in loops]

@@ -1,4 +1,4 @@
-"""Path lengths: how far one keyframe is from another along edges of the pose graph, which bounds how far their poses have drifted apart."""
+"""Path lengths between keyframes along edges of the pose graph. They bound how far two poses have drifted apart."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -11,11 +11,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from idfslam.graph.keyframe import Keyframe
 
-_AHEAD = 2.0  # [m] a turn counts as the shift of a point so far ahead, about the depth of a room. More: turns count for more drift
+_AHEAD = 2.0  # [m] distance of the point whose shift measures a turn, about the depth of a room. More: turns count more. Chosen by hand
 
 
 def edge_pairs(keyframes: Sequence[Keyframe]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The pairs of stored keyframes with an edge: the earlier (E,), and the later (E,), by which they are sorted."""
+    """The pairs of stored keyframes with an edge: the earlier ones (E,) and the later ones (E,), sorted by the later."""
     counts = [len(keyframe.edges) for keyframe in keyframes]
     i = np.fromiter(chain.from_iterable(sorted(keyframe.edges) for keyframe in keyframes), np.int64, sum(counts))
     j = np.repeat(np.arange(len(keyframes)), counts)
@@ -23,7 +23,7 @@ def edge_pairs(keyframes: Sequence[Keyframe]) -> tuple[NDArray[np.int64], NDArra
 
 
 def path_lengths(keyframes: Sequence[Keyframe], a: int) -> NDArray[np.float64]:
-    """(K,) the shortest paths [m] over edges from keyframe a to each; infinite where there is none."""
+    """The lengths (K,) [m] of the shortest paths of edges from keyframe a to each; infinite without a path."""
     i, j = edge_pairs(keyframes)
     T = torch.stack([k.T_wk for k in keyframes]).numpy()
     length = np.maximum(distances(T[i], T[j]), 1e-3)
@@ -31,7 +31,7 @@ def path_lengths(keyframes: Sequence[Keyframe], a: int) -> NDArray[np.float64]:
 
 
 def distances(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(E,) distances [m] between poses (E, 4, 4): their shift, and their turn as the shift of a point ahead of the camera."""
+    """Distances (E,) [m] between poses (E, 4, 4): the shift, plus the turn as the shift of a point 2 m in front of the camera."""
     shift = np.linalg.norm(T_b[:, :3, 3] - T_a[:, :3, 3], axis=1)
     chord = np.linalg.norm(T_b[:, :3, :3] - T_a[:, :3, :3], axis=(1, 2))
     return shift + _AHEAD * 2 * np.arcsin(np.minimum(chord / 8**0.5, 1.0))  # for rotations A and B, |B - A| = sqrt(8) sin(angle / 2)

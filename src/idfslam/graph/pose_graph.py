@@ -18,7 +18,7 @@ from torch import Tensor
 from idfslam.geometry import se3
 
 _CHI_SQUARE = 16.81  # 99 % bound of the chi-square distribution with six degrees of freedom; more: wrong loops stay, fewer right ones go
-_SUSPECTS = 4  # loops of which each is left out on trial; more: a surer choice, at one optimisation each. Chosen by hand
+_SUSPECTS = 4  # loops that are left out one at a time to find the wrong one; more: a surer choice, at one optimisation each. Chosen by hand
 _STEPS = 15  # Gauss-Newton steps at most; more: slower where it does not converge, and nothing else
 _CONVERGED = 1e-7  # [m, rad] largest entry of a step that ends them; more: faster, less exact
 
@@ -36,9 +36,10 @@ class Edge:
 
 
 def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tensor], list[bool]]:
-    """Poses T_wk (4, 4) that fit the edges, the first one fixed, and for each loop among the edges, in their order, whether it was kept.
+    """Optimises the poses T_wk (4, 4) with the first one fixed, without the loops that fail the chi-square test.
 
-    The edges that are no loops must connect all poses.
+    The edges that are no loops must connect all poses. Returns the poses, and for each loop, in the order of the edges, whether it was
+    kept.
     """
     graph, start = _Graph.of(edges), torch.stack(list(poses))
     loops = [i for i, edge in enumerate(edges) if edge.loop]
@@ -47,14 +48,14 @@ def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tenso
     while kept[loops].any() and cost > _CHI_SQUARE * kept[loops].sum():
         errors = graph.squared_errors(T)
         suspects = sorted((i for i in loops if kept[i]), key=lambda i: -errors[i])[:_SUSPECTS]
-        tried = [(graph.solve(start, without(kept, i)), i) for i in suspects]
-        (T, cost), wrong = min(tried, key=lambda trial: trial[0][1])
+        solutions = [(graph.solve(start, without(kept, i)), i) for i in suspects]
+        (T, cost), wrong = min(solutions, key=lambda solution: solution[0][1])
         kept[wrong] = False
     return list(T), kept[loops].tolist()
 
 
 def without(kept: NDArray[np.bool_], i: int) -> NDArray[np.bool_]:
-    """The same (E,), but not edge i."""
+    """A copy of `kept` (E,) without edge i."""
     fewer = kept.copy()
     fewer[i] = False
     return fewer
@@ -62,12 +63,12 @@ def without(kept: NDArray[np.bool_], i: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Graph:
-    """All edges at once."""
+    """All edges as tensors."""
 
     a: Tensor  # (E,)
-    b: Tensor
-    T_ba: Tensor  # (E, 4, 4) inverse of the measurements
-    scale: Tensor  # (E, 6) one over the standard deviations
+    b: Tensor  # (E,)
+    T_ba: Tensor  # (E, 4, 4) inverses of the measurements
+    scale: Tensor  # (E, 6) inverse standard deviations
 
     @classmethod
     def of(cls, edges: Sequence[Edge]) -> "_Graph":
@@ -76,17 +77,17 @@ class _Graph:
         return cls(a, b, se3.inverse(torch.stack([e.T_ab for e in edges])), 1 / sigmas)
 
     def errors(self, T: Tensor) -> Tensor:
-        """(E, 6) log of what the poses (K, 4, 4) make of each measurement."""
+        """The errors (E, 6) of the measurements at poses (K, 4, 4), as logarithms."""
         return se3.log(self.T_ba @ se3.inverse(T[self.a]) @ T[self.b])
 
     def squared_errors(self, T: Tensor) -> NDArray[np.float64]:
-        """(E,) in standard deviations."""
+        """The squared errors (E,) in units of the variances."""
         return (self.errors(T) * self.scale).square().sum(1).numpy()
 
     def solve(self, T: Tensor, kept: NDArray[np.bool_]) -> tuple[Tensor, float]:
-        """Gauss-Newton from poses (K, 4, 4) with the edges kept (E,), and their squared errors in sum.
+        """Gauss-Newton from poses (K, 4, 4) with the edges `kept` (E,); returns the poses and the sum of the squared errors.
 
-        Each pose turns and shifts in its own frame.
+        Increments are in each pose's own frame.
         """
         root = torch.from_numpy(kept).to(T.dtype)
         for _ in range(_STEPS):
@@ -97,7 +98,7 @@ class _Graph:
         return T, float(self.squared_errors(T)[kept].sum())
 
     def _step(self, T: Tensor, root: Tensor) -> Tensor:
-        """(K - 1, 6) the increments of all poses but the first."""
+        """The increments (K - 1, 6) of all poses but the first."""
         scale, e = self.scale * root[:, None], self.errors(T)
         turn = torch.eye(6, dtype=T.dtype) + 0.5 * adjoint_of_increment(e)  # inverse right Jacobian of the logarithm, to first order
         Jb = scale[:, :, None] * turn
@@ -115,12 +116,12 @@ class _Graph:
 
 
 def adjoint(T: Tensor) -> Tensor:
-    """(..., 6, 6) that carries increments across T (..., 4, 4): T exp(x) = exp(Ad x) T."""
+    """The adjoint (..., 6, 6) of T (..., 4, 4): T exp(x) = exp(Ad x) T."""
     R, zero = T[..., :3, :3], torch.zeros_like(T[..., :3, :3])
     return torch.cat([torch.cat([R, se3.hat(T[..., :3, 3]) @ R], -1), torch.cat([zero, R], -1)], -2)
 
 
 def adjoint_of_increment(xi: Tensor) -> Tensor:
-    """(..., 6, 6) the bracket with an increment (..., 6)."""
+    """The adjoint (..., 6, 6) of an increment (..., 6) in the Lie algebra: its Lie bracket with another one."""
     V, W = se3.hat(xi[..., :3]), se3.hat(xi[..., 3:])
     return torch.cat([torch.cat([W, V], -1), torch.cat([torch.zeros_like(W), W], -1)], -2)

@@ -1,4 +1,4 @@
-"""Replay (Sec. IV-C): which stored keyframes the map trains on beside the newest, so that it does not forget what lies elsewhere."""
+"""Replay (Sec. IV-C): stored keyframes that the map trains on besides the newest one, so that it does not forget other places."""
 
 from collections.abc import Sequence
 
@@ -26,13 +26,13 @@ class Replay(Stateful):
 
     @property
     def count(self) -> int:
-        """The most keyframes that are drawn for one update."""
+        """The largest number of keyframes drawn for one update."""
         return self.config.replay + self.config.replay_connected
 
     def draw(self, keyframe: Keyframe) -> list[Keyframe]:
-        """At most N_rep random stored keyframes that are not connected to `keyframe` (Sec. IV-C).
+        """At most N_rep random stored keyframes that are not covisible with `keyframe` (Sec. IV-C).
 
-        Beyond the paper, `replay_connected` random ones that are: they keep the shared view an average of many.
+        Beyond the paper, `replay_connected` random covisible ones are added. With them the map averages many views of the same surface.
         """
         separate: list[Keyframe] = []
         connected: list[Keyframe] = []
@@ -42,7 +42,7 @@ class Replay(Stateful):
         return self._random(separate, self.config.replay) + self._random(connected, self.config.replay_connected)
 
     def sample(self, count: int) -> list[Keyframe]:
-        """`count` stored keyframes at random, or all if they are fewer."""
+        """`count` random stored keyframes, or all if there are fewer."""
         return self._random(self.graph.keyframes, count)
 
     def _random(self, keyframes: Sequence[Keyframe], count: int) -> list[Keyframe]:

@@ -1,8 +1,9 @@
-"""Numbers on the way from pixels to samples, for the plain and the compiled form. None comes from a paper.
+"""Constants of rays and samples, shared by the plain and the compiled forms. They were chosen by hand.
 
-Compiled kernels freeze them, and Numba's cache does not notice when they change: delete it then (`idf-slam doctor` says where).
+Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
+where it is).
 """
 
-GRAZING = 0.1  # least |n . d| of a surface's normal and a ray [1]: raised, distances to surfaces at a grazing angle come out too large
-FREE_FROM = 0.05  # [m] depth where samples in free space begin; raised, the space close to the camera is left untaught
-FREE_TO = 0.1  # [m] least depth where they end, in front of a surface that is too near for any; raised, they reach into such a surface
+GRAZING = 0.1  # [1] least |n . d| of a surface normal and a ray. More: distances to surfaces at a grazing angle become too large
+FREE_FROM = 0.05  # [m] depth at which samples in free space begin. More: the space close to the camera is not learnt
+FREE_TO = 0.1  # [m] least depth at which they end. More: they reach into surfaces that are very near

@@ -9,11 +9,10 @@ from torch import Tensor, nn
 class PositionalEncoding(nn.Module):
     """gamma(x) = (x', sin(2 pi x / L), cos(2 pi x / L), sin(4 pi x / L), ..., cos(2^(n-1) 2 pi x / L)), each coordinate by itself.
 
-    `wavelength` L is the longest wave, in the unit of the input. NeRF scales its scene into [-1, 1] and takes L = 2; a SLAM system
-    does not know the scene's extent, so L is fixed in metres: 10 m spans a room, and eight frequencies then end at 10 m / 2^7 = 8 cm,
-    below the 10 cm in which the T-SDF goes from 1 to 0. Nothing breaks past L: the waves repeat, but the raw coordinate x' = 2 x / L
-    (in [-1, 1] over one wavelength about the origin) goes on and tells the repetitions apart. For unit view directions take L = 2,
-    as NeRF does.
+    `wavelength` L is the longest wavelength, in the unit of the input. NeRF scales its scene into [-1, 1] and uses L = 2. A SLAM system
+    does not know the scene's extent, so L is fixed in metres. 10 m spans a room, and the shortest of eight wavelengths is then
+    10 m / 2^7 = 8 cm, below the 10 cm in which the T-SDF goes from 1 to 0. Beyond L the waves repeat, but the raw coordinate x' = 2 x / L
+    (in [-1, 1] over one wavelength about the origin) distinguishes the repetitions. For unit view directions use L = 2, as NeRF does.
     """
 
     angular: Tensor  # (n,) angular frequencies

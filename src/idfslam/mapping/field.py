@@ -16,7 +16,7 @@ from idfslam.mapping.grid import GridEncoding
 class Field(nn.Module):
     """Encoding, trunk, and two heads: T-SDF in units of the truncation distance, colour in [0, 1].
 
-    Knows nothing of rays or cameras. Far from everything it was taught it answers +1 (free) at the start.
+    It does not depend on rays or cameras. With a feature grid, the field is about +1 (free space) wherever it has not learnt yet.
     """
 
     def __init__(self, config: FieldConfig, *, bf16: bool = False) -> None:
@@ -67,7 +67,7 @@ class Field(nn.Module):
             return self.sdf_head(self.trunk_features(points)).float()[:, 0]
 
     def distance(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Signed distance (N,) [m] at points (N, 3) [m] and its gradient (N, 3), by autograd; frozen parameters gather none."""
+        """Signed distance (N,) [m] at points (N, 3) [m] and its gradient (N, 3), by autograd. Parameters collect no gradient."""
         points = points.detach().requires_grad_(True)
         with torch.enable_grad():
             distance = self.sdf(points) * self.config.truncation
@@ -76,15 +76,15 @@ class Field(nn.Module):
 
 
 def copy_of(field: Field) -> Field:
-    """A field that is the same now, and learns nothing."""
+    """A copy of a field with frozen parameters."""
     other = copy.deepcopy(field).requires_grad_(False)
     if isinstance(other.encoding, GridEncoding):
-        other.encoding.replace(other.encoding.tables.detach())  # a copy of a tensor is not where its encoding would have it
+        other.encoding.replace(other.encoding.tables.detach())  # the copied tables are not on huge pages (`roomy_zeros`)
     return other
 
 
 def load_field(field: Field, weights: Mapping[str, Tensor]) -> None:
-    """Weights of a field of the same config; the tables of its grid may have grown since."""
+    """Loads the weights of a field of the same config. The tables of its grid may have another size."""
     if isinstance(field.encoding, GridEncoding) and weights["encoding.tables"].shape != field.encoding.tables.shape:
         field.encoding.replace(weights["encoding.tables"].clone())
     field.load_state_dict(weights)

@@ -1,4 +1,4 @@
-"""The fast path of a small field on the CPU: whole network and losses in one Numba kernel; else plain torch, to the same values."""
+"""The fast path of a small field on the CPU: network and losses in one Numba kernel. Plain torch gives the same values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from idfslam.mapping.ray_samples import RaySamples
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.sphere_tracing import Trace
 
-_BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's own for Adam
+_BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam
 
 
 def fusable(field: Field) -> bool:
-    """Whether the kernels know this network: one hidden layer on a feature grid, colour of one more, all on the CPU in fp32."""
+    """Whether the kernels support a field: one hidden layer on a feature grid, one more for colour, on the CPU in fp32."""
     c = field.config
     shape = c.encoding == "grid" and c.layers == 1 and c.direction_frequencies == 0
     fits = c.levels * c.features % 4 == 0 and c.width % 4 == 0 and c.colour_width % 4 == 0
@@ -33,18 +33,18 @@ def fusable(field: Field) -> bool:
 
 
 def weights(field: Field) -> list[NDArray[np.float32]]:
-    """The network's parameters as the kernels take them, sharing memory."""
+    """The network's parameters as arrays for the kernels, sharing memory."""
     return [p.detach().numpy() for p in parameters(field)]
 
 
 def parameters(field: Field) -> list[nn.Parameter]:
-    """The same as torch parameters, in the same order."""
+    """The network's parameters in the order of the kernels."""
     layers = [field.trunk[0], field.sdf_head, field.colour_head[0], field.colour_head[2]]
     return [p for layer in layers for p in layer.parameters()]
 
 
 def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """`Field.distance` of this field, compiled where it can be."""
+    """`Field.distance` of this field, compiled if possible."""
     return lambda points: (distance if fusable(field) else Field.distance)(field, points)
 
 
@@ -59,7 +59,7 @@ def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _grid(field: Field) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple[int, ...]]:
-    """Tables, cells to a metre by level, and as many zeros as an entry has features."""
+    """The tables, the number of cells per metre of each level, and a tuple of zeros as long as an entry has features."""
     grid = field.encoding
     assert isinstance(grid, GridEncoding)
     tables = grid.tables.detach().numpy()
@@ -67,7 +67,7 @@ def _grid(field: Field) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple
 
 
 def sdf_function(field: Field) -> Callable[[Tensor], Tensor]:
-    """`Field.sdf` of this field without gradients, compiled where it can be."""
+    """`Field.sdf` of this field without gradients, compiled if possible."""
     return lambda points: (sdf if fusable(field) else Field.sdf)(field, points)
 
 
@@ -83,7 +83,7 @@ def sdf(field: Field, points: Tensor) -> Tensor:
 
 
 def tracer(field: Field) -> Trace:
-    """`sphere_tracing.trace` through this field, compiled where it can be."""
+    """`sphere_tracing.trace` through this field, compiled if possible."""
     return partial(trace, field) if fusable(field) else partial(sphere_tracing.trace, field.sdf)
 
 
@@ -101,7 +101,7 @@ def trace(field: Field, origins: Tensor, directions: Tensor, *, near: float | Te
 
 
 def learn(field: Field, samples: RaySamples, free_margin: float) -> tuple[Tensor, Tensor]:
-    """Squared terms (N,) and colour terms (near,) of the samples; the gradients of their weighted sum are added to the field's."""
+    """Adds the gradients of the samples' loss to the field's; returns its terms, of the T-SDF (N,) and of colour (near,)."""
     from idfslam.mapping.kernels import numba_field
 
     assert isinstance(field.encoding, GridEncoding)
@@ -123,23 +123,23 @@ def learn(field: Field, samples: RaySamples, free_margin: float) -> tuple[Tensor
 
 @dataclass(frozen=True)
 class Learnt:
-    """The terms of each step's loss: of T-SDF, weighted (steps, N), the first `near` near the surface; of colour, (steps, near)."""
+    """The terms of the loss at each step."""
 
-    terms: Tensor
-    colour_terms: Tensor
+    terms: Tensor  # (steps, N) of the T-SDF, weighted; the first `near` are near the surface, the rest in free space
+    colour_terms: Tensor  # (steps, near) of colour
     near: int
 
 
 def learns_in_steps(field: Field, config: MapperConfig) -> bool:
-    """Whether `learn_steps` knows how this map learns."""
+    """Whether `learn_steps` supports this field and config."""
     return config.supervision == "samples" and not config.gradient_clip and fusable(field)
 
 
 def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, config: MapperConfig, generator: torch.Generator) -> Learnt:
-    """`steps` steps of Adam, each on the rays of its turn: what `SampleObjective.learn` and `MapOptimiser.step` do in turns.
+    """`steps` steps of Adam, step i on every `steps`-th ray from i on: as `SampleObjective.learn` and `MapOptimiser.step` in turn.
 
-    Each part of a step is one call of a kernel that leaves the interpreter to others. In torch a step is some fifty operations more, at
-    each of which a thread that tracks frames beside this one gets in between.
+    Each part of a step is one call of a kernel that releases the interpreter's lock. In torch a step has about fifty more operations, and
+    the thread that tracks frames can take the lock at each of them.
     """
     from idfslam.mapping.kernels import numba_field, numba_grid, numba_rays
 

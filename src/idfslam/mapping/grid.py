@@ -1,4 +1,4 @@
-"""The multi-resolution feature grid on unbounded space, as an encoding and with its own optimiser state."""
+"""The multi-resolution feature grid on unbounded space, as an encoding with its own gradient buffer."""
 
 from collections.abc import Sequence
 
@@ -12,15 +12,15 @@ from idfslam.mapping.kernels import grid_encode, grid_scatter, touched_runs
 
 
 class GridEncoding(nn.Module):
-    """Spatially hashed lattices of features, trilinearly interpolated; `forward` and `out_dim` as any encoding.
+    """Spatially hashed lattices of features with trilinear interpolation. It has `forward` and `out_dim` like every encoding.
 
-    There are no bounds: a lattice coordinate is hashed wherever it lies. A table that fills up doubles by being
-    written twice (`grow`), which leaves the function exactly as it was, since the hash is taken modulo a power of two.
+    Space is unbounded: any lattice coordinate is hashed. A table that fills up is doubled by repeating it (`grow`). The encoding stays
+    exactly the same, since the hash is taken modulo a power of two.
     """
 
-    cells: Tensor  # (levels,) edges [m]
-    gradient: Tensor  # of the tables
-    touched: Tensor  # where it may be other than zero
+    cells: Tensor  # (levels,) edges of the cells [m]
+    gradient: Tensor  # (levels, entries, features) of the tables
+    touched: Tensor  # marks of the runs of entries whose gradient may differ from zero (`touched_runs`)
 
     def __init__(self, config: FieldConfig) -> None:
         super().__init__()
@@ -35,30 +35,30 @@ class GridEncoding(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """Points (..., 3) [m] -> (..., levels * features)."""
         if self.tables.requires_grad:
-            self.touched.fill_(1)  # what comes back through autograd marks nothing
+            self.touched.fill_(1)  # the backward pass of autograd sets no marks
         features = grid_encode(points.reshape(-1, 3), self.tables, self.cells, accumulate_into=self.gradient)
         return features.reshape(*points.shape[:-1], self.out_dim)
 
     def add_gradient(self, points: Tensor, g_features: Tensor) -> None:
-        """Add to the tables' gradient what (N, levels * features) means for them, without autograd."""
+        """Adds the gradient by the features (N, levels * features) at points (N, 3) to the tables' gradient, without autograd."""
         grid_scatter(points, self.cells, g_features, self.gradient, touched=self.touched)
 
     def grow(self) -> None:
-        """Twice the entries, the same function."""
+        """Doubles the number of entries. The encoding stays the same."""
         self.replace(torch.cat([self.tables.detach(), self.tables.detach()], 1))
 
     def replace(self, tables: Tensor) -> None:
-        """Other tables, of any size; their values are copied."""
+        """Replaces the tables by copies of others, of any size."""
         device = self.tables.device
         self.tables = nn.Parameter(roomy_zeros(tables.shape, device).copy_(tables), requires_grad=self.tables.requires_grad)
         self.gradient, self.touched = roomy_zeros(tables.shape, device), touched_runs(self.tables)
 
 
 def roomy_zeros(shape: Sequence[int], device: torch.device) -> Tensor:
-    """Zeros on huge pages where the system has them, not touched until they are used: numpy asks for such pages, torch does not.
+    """Zeros on huge pages if the system has them, and not in memory until they are used. numpy requests such pages, torch does not.
 
-    Hashed vertices lie anywhere in a table, so that on pages of 4 kB most of the time goes into finding the pages (a step on tables of
-    2^18 entries: 5.1 ms before, 4.2 after).
+    Hashed vertices lie anywhere in a table. With pages of 4 kB most of the time goes into address translation: a step on tables of 2^18
+    entries takes 5.1 ms with them, and 4.2 ms with huge pages.
     """
     if backend_of(device) is not Backend.NUMBA:
         return torch.zeros(*shape, device=device)

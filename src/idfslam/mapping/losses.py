@@ -1,15 +1,16 @@
 """The losses of the map and of the keyframe poses (Eqs. 1-4).
 
-Units. The field's T-SDF is in units of the truncation distance tr. Free-space residuals T_s - tr stay in that unit (target 1); truncation
-residuals are in metres: so it is in [25], whose weights (0.1, 10, 6000) the paper leaves unnamed and which are the defaults here.
+Units. The field's T-SDF is in units of the truncation distance tr. Free-space residuals T_s - tr are in that unit (target 1), truncation
+residuals are in metres. This is so in [25]. The paper does not give its weights; the defaults here are those of [25] (0.1, 10, 6000).
 
-Form. The printed equations take L2 norms, of a scalar its absolute value; [25], to which the paper refers for its loss, squares them, and
-so do these. As in the published code of [25], the free-space and the truncation loss are each multiplied by the other class's share of the
-samples, which is in neither paper's equations.
+Form. The printed equations take L2 norms, which for a scalar is its absolute value. [25], to which the paper refers for its loss, squares
+them, and so does this code. As in the published code of [25], the free-space loss and the truncation loss are each multiplied by the other
+class's share of the samples (the balance). This factor is in neither paper's equations.
 
-Measured (400 steps of an MLP of 3 x 128 on a room with a ball in it, 48 samples a ray, sharpness 10, one seed), error of the first zero
-crossing, median and mean: squared with balance 0.3, 0.6 cm; squared without 0.4, 0.6 cm; printed norms without balance 0.1, 2.8 cm; printed
-norms with balance 119, 124 cm, since balance leaves free space too little weight against 6000, and false surfaces stay before the camera.
+Measured error of the first zero crossing, median and mean, after 400 steps of an MLP of 3 x 128 on a room with a ball in it (48 samples a
+ray, sharpness 10, one seed): squared with balance 0.3, 0.6 cm; squared without balance 0.4, 0.6 cm; printed norms without balance 0.1,
+2.8 cm; printed norms with balance 119, 124 cm. In the last case free space has too little weight against 6000, and false surfaces stay in
+front of the camera.
 """
 
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class Losses:
-    """What a step minimises (`total`), its parts before weighting, and each ray's share for active sampling."""
+    """The loss of a step (`total`), its parts before weighting, and each ray's loss for active sampling."""
 
     total: Tensor  # () Eq. 3
     photometric: Tensor  # () Eq. 1
@@ -46,11 +47,11 @@ def photometric_residuals(colour: Tensor, target: Tensor) -> Tensor:
 
 
 def geometric_residuals(sdf: Tensor, depths: Tensor, target_depth: Tensor, truncation: float) -> tuple[Tensor, Tensor, Tensor]:
-    """The terms of Eq. 2, means over each ray's own samples: free space (B,) [tr^2], truncation (B,) [m^2]; and S^fs's share of all.
+    """The terms of Eq. 2, as means over each ray's samples: free space (B,) [tr^2], truncation (B,) [m^2]; and the share of S^fs.
 
-    sdf (B, S) [tr], depths (B, S) [m], target_depth (B,) [m]. S^fs: samples before the near end of the truncation region, where T should be
-    tr. S^tr: samples within tr of the measured depth, where T should be the measured minus the sample's depth. A ray without a sample in a
-    class, or without depth (0), has 0 there.
+    sdf (B, S) [tr], depths (B, S) [m], target_depth (B,) [m]. S^fs are the samples in front of the truncation region, where T should be tr.
+    S^tr are the samples within tr of the measured depth, where T should be the measured depth minus the sample's. A ray without a sample in
+    a class, or without depth (0), has the term 0. The share of S^fs is among all samples of both classes.
     """
     distance = target_depth[:, None] - depths  # [m], positive before the surface
     measured = target_depth[:, None] > 0
@@ -73,7 +74,7 @@ def _weighted(photometric: Tensor, free_space: Tensor, truncation: Tensor, free_
 def rendering_losses(
     rendered: Rendered, target_colour: Tensor, target_depth: Tensor, truncation: float, weights: LossWeights | None = None
 ) -> Losses:
-    """Eqs. 1-3 of B rendered rays against colours (B, 3) and depths (B,) [m], 0 = no reading; such a ray counts by its colour alone."""
+    """Eqs. 1-3 of B rendered rays against colours (B, 3) and depths (B,) [m]. A ray without a reading (0) has a colour loss alone."""
     weights = weights or LossWeights()
     photometric = photometric_residuals(rendered.colour, target_colour)
     free_space, near, free_share = geometric_residuals(rendered.sdf, rendered.depths, target_depth, truncation)

@@ -25,16 +25,18 @@ from idfslam.mapping.updates import MapUpdates
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, Stateful
 
-_VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16  # least samples a ray in rendered views, whose depth is not measured; more: sharper, slower
-_BF16_WIDTH = 128  # of the trunk, from which bf16 is faster than fp32; below it conversions cost more than they save
+# Least numbers of stratified and of importance samples a ray in rendered views. More: sharper, slower. Chosen by hand.
+_VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16
+# Width of the trunk from which bf16 is used. Below it conversions cost more than they save. More: fp32 for wider trunks too.
+_BF16_WIDTH = 128
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
 
 
 class Mapper(Stateful):
-    """Owns the field and its optimiser; is given frames with poses.
+    """Trains the field on frames with poses.
 
-    `field` is what learns, `published` what others look at: the same field where updates run in turns with the frames, and a copy that
-    stands still while the map learns where they run in the background (`updates`).
+    `field` learns, and other parts query `published`. They are the same field if updates run in turns with the frames. If updates run in
+    the background (`updates`), `published` is a copy that does not change while the map learns.
     """
 
     def __init__(
@@ -47,11 +49,11 @@ class Mapper(Stateful):
         self.published = copy_of(self.field) if updates.in_background else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
-        self._pixels: WeakKeyDictionary[Hashable, CellPixels] = WeakKeyDictionary()  # with depth, by cell; of the images in memory
-        self._cell_losses: FrameMemory[Tensor] = FrameMemory()  # (cells, cells) each, for active sampling
+        self._pixels: WeakKeyDictionary[Hashable, CellPixels] = WeakKeyDictionary()  # pixels with depth of each image in memory, by cell
+        self._cell_losses: FrameMemory[Tensor] = FrameMemory()  # (cells, cells) of each frame, for active sampling
 
     def state(self) -> State:
-        """The map, its optimiser and the generator. Gradients are no part of it: each step begins with none."""
+        """The map, its optimiser, the generator, and the losses by cell. Gradients are left out: each step starts with zero gradients."""
         self.updates.wait()
         return {
             "field": dict(self.field.state_dict()),
@@ -73,15 +75,15 @@ class Mapper(Stateful):
         self._cell_losses.restore(state["cell_losses"], lambda losses: losses.to(self.device))
 
     def take_over(self, field: Field) -> None:
-        """Goes on from another field of the same config."""
+        """Continues from another field of the same config."""
         self.field.load_state_dict(field.state_dict())
         self.optimiser.count_as_used()
         self._publish()
 
     def optimise_map(self, frames: Sequence[PosedFrame], iterations: int, *, grow: bool = False) -> dict[str, float]:
-        """Eq. 3: steps on the rays of all given frames, poses fixed, before it returns; the last step's losses.
+        """Optimises Eq. 3 on the rays of frames, with fixed poses, and returns the losses of the last step.
 
-        grow: before, tables that have filled up are doubled; the map stays the same function.
+        grow: tables of the feature grid that have filled up are doubled first.
         """
         self.updates.wait()
         losses = self._learn(_views(frames), iterations, grow=grow)
@@ -89,10 +91,10 @@ class Mapper(Stateful):
         return losses
 
     def start_update(self, frames: Sequence[PosedFrame], iterations: int, *, anneal: float = 1.0, grow: bool = False) -> dict[str, float]:
-        """`optimise_map`, in the background where `updates` says so; returns the losses of the last update that was published.
+        """`optimise_map`, in the background if `updates` does so; returns the losses of the last published update.
 
-        The frames' poses and images are those of now. In the background, what is published is the same at the same calls on every
-        machine, however long learning takes: results do not depend on it. anneal: factor on the learning rates.
+        The frames' present poses and images are used. Each call publishes the update before it, so results do not depend on how long an
+        update takes. anneal: factor on the learning rates.
         """
         self.updates.wait()
         views = _views(frames)
@@ -104,25 +106,25 @@ class Mapper(Stateful):
         return self.updates.run(learn, self._publish)
 
     def finish(self) -> dict[str, float]:
-        """Waits for the last update and publishes it; its losses. Learning rates are full again."""
+        """Waits for the last update, publishes it and returns its losses. Resets the learning rates."""
         losses = self.updates.losses()
         self._publish()
         self.optimiser.anneal = 1.0
         return losses
 
     def learnt(self) -> Field:
-        """The map as it has been learnt so far, published or not."""
+        """The map learnt so far, published or not."""
         self.updates.wait()
         return self.field
 
     @torch.no_grad()
     def _publish(self) -> None:
-        """From now on `published` is the map as it has been learnt so far."""
+        """Copies the map learnt so far to `published`."""
         if self.published is not self.field:
             load_field(self.published, self.field.state_dict())
 
     def _learn(self, views: Sequence[TrainingView], iterations: int, *, grow: bool) -> dict[str, float]:
-        """Eq. 3 on views as they are."""
+        """Optimises Eq. 3 on views; returns the losses of the last step."""
         numbers: dict[str, float] = {}
         if grow:
             self.optimiser.grow()
@@ -133,12 +135,12 @@ class Mapper(Stateful):
                 pixels = [self._draw(view, each * steps, invert=False) for view in views]
                 rays = join([cast(view, uv) for view, uv in zip(views, pixels)])
                 losses = self._steps(rays, steps)
-                numbers = named(losses[-1], views[0].index)  # before losses that are not finite decide on pixels
+                numbers = named(losses[-1], views[0].index)  # raises before losses that are not finite reach active sampling
                 self._remember(views, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
         return numbers
 
     def _steps(self, rays: Rays, steps: int) -> list[Losses]:
-        """Steps of Adam, each on every `steps`-th ray."""
+        """`steps` steps of Adam, step i on every `steps`-th ray from i on."""
         if isinstance(self.objective, SampleObjective) and learns_in_steps(self.field, self.config):
             return self.objective.steps(self.field, self.optimiser, rays, steps, self.generator)
         return [self._step(rays.every(steps, step)) for step in range(steps)]
@@ -151,9 +153,9 @@ class Mapper(Stateful):
         return losses
 
     def optimise_pose(self, frame: PosedFrame) -> tuple[Tensor, dict[str, float]]:
-        """Eq. 4: the frame's pose T_wk (4, 4) against the frozen map, by Adam on an increment; pixels where the loss is low.
+        """Eq. 4: optimises a frame's pose against the frozen map, by Adam on an increment; more pixels are drawn where the loss is low.
 
-        Also the losses of the last step.
+        Returns T_wk (4, 4) and the losses of the last step.
         """
         self.updates.wait()
         c, view = self.config, TrainingView(frame)
@@ -176,9 +178,9 @@ class Mapper(Stateful):
         return T_wk, {f"pose_{name}": value for name, value in numbers.items()}
 
     def renderer(self, keyframes: Sequence[PosedFrame]) -> Callable[[Camera, Tensor, Tensor], tuple[Tensor, Tensor]]:
-        """The frozen map as a camera sees it: camera, T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
+        """A renderer of the frozen map: camera, T_wc (4, 4), pixels (B, 2) -> colour (B, 3), depth (B,) [m].
 
-        For finetuning (Eqs. 1, 7): differentiable in the pose. Rays end behind the farthest reading of the keyframes.
+        It serves finetuning (Eqs. 1, 7) and is differentiable in the pose. Rays end behind the farthest reading of the keyframes.
         """
         c = self.config
         march = RayMarch(max(c.samples, _VIEW_SAMPLES), max(c.importance_samples, _VIEW_IMPORTANCE), self.truncation, c.sharpness)
@@ -192,7 +194,7 @@ class Mapper(Stateful):
         return view
 
     def _draw(self, view: TrainingView, count: int, *, invert: bool) -> Tensor:
-        """`count` pixels of a view in random order (Sec. IV-A: more where the loss is high; IV-B: where it is low)."""
+        """`count` pixels of a view in random order: more where the loss is high (Sec. IV-A), or, with `invert`, where it is low (IV-B)."""
         if view.images not in self._pixels:
             self._pixels[view.images] = group_pixels(view.depth > 0, self.config.cells)
         losses = self._losses_by_cell(view)
@@ -205,7 +207,7 @@ class Mapper(Stateful):
         return self._cell_losses.of(view.frame, lambda: initial_cell_losses(self.config.cells, self.device))
 
     def _remember(self, views: Sequence[TrainingView], pixels: Sequence[Sequence[Tensor]], losses: Sequence[Losses]) -> None:
-        """How the loss is spread over each image, for active sampling: of several steps the losses, and the pixels of each view."""
+        """Updates the losses by cell for active sampling, from the losses of several steps and their pixels of each view."""
         if not self.config.active_sampling:
             return
         per_ray = [step.per_ray.split([len(uv) for uv in drawn]) for step, drawn in zip(losses, pixels)]
@@ -219,7 +221,7 @@ def _views(frames: Sequence[PosedFrame]) -> list[TrainingView]:
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:
-    """Losses as plain numbers. Raises DivergedError if one is not finite."""
+    """Losses as numbers by name. Raises DivergedError if one is not finite."""
     parts = {"photometric": losses.photometric, "free_space": losses.free_space, "truncation": losses.truncation, "total": losses.total}
     numbers = dict(zip(parts, torch.stack(list(parts.values())).tolist()))
     for name, value in numbers.items():

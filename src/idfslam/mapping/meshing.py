@@ -1,7 +1,7 @@
-"""The surface of the map: marching cubes over the observed space, block by block, and without what nobody observed.
+"""The surface of the map: marching cubes over the observed space, block by block, without unobserved surface.
 
-The lattice lies at integer multiples of the resolution in the world, so neighbouring blocks evaluate the same points on their common
-face and their triangles meet exactly.
+The lattice lies at integer multiples of the resolution in the world. So neighbouring blocks evaluate the same points on their common face,
+and their triangles meet exactly.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,11 +17,12 @@ from torch import Tensor
 
 from idfslam.geometry.depth_view import DepthView
 
-CELLS = 16  # cells along a block's edge: small, so that little is evaluated away from the surface
-_BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points
-_CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3  # [cells], [tr] that a vertex may lie off a reading; more: surfaces grow beyond what was seen
-_SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth: the tolerance is in depth
-_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at 1 cm
+CELLS = 16  # cells along a block's edge. More: more points are evaluated away from the surface. Chosen by hand
+_BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more memory. Chosen by hand
+# [cells], [tr] Their sum is the largest distance of a vertex from a reading. More: surfaces extend beyond what was seen. Chosen by hand.
+_CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3
+_SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth, since the tolerance is in depth. More: more blocks are evaluated
+_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at cells of 1 cm
 
 
 def extract_mesh(
@@ -34,12 +35,12 @@ def extract_mesh(
     device: torch.device | str = "cpu",
     stride: int = 4,
 ) -> trimesh.Trimesh:
-    """The zero level of `sdf` where the views observed it, triangles facing free space, in metres, with vertex colours.
+    """The zero level of `sdf` where the views observed it, in metres, with vertex colours. Triangles face free space.
 
     sdf: points (N, 3) [m] on `device` -> (N,) [tr], positive in front of the surface. colour: points (N, 3) -> (N, 3) in [0, 1].
-    Vertices farther than 1.5 cells and 0.3 tr from what the views measured are removed (`observed`). Only blocks that near a reading (of
-    every `stride`-th row and column) are evaluated. Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of
-    the scene.
+    Vertices farther than 1.5 cells plus 0.3 tr from the views' readings are removed (`observed`). Only blocks near a reading are evaluated,
+    and for that test readings of every `stride`-th row and column are used. Memory: the triangles, and the lattice of 64 blocks at a time,
+    whatever the size of the scene.
     """
     tolerance = _CELLS_OFF * resolution + _TRUNCATIONS_OFF * truncation
     reach = _SLANT * tolerance
@@ -59,7 +60,7 @@ def extract_mesh(
 
 def touched_blocks(views: Sequence[DepthView], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
     """Integer coordinates (M, 3), sorted, of the blocks of edge `edge` [m] that come within `margin` [m] (per axis) of a depth reading."""
-    small = edge / 4  # readings are first gathered in small cells: few remain to be dilated
+    small = edge / 4  # readings are first reduced to small cells, so that few are dilated
     cells = [np.unique(_pack(_world_points(view, stride) // small)) for view in views]
     corner = _unpack(np.unique(np.concatenate(cells or [np.empty(0, np.int64)]))) * small
     low = np.floor((corner - margin) / edge).astype(np.int64)
@@ -97,7 +98,7 @@ class _Piece:
 
     vertices: NDArray[np.float64]  # (N, 3) [m]
     faces: NDArray[np.int64]  # (F, 3)
-    keys: NDArray[np.int64]  # (N,) the lattice edge of vertices on the block's faces; -1 of the others
+    keys: NDArray[np.int64]  # (N,) key of the lattice edge of a vertex on the block's faces; -1 for all others
 
 
 def _march(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], resolution: float, device: torch.device | str) -> Iterator[_Piece]:
@@ -108,7 +109,7 @@ def _march(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], resolutio
         origins = blocks[first : first + _BATCH] * CELLS
         points = (origins[:, None] + lattice).reshape(-1, 3) * resolution
         volumes = _evaluate(sdf, points, device).reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
-        # A value of exactly zero would put the vertices of several edges onto one lattice point: they stay 1e-4 of a unit off it.
+        # A value of exactly zero would put the vertices of several edges onto one lattice point. So values stay 1e-4 away from zero.
         volumes = np.where(np.abs(volumes) < 1e-4, np.where(volumes < 0, -1e-4, 1e-4), volumes).astype(np.float32)
         crossed = (volumes.min((1, 2, 3)) < 0) & (volumes.max((1, 2, 3)) > 0)
         for i in np.flatnonzero(crossed):
@@ -117,10 +118,10 @@ def _march(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], resolutio
 
 
 def _seam_keys(local: NDArray, origin: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For vertices (N, 3) [cells] of a block: on its faces the lattice edge they lie on, packed from its middle in half cells; else -1."""
+    """Keys (N,) of vertices (N, 3) [cells]: on the block's faces the packed middle, in half cells, of their lattice edge; else -1."""
     nearest = np.rint(local)
     off = np.abs(local - nearest)
-    axis, rows = off.argmax(1), np.arange(len(local))  # along the other two axes the coordinates are integers, but for rounding
+    axis, rows = off.argmax(1), np.arange(len(local))  # along the other two axes the coordinates are integers, up to rounding
     middle = 2 * nearest
     middle[rows, axis] = 2 * np.floor(local[rows, axis]) + 1
     on_face = (((nearest == 0) | (nearest == CELLS)) & (off < 1e-5)).any(1)
@@ -128,7 +129,7 @@ def _seam_keys(local: NDArray, origin: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _concatenate(pieces: Iterator[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """All pieces as one: vertices, faces, keys."""
+    """The vertices, faces and keys of all pieces."""
     vertices, faces, keys, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)], 0
     for piece in pieces:
         vertices.append(piece.vertices)
@@ -139,7 +140,7 @@ def _concatenate(pieces: Iterator[_Piece]) -> tuple[NDArray[np.float64], NDArray
 
 
 def weld(faces: NDArray[np.int64], keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Faces (F, 3) that use one vertex of those with the same key (keys (N,), -1: not on a seam); those that collapse are dropped."""
+    """Faces (F, 3) in which vertices with the same key are one vertex. Collapsed faces are dropped. keys (N,): -1 away from seams."""
     seam = np.flatnonzero(keys >= 0)
     _, first, inverse = np.unique(keys[seam], return_index=True, return_inverse=True)
     target = np.arange(len(keys))
@@ -156,10 +157,11 @@ def _evaluate(function: Callable[[Tensor], Tensor], points: NDArray, device: tor
 
 
 def observed(vertices: NDArray[np.float64], views: Sequence[DepthView], tolerance: float) -> NDArray[np.bool_]:
-    """Which vertices (N, 3) [m] the views saw: at least one measured a depth within `tolerance` [m] of the vertex's own at its pixel.
+    """Which vertices (N, 3) [m] the views observed: at least one view has a reading within `tolerance` [m] of the vertex's depth.
 
-    "At its pixel" is any of the four about its projection, so that surface seen at a grazing angle counts. Views that measured all four
-    behind the vertex looked through it; three or more of them, and more than saw it, outvote the others.
+    The reading may be at any of the four pixels around the projection, so surface at a grazing angle counts. A view looked through the
+    vertex if all its readings there are behind it. A vertex is removed if three or more views, and more than observed it, looked through
+    it.
     """
     near, through = np.zeros(len(vertices), np.int32), np.zeros(len(vertices), np.int32)
     for view in views:

@@ -1,4 +1,4 @@
-"""What the map is taught from: volume rendering as in the paper, or the samples themselves."""
+"""The training objectives of the map: volume rendering as in the paper, or direct supervision of samples."""
 
 from typing import Protocol
 
@@ -22,11 +22,11 @@ class Objective(Protocol):
     """A loss of the field over rays."""
 
     def __call__(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
-        """Differentiable in the field's weights and in the rays (so in their poses)."""
+        """The loss, differentiable in the field's weights and in the rays, and so in their poses."""
         ...
 
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
-        """The loss, its gradients added to the field's."""
+        """Adds the gradients of the loss to the field's; returns the loss."""
         ...
 
 
@@ -36,7 +36,7 @@ def loss_weights(config: MapperConfig) -> LossWeights:
 
 
 class RenderingObjective:
-    """Eqs. 1-3 on rendered rays (Sec. IV-A); used for the map and, with the map frozen, for poses (Eq. 4)."""
+    """Eqs. 1-3 on rendered rays (Sec. IV-A), for the map and, with the map frozen, for poses (Eq. 4)."""
 
     def __init__(self, config: MapperConfig, truncation: float) -> None:
         self.weights = loss_weights(config)
@@ -48,7 +48,7 @@ class RenderingObjective:
         return rendering_losses(rendered, rays.colour, rays.depth, self.march.truncation, self.weights)
 
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
-        """The loss, its gradients added to the field's."""
+        """Adds the gradients of the loss to the field's; returns the loss."""
         losses = self(field, rays, generator)
         with repeatable(losses.total.device):
             losses.total.backward()
@@ -56,16 +56,16 @@ class RenderingObjective:
 
 
 def far_depth(rays: Rays, truncation: float) -> Tensor:
-    """Where to stop (B,) [m]: twice the truncation behind the measured surface; without a reading, behind the farthest of all."""
+    """Depths (B,) [m] at which rays end: twice the truncation behind the measured surface, or, without a reading, behind the farthest."""
     farthest = rays.depth.max().clamp(min=1.0)
     return torch.where(rays.depth > 0, rays.depth, farthest) + 2 * truncation
 
 
 class SampleObjective:
-    """T-SDF and colour held against the measurement at the samples themselves: few of them, near the surface and in free space.
+    """Direct supervision of T-SDF and colour at samples on the rays: few of them, near the surface and in free space.
 
-    Near the surface the target is the distance to the tangent plane, `Rays.facing` a metre of depth, not the distance along the ray.
-    In free space the measurement bounds the distance from below alone: other surfaces may be nearer than the one ahead.
+    Near the surface the target is the distance to the tangent plane, which is `Rays.facing` times the distance along the ray. In free space
+    the prediction is only bounded from below (`free_margin`): other surfaces may be nearer than the one along the ray.
     """
 
     def __init__(self, config: MapperConfig, truncation: float) -> None:
@@ -81,7 +81,7 @@ class SampleObjective:
         return self._losses(samples.near, len(rays), terms, colour_terms)
 
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
-        """The loss, its gradients added to the field's; fused where the field allows."""
+        """Adds the gradients of the loss to the field's; returns the loss. Fused if the field allows it."""
         if fusable(field):
             samples = self.samples(rays, generator)
             terms, colour_terms = fused_learn(field, samples, self.config.free_margin)
@@ -92,7 +92,7 @@ class SampleObjective:
         return losses
 
     def samples(self, rays: Rays, generator: torch.Generator) -> RaySamples:
-        """S near the surface and S' in free space, of each ray."""
+        """S samples near the surface and S' in free space on each ray."""
         c = self.config
         like = rays.depth
         chance, free_chance = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
@@ -104,7 +104,7 @@ class SampleObjective:
         return RaySamples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 
     def steps(self, field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, generator: torch.Generator) -> list[Losses]:
-        """So many steps of the optimiser, each on the rays of its turn; for fields that `fused.learns_in_steps`."""
+        """`steps` steps of the optimiser, step i on every `steps`-th ray from i on; for fields with `fused.learns_in_steps`."""
         learnt = fused_steps(field, optimiser, rays, steps, self.config, generator)
         count = len(rays) // steps
         return [self._losses(learnt.near, count, *terms) for terms in zip(learnt.terms, learnt.colour_terms)]

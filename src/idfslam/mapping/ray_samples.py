@@ -1,4 +1,4 @@
-"""Points along rays, with what the field should say there: near the surface and in free space."""
+"""Samples along rays with their target values, near the surface and in free space."""
 
 from dataclasses import dataclass
 
@@ -13,28 +13,29 @@ from idfslam.mapping.rays import Rays
 
 @dataclass(frozen=True)
 class RaySamples:
-    """Points along B rays with what the field should say there; the first `near` are about the surface, the rest in free space."""
+    """N samples along B rays with their targets. The first `near` are near the surface, the others in free space."""
 
     points: Tensor  # (N, 3) [m]
-    near: int  # B * S of the N points
-    target: Tensor  # (N,) T-SDF [tr]; in free space: unused
-    weight: Tensor  # (N,) of the T-SDF's residual; they sum to the share of their loss
-    colour: Tensor  # (near, 3)
-    colour_weight: Tensor  # (near,)
+    near: int  # B * S of the N samples
+    target: Tensor  # (N,) T-SDF [tr]; unused in free space
+    weight: Tensor  # (N,) of the T-SDF's squared residual; each class's weights sum to the weight of its loss
+    colour: Tensor  # (near, 3) in [0, 1]
+    colour_weight: Tensor  # (near,) of the colour's absolute residual
 
 
 def uniform(like: Tensor, rays: int, samples: int, generator: torch.Generator) -> Tensor:
-    """(rays, samples) in [0, 1) of the generator's device and then of the tensor's."""
+    """Random numbers (rays, samples) in [0, 1), drawn on the generator's device, of the dtype and device of `like`."""
     return torch.rand(rays, samples, generator=generator, device=generator.device).to(like)
 
 
 def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
-    """Points (B * (S + S'), 3) on B rays and their T-SDF [tr], as far as it is known: in free space 1.
+    """Stratified samples on B rays: points (B * (S + S'), 3) and their target T-SDF [tr], which is 1 in free space.
 
-    S of each ray lie within `truncation` of the surface, as far before it as behind: one-sided they would move the surface as soon as
-    readings are noisy. S' lie before that. Each is in its own part of the way, where chance (B, S) and free_chance (B, S') say.
+    S samples of each ray lie within `truncation` of the surface, in front of it and behind it: samples on one side alone would shift the
+    surface when readings are noisy. S' samples lie in front of these. chance (B, S) and free_chance (B, S') in [0, 1) place each sample
+    within its stratum.
     """
-    gradients = rays.origins.requires_grad or rays.directions.requires_grad  # the kernel has none
+    gradients = rays.origins.requires_grad or rays.directions.requires_grad  # the kernel computes none
     place = plain_placed if gradients else pick(rays.depth, compiled=compiled_placed, plain=plain_placed)
     return place(rays, chance, free_chance, truncation)
 
@@ -50,7 +51,7 @@ def plain_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: fl
 
 
 def parts(chance: Tensor) -> Tensor:
-    """Places in [0, 1) of S samples (B, S), one in each of S equal parts."""
+    """Stratified positions (B, S) in [0, 1): one in each of S equal strata, at `chance` (B, S) within it."""
     samples = chance.shape[1]
     return (torch.arange(samples, dtype=chance.dtype, device=chance.device) + chance) / samples
 
@@ -68,5 +69,5 @@ def compiled_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation:
 
 
 def _points(rays: Rays, depths: Tensor) -> Tensor:
-    """(B, S) depths along the rays -> (B * S, 3)."""
+    """Points (B * S, 3) at depths (B, S) along the rays."""
     return (rays.origins[:, None] + rays.directions[:, None] * depths[..., None]).reshape(-1, 3)

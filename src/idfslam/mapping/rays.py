@@ -1,4 +1,4 @@
-"""Pixels of posed views as rays in the world, with what was measured along them."""
+"""Rays in the world through pixels of posed views, with the measured depth and colour."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,7 +14,7 @@ from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 
 class View(Protocol):
-    """What the mapper needs of a keyframe or frame."""
+    """A view with a pose: depth and colour from one camera."""
 
     T_wk: Tensor  # (4, 4) float64
 
@@ -28,34 +28,34 @@ class View(Protocol):
     def colour(self) -> Tensor: ...  # (H, W, 3)
 
 
-_REACH = 2  # [px] to the neighbours that a surface's normal comes from
+_REACH = 2  # [px] distance to the neighbours from which a normal is computed. More: smoother normals, missing nearer to edges. By hand
 
 
 @dataclass(frozen=True)
 class Rays:
-    """B rays; directions have z = 1 in the camera's frame, so that the parameter along them is depth."""
+    """B rays. Directions have z = 1 in the camera's frame, so the parameter along a ray is depth."""
 
     origins: Tensor  # (B, 3) [m] world
     directions: Tensor  # (B, 3) world
     depth: Tensor  # (B,) [m], 0 = no reading
-    colour: Tensor  # (B, 3)
-    facing: Tensor  # (B,) distance to the surface per metre of depth: |normal . direction|, 1 where the normal is unknown
+    colour: Tensor  # (B, 3) in [0, 1]
+    facing: Tensor  # (B,) |normal . direction|: distance to the surface per metre of depth; 1 without a normal
 
     def __len__(self) -> int:
         return len(self.depth)
 
     def every(self, step: int, first: int) -> "Rays":
-        """Each `step`-th ray from `first` on."""
+        """Every `step`-th ray from `first` on."""
         return Rays(*(getattr(self, name)[first::step].contiguous() for name in Rays.__dataclass_fields__))
 
     def in_turns(self, steps: int) -> "Rays":
-        """The rays of the first step (`every`), then those of the second, and so on."""
+        """The rays in the order of the steps: those of the first step (`every`), then those of the second, and so on."""
         order = torch.arange(len(self), device=self.depth.device).view(-1, steps).T.flatten()
         return Rays(*(getattr(self, name)[order] for name in Rays.__dataclass_fields__))
 
 
 def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
-    """Rays through pixels (B, 2) integer (u, v) of a view, from its pose or from `T_wc` (differentiable in it)."""
+    """Rays through integer pixels (B, 2) (u, v) of a view, at its own pose or at `T_wc` (4, 4); differentiable in `T_wc`."""
     if T_wc is not None:
         return plain_cast(view, uv, T_wc)
     return pick(uv, compiled=compiled_cast, plain=plain_cast)(view, uv)
@@ -72,7 +72,7 @@ def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
 
 
 def compiled_cast(view: View, uv: Tensor) -> Rays:
-    """`cast` by Numba, on the CPU, from the view's pose."""
+    """`cast` by Numba, on the CPU, at the view's own pose."""
     from idfslam.mapping.kernels import numba_rays
 
     T = view.T_wk.float()
@@ -84,15 +84,15 @@ def compiled_cast(view: View, uv: Tensor) -> Rays:
 
 
 def join(rays: list[Rays]) -> Rays:
-    """Several bundles as one."""
+    """Concatenates several bundles of rays."""
     columns = ([getattr(r, name) for r in rays] for name in Rays.__dataclass_fields__)
     return Rays(*(torch.cat(column) for column in columns))
 
 
 def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = _REACH) -> Tensor:
-    """(B,) |n . d| of the surface's unit normal n and the ray d (z = 1): turns a difference of depth into a distance.
+    """|n . d| (B,) of the unit normal n of the surface and the ray d (z = 1), which turns a difference of depth into a distance.
 
-    The normal comes from the neighbours `reach` pixels away; 1 where they are missing or lie across an edge.
+    The normal is computed from the neighbours `reach` pixels away. The value is 1 where they are missing or an edge lies between.
     """
     u, v = uv.unbind(-1)
     left, right = (u - reach).clamp(min=0), (u + reach).clamp(max=camera.width - 1)

@@ -1,8 +1,8 @@
 """Volume rendering of a T-SDF field along camera rays (Sec. III; the renderer of Neural RGB-D Surface Reconstruction [25]).
 
 The field is a callable `field(points (N, 3) [m], directions (N, 3) unit) -> (sdf (N,) in units of the truncation distance, colour (N, 3))`.
-Ray directions have z = 1 in the camera's frame, so the parameter along a ray is depth [m] and so is everything called depth here.
-All is differentiable in the rays' origins and directions, which is how a camera pose gets its gradient (Eq. 4).
+Ray directions have z = 1 in the camera's frame, so the parameter along a ray is depth [m]. All functions are differentiable in the rays'
+origins and directions; this gives the gradient of a camera pose (Eq. 4).
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ Field = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True)
 class RayMarch:
-    """How rays are sampled and their samples weighted."""
+    """How rays are sampled and samples are weighted."""
 
     samples: int  # stratified samples a ray
-    importance_samples: int  # further samples where the weights of the stratified ones are
+    importance_samples: int  # further samples a ray, drawn from the weights of the stratified ones
     truncation: float  # tr [m]
     sharpness: float  # s of the bell sigmoid(s D/tr) sigmoid(-s D/tr)
     near: float = 0.05  # depth of the first sample [m]
@@ -30,18 +30,18 @@ class RayMarch:
 
 @dataclass(frozen=True)
 class Rendered:
-    """B rays of S samples, in order of depth."""
+    """B rendered rays with S samples each, in order of depth."""
 
     colour: Tensor  # (B, 3) in [0, 1]
     depth: Tensor  # (B,) weighted mean of the samples' depths [m]
     sdf: Tensor  # (B, S) in units of tr
     depths: Tensor  # (B, S) [m]
-    weights: Tensor  # (B, S), they sum to 1
+    weights: Tensor  # (B, S), summing to 1
 
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """A picture of the map."""
+    """A rendered image of the map."""
 
     colour: Tensor  # (H, W, 3) in [0, 1]
     depth: Tensor  # (H, W) [m], 0 where the ray meets no surface
@@ -58,7 +58,7 @@ def world_rays(T_wc: Tensor, camera: Camera, uv: Tensor) -> tuple[Tensor, Tensor
 
 
 def stratified_depths(near: float, far: Tensor, samples: int, generator: torch.Generator | None = None) -> Tensor:
-    """One depth in each of `samples` equal parts of [near, far], far (B,) [m] -> (B, samples) [m]; without a generator their middles."""
+    """Depths (B, samples) [m], one in each of `samples` equal strata of [near, far], far (B,) [m]; without a generator the middles."""
     shape = (far.shape[0], samples)
     jitter = torch.full(shape, 0.5) if generator is None else torch.rand(shape, generator=generator, device=generator.device)
     share = (torch.arange(samples, dtype=far.dtype, device=far.device) + jitter.to(far)) / samples
@@ -84,24 +84,24 @@ def importance_depths(depths: Tensor, weights: Tensor, samples: int, generator: 
 
 
 def zero_crossing(sdf: Tensor, depths: Tensor) -> Tensor:
-    """Depth (B,) [m] of the first change from positive to not positive along rays (B, S), linearly interpolated; inf if none."""
+    """Depth (B,) [m] of the first change from positive to not positive along rays (B, S), linearly interpolated; inf without one."""
     front, behind = sdf[:, :-1], sdf[:, 1:]
     crosses = (front > 0) & (behind <= 0)
     first = crosses.int().argmax(1, keepdim=True)  # argmax gives the first of equals
     s0, s1 = front.gather(1, first), behind.gather(1, first)
     d0, d1 = depths.gather(1, first), depths.gather(1, first + 1)
-    found = crosses.any(1)
-    share = s0 / torch.where(found[:, None], s0 - s1, torch.ones_like(s0))
-    return torch.where(found, (d0 + (d1 - d0) * share)[:, 0], torch.inf)
+    hit = crosses.any(1)
+    share = s0 / torch.where(hit[:, None], s0 - s1, torch.ones_like(s0))
+    return torch.where(hit, (d0 + (d1 - d0) * share)[:, 0], torch.inf)
 
 
 def render_weights(sdf: Tensor, depths: Tensor, truncation: float, sharpness: float) -> Tensor:
-    """Weights (B, S) of samples with T-SDF `sdf` (B, S) [tr] at `depths` (B, S) [m]: a bell over the surface, summing to 1.
+    """Weights (B, S) of samples with T-SDF `sdf` (B, S) [tr] at `depths` (B, S) [m]: a bell around the surface, summing to 1.
 
-    w = sigmoid(s D/tr) sigmoid(-s D/tr), zero beyond the first zero crossing + tr, so that no surface shines through another. With s = 1
-    free space (D = tr) keeps 0.197 of the surface's 0.25. The published code of [25] divides by tr twice, which is s = 1/tr: 20 there, 10
-    for tr = 0.1 m. With an exact T-SDF, 128 + 16 samples up to 5 m and tr = 0.1 m, depth is wrong by (mean, RMS) -103, 115 cm at s = 1,
-    -24, 30 cm at 5, -0.15, 0.35 cm at 10 and 0.00, 0.20 cm at 20.
+    w = sigmoid(s D/tr) sigmoid(-s D/tr), and zero beyond the first zero crossing + tr, so that no surface shines through another. With
+    s = 1 free space (D = tr) has a weight of 0.197 against the surface's 0.25. The published code of [25] divides by tr twice, which means
+    s = 1/tr: 20 there, and 10 for tr = 0.1 m. With an exact T-SDF, 128 + 16 samples up to 5 m and tr = 0.1 m, the error of depth
+    (mean, RMS) is -103, 115 cm at s = 1, -24, 30 cm at 5, -0.15, 0.35 cm at 10 and 0.00, 0.20 cm at 20.
     """
     bell = torch.sigmoid(sharpness * sdf) * torch.sigmoid(-sharpness * sdf)
     limit = zero_crossing(sdf.detach(), depths.detach()) + truncation
@@ -120,10 +120,10 @@ def query(field: Field, origins: Tensor, directions: Tensor, depths: Tensor) -> 
 def render(
     field: Field, origins: Tensor, directions: Tensor, far: Tensor, march: RayMarch, *, generator: torch.Generator | None = None
 ) -> Rendered:
-    """Colour and depth of rays (B, 3), (B, 3) up to depth `far` (B,) [m]: the means of their samples' values under `render_weights`.
+    """Colour and depth of rays (B, 3), (B, 3) up to depth `far` (B,) [m]: the means of their samples' values, weighted by `render_weights`.
 
-    The stratified samples are evaluated once; their weights place the importance samples, which join them. Without a generator the samples
-    are placed evenly, so that a picture is repeatable.
+    The stratified samples are evaluated first, and importance samples are drawn from their weights. Both are rendered together. Without a
+    generator the samples are placed evenly, so that an image is repeatable.
     """
     depths = stratified_depths(march.near, far, march.samples, generator)
     sdf, colour = query(field, origins, directions, depths)

@@ -1,6 +1,6 @@
-"""Active sampling (Sec. IV-A, from iMAP): an image is divided into cells; a cell's share of the pixels follows its share of the loss.
+"""Active sampling (Sec. IV-A, from iMAP): an image is divided into cells, and pixels are drawn in proportion to the cells' losses.
 
-For the pose (Sec. IV-B) the shares are inverted: more pixels where the map is already good.
+For the pose (Sec. IV-B) the shares are inverted: more pixels are drawn where the map is already good.
 """
 
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from torch import Tensor
 
 from idfslam.compute.backend import pick
 
-_LEAST_LOSS = 0.01  # [1] of the mean loss, which a cell's loss counts as at least; more: pixels are drawn more evenly. Chosen by hand
+_LEAST_LOSS = 0.01  # [1] least loss of a cell, as a share of the mean loss. More: pixels are drawn more evenly. Chosen by hand
 
 
 @dataclass(frozen=True)
 class CellPixels:
-    """The pixels of an image that may be drawn, sorted by cell. Built once an image; 4 bytes a pixel."""
+    """The pixels of an image that may be drawn, sorted by cell. It is built once for an image and takes 4 bytes a pixel."""
 
-    order: Tensor  # (P,) int32 v * width + u, cell after cell
-    starts: Tensor  # (cells^2,) where a cell begins in `order`
-    counts: Tensor  # (cells^2,) pixels of a cell
+    order: Tensor  # (P,) int32 v * width + u, sorted by cell
+    starts: Tensor  # (cells^2,) index in `order` of each cell's first pixel
+    counts: Tensor  # (cells^2,) number of pixels of each cell
     height: int
     width: int
     cells: int
@@ -31,7 +31,7 @@ def cell_of(uv: Tensor, height: int, width: int, cells: int) -> Tensor:
 
 
 def group_pixels(allowed: Tensor, cells: int) -> CellPixels:
-    """Sorts the pixels where `allowed` (H, W) bool holds (all, or those with depth) into cells x cells cells."""
+    """Sorts the pixels with `allowed` (H, W) bool, such as those with depth, into cells x cells cells."""
     return pick(allowed, compiled=compiled_group_pixels, plain=plain_group_pixels)(allowed, cells)
 
 
@@ -46,7 +46,7 @@ def plain_group_pixels(allowed: Tensor, cells: int) -> CellPixels:
 
 
 def compiled_group_pixels(allowed: Tensor, cells: int) -> CellPixels:
-    """`group_pixels` by counting, which no general sort is as fast as."""
+    """`group_pixels` by Numba, on the CPU: a counting sort, which is faster than a general one."""
     from idfslam.mapping.kernels import numba_rays
 
     height, width = allowed.shape
@@ -56,12 +56,12 @@ def compiled_group_pixels(allowed: Tensor, cells: int) -> CellPixels:
 
 
 def initial_cell_losses(cells: int, device: torch.device | str = "cpu") -> Tensor:
-    """Equal losses (cells, cells): before anything is known, pixels are drawn evenly."""
+    """Equal losses (cells, cells), with which pixels are drawn evenly at first."""
     return torch.ones(cells, cells, device=device)
 
 
 def update_cell_losses(cell_losses: Tensor, uv: Tensor, per_ray: Tensor, height: int, width: int) -> Tensor:
-    """Each cell's mean (cells, cells) of the losses per_ray (N,) of its pixels uv (N, 2); a cell without pixels keeps its last."""
+    """The mean loss (cells, cells) of each cell, from the losses per_ray (N,) of pixels uv (N, 2). A cell without pixels keeps its loss."""
     cells = cell_losses.shape[0]
     cell = cell_of(uv, height, width, cells)
     counts = torch.bincount(cell, minlength=cells * cells)
@@ -71,20 +71,20 @@ def update_cell_losses(cell_losses: Tensor, uv: Tensor, per_ray: Tensor, height:
 
 
 def cell_shares(cell_losses: Tensor, *, invert: bool = False) -> Tensor:
-    """Shares (cells, cells) of the pixels, summing to 1: in proportion to the loss, or to its reciprocal for the pose.
+    """Shares (cells, cells) of the pixels, summing to 1: in proportion to the loss, or, with `invert`, to its reciprocal.
 
-    A loss below a hundredth of the mean counts as that hundredth, so that no cell is forgotten and, inverted, none takes all.
+    A loss below a hundredth of the mean counts as that hundredth. So every cell gets pixels, and none gets all of them when inverted.
     """
     mean = cell_losses.mean()
     if mean <= 0:
         return torch.full_like(cell_losses, 1 / cell_losses.numel())
     losses = cell_losses.clamp(min=_LEAST_LOSS * float(mean))
-    parts = 1 / losses if invert else losses
-    return parts / parts.sum()
+    weights = 1 / losses if invert else losses
+    return weights / weights.sum()
 
 
 def allot(shares: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """How many of `count` pixels each cell gets, (cells^2,): its share, rounded up or down by chance so that they add up to `count`."""
+    """The number of pixels (cells^2,) of each cell: its share of `count`, rounded up or down at random so that they sum to `count`."""
     offset = torch.rand((), generator=generator, device=shares.device, dtype=torch.float64)
     ends = shares.flatten().double().cumsum(0)
     passed = (ends / ends[-1] * count - offset).ceil().clamp(0, count)  # draws k with k + offset below a cell's end
@@ -92,9 +92,9 @@ def allot(shares: Tensor, count: int, generator: torch.Generator) -> Tensor:
 
 
 def draw_pixels(pixels: CellPixels, shares: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """`count` pixels (count, 2) int64 (u, v): allotted to cells by `shares` (cells, cells), even within a cell, with replacement.
+    """Draws `count` pixels (count, 2) int64 (u, v) with replacement: cells by `shares` (cells, cells), pixels evenly within a cell.
 
-    The shares of cells without an allowed pixel go to the others; an image without any gives no pixels, (0, 2).
+    Cells without an allowed pixel get none. An image without an allowed pixel gives (0, 2).
     """
     possible = shares.flatten() * (pixels.counts > 0)
     if not bool((possible > 0).any()):

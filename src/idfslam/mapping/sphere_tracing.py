@@ -1,7 +1,7 @@
-"""Where rays meet the surface of a T-SDF: they advance by the distance that the field says is free (Hart 1996).
+"""Sphere tracing (Hart 1996): rays advance to the surface of a T-SDF in steps of the field's distance.
 
-For images, cones around tiles of pixels are marched first, as far as they are free as a whole: most of a ray's way leads through
-free space that its neighbours share. The pixels' own rays start where their cone ends.
+For images, cones around tiles of pixels are traced first, through the free space that neighbouring rays share. The pixels' own rays start
+where their cone ends.
 """
 
 from collections.abc import Callable
@@ -14,26 +14,28 @@ from torch import Tensor
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.rendering import RenderedImage, world_rays
 
-LEAST_STEP = 0.1  # [tr] least step: close to a surface that a ray passes by, steps would otherwise vanish. More: thin surfaces are missed
-CAUTION = 0.9  # [1] share of the free distance by which a ray advances, since the field is not exact. More: fewer steps, more overshoot
-_TILE = 8  # [px] edge of the tile that one cone is traced for first; more: fewer cones, which end farther from the surface
-_NEAR = 0.05  # [m] depth at which rays start; more: surfaces close to the camera are not seen
-_LAYERS = 5  # unobserved surfaces that a ray passes through at most; more: fewer holes, more time
+# All of these were chosen by hand.
+LEAST_STEP = 0.1  # [tr] least step. Without it, steps vanish where a ray passes close to a surface. More: thin surfaces are missed
+CAUTION = 0.9  # [1] share of the distance by which a ray advances, since the field is not exact. More: fewer steps, more overshoot
+_TILE = 8  # [px] edge of the tile of pixels of one cone. More: fewer cones, which end farther from the surface
+_NEAR = 0.05  # [m] depth at which rays start. More: surfaces close to the camera are not seen
+_LAYERS = 5  # largest number of unobserved surfaces that a ray passes through. More: fewer holes, more time
 
 Sdf = Callable[[Tensor], Tensor]  # points (N, 3) [m] -> (N,) [tr]
 
 
 class Trace(Protocol):
-    """`trace` through some field."""
+    """`trace` through one field."""
 
     def __call__(self, origins: Tensor, directions: Tensor, *, near: float | Tensor, far: float, truncation: float) -> Tensor: ...
 
 
 @torch.no_grad()
 def trace(sdf: Sdf, origins: Tensor, directions: Tensor, *, near: float | Tensor, far: float, truncation: float) -> Tensor:
-    """Depths (B,) [m], in units of `directions` (B, 3), at which rays first pass from before the surface behind it; 0: nowhere.
+    """Depths (B,) [m] at which rays first pass from the front of a surface to its back; 0 for rays that meet none.
 
-    near: where the rays start, for all of them or each (B,). A ray that starts behind a surface has to come out in front first.
+    Depth is in units of `directions` (B, 3). near: depth at which the rays start, one for all or one for each (B,). A ray that starts
+    behind a surface must come out in front first.
     """
     depth = origins.new_zeros(len(origins))
     ray = torch.arange(len(origins), device=origins.device)
@@ -53,9 +55,9 @@ def trace(sdf: Sdf, origins: Tensor, directions: Tensor, *, near: float | Tensor
 
 @torch.no_grad()
 def march_cones(sdf: Sdf, origins: Tensor, directions: Tensor, spread: float, *, near: float, far: float, truncation: float) -> Tensor:
-    """Depths (B,) [m] up to which cones are free as a whole: their radius is `spread` times the depth.
+    """Depths (B,) [m] up to which cones pass through free space. A cone's radius is `spread` times the depth.
 
-    A cone ends where less than its radius is free, which is before any of its rays meets a surface.
+    A cone ends where the distance is less than its radius, so before any of its rays meets a surface.
     """
     reached = origins.new_full((len(origins),), near)
     ray, t = torch.arange(len(origins), device=origins.device), reached.clone()
@@ -84,10 +86,10 @@ def trace_image(
     tracer: Trace | None = None,
     rays_a_chunk: int = 1 << 16,
 ) -> RenderedImage:
-    """The surface as `camera` at T_wc (4, 4) sees it up to depth `far` [m]; black, and depth 0, where it sees none.
+    """The surface that `camera` at T_wc (4, 4) sees up to depth `far` [m]; black, and depth 0, where it sees none.
 
-    colour: points (N, 3) [m], directions (N, 3) -> (N, 3). observed: points (N, 3) -> whether surface there is to be believed (N,);
-    rays pass through what is not, since a field says anything where it was taught nothing. tracer: a faster `trace` through this field.
+    colour: points (N, 3) [m], directions (N, 3) -> (N, 3). observed: points (N, 3) -> whether the surface there was observed (N,). Rays
+    pass through unobserved surface, since a field is arbitrary where it has not learnt. tracer: a faster `trace` through this field.
     """
     tracer = tracer or partial(trace, sdf)
     near = _free_depths(sdf, T_wc, camera, far, truncation).flatten().split(rays_a_chunk)
@@ -109,7 +111,7 @@ def trace_image(
 def _pass_through(
     tracer: Trace, observed: Callable[[Tensor], Tensor], origins: Tensor, directions: Tensor, depth: Tensor, far: float, truncation: float
 ) -> None:
-    """Moves depths (B,) on, in place, to the first surface that was observed; 0 where there is none."""
+    """Moves depths (B,), in place, to the first observed surface; 0 where there is none."""
     ray = torch.nonzero(depth > 0)[:, 0]
     for _ in range(_LAYERS):
         ray = ray[~observed(origins[ray] + directions[ray] * depth[ray, None])]
@@ -122,7 +124,7 @@ def _pass_through(
 
 
 def _free_depths(sdf: Sdf, T_wc: Tensor, camera: Camera, far: float, truncation: float) -> Tensor:
-    """(H, W) [m] up to where nothing is in the way of each pixel, by the cone of its tile."""
+    """Depths (H, W) [m] up to which the ray of each pixel is in free space, from the cone of its tile."""
     rows, columns = -(-camera.height // _TILE), -(-camera.width // _TILE)
     v, u = (_TILE * torch.arange(n, dtype=torch.float32, device=T_wc.device) + (_TILE - 1) / 2 for n in (rows, columns))
     centres = torch.stack([u.expand(rows, -1), v[:, None].expand(-1, columns)], -1).reshape(-1, 2)

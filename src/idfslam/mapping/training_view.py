@@ -1,4 +1,4 @@
-"""What the map learns from: a frame as it is at one moment."""
+"""The views that the map learns from: snapshots of frames with poses."""
 
 from collections.abc import Hashable
 from typing import Any, Protocol
@@ -9,7 +9,7 @@ from idfslam.geometry.camera import Camera
 
 
 class PosedImages(Hashable, Protocol):
-    """The images of a frame; one object as long as they are in memory."""
+    """The images of a frame. It is the same object as long as they are in memory."""
 
     @property
     def depth(self) -> Tensor: ...  # (H, W) [m], 0 = no reading
@@ -19,7 +19,7 @@ class PosedImages(Hashable, Protocol):
 
 
 class PosedFrame(Protocol):
-    """A frame with a pose; the keyframes of the graph are such."""
+    """A frame with a pose, such as a keyframe of the graph."""
 
     T_wk: Tensor  # (4, 4) float64
 
@@ -37,7 +37,7 @@ class PosedFrame(Protocol):
 
 
 class TrainingView:
-    """A frame as it is now: a map that learns in the background must not see its pose move, nor its images put away."""
+    """A snapshot of a frame. While the map learns in the background, its pose does not move, and its images stay in memory."""
 
     def __init__(self, frame: PosedFrame) -> None:
         self.frame, self.index, self.T_wk, self.camera = frame, frame.index, frame.T_wk, frame.camera

@@ -1,4 +1,4 @@
-"""When the map learns: in turns with the frames, or in the background on a core of its own while the next frames are tracked."""
+"""When the map learns: in turns with the frames, or in a background thread while the next frames are tracked."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -15,24 +15,24 @@ Losses = dict[str, float]
 class MapUpdates(ABC):
     """Runs the updates of a map, one after the other."""
 
-    in_background = False  # whether an update goes on after `run` has returned
-    foreground_share = 1.0  # of the cores, for what runs beside an update
+    in_background = False  # whether an update continues after `run` has returned
+    foreground_share = 1.0  # share of the cores for the frames that are tracked meanwhile
 
     @abstractmethod
     def run(self, update: Callable[[], Losses], publish: Callable[[], None]) -> Losses:
-        """Runs an update, and publishes the newest finished one; the losses of that."""
+        """Runs an update, publishes the newest finished one, and returns the losses of that one."""
 
     @abstractmethod
     def wait(self) -> None:
-        """Returns when the last update has ended. Raises what it raised."""
+        """Waits for the last update. Raises the exception that it raised."""
 
     @abstractmethod
     def losses(self) -> Losses:
-        """Waits; the losses of the last update, to the first who asks."""
+        """Waits for the last update and returns its losses once; empty if they were returned before."""
 
     @abstractmethod
     def times(self) -> list[float]:
-        """How long each update took that has ended since the last call [ms]."""
+        """The durations [ms] of the updates that have ended since the last call."""
 
     @abstractmethod
     def state(self) -> State: ...
@@ -41,12 +41,12 @@ class MapUpdates(ABC):
     def restore(self, state: State) -> None: ...
 
     def foreground(self) -> AbstractContextManager[None]:
-        """Within, compiled loops take the share of the cores that updates leave them."""
+        """A context in which compiled loops use `foreground_share` of the cores."""
         return threads(self.foreground_share)
 
 
 class InTurns(MapUpdates):
-    """Each update has ended before the next frame is tracked, as in the paper."""
+    """Each update ends before the next frame is tracked, as in the paper."""
 
     def run(self, update: Callable[[], Losses], publish: Callable[[], None]) -> Losses:
         with threads(1.0):
@@ -69,9 +69,9 @@ class InTurns(MapUpdates):
 
 
 class InBackground(MapUpdates):
-    """An update runs in a thread of its own; the one before is waited for and published when the next begins.
+    """Updates run in a thread of their own. A new update waits for the one before and publishes it.
 
-    Compiled code leaves the interpreter to other threads, so on two cores an update costs the frames beside it nothing.
+    Compiled code releases the interpreter's lock, so on two cores an update does not slow down the frames that are tracked meanwhile.
     """
 
     in_background = True
@@ -79,7 +79,7 @@ class InBackground(MapUpdates):
 
     def __init__(self) -> None:
         self._milliseconds: list[float] = []
-        self._losses: Losses = {}  # of the last update, until somebody asks
+        self._losses: Losses = {}  # of the last update, until `losses` returns them
         self._pool: ThreadPoolExecutor | None = None
         self._running: Future[Losses] | None = None
 
@@ -87,7 +87,7 @@ class InBackground(MapUpdates):
         losses = self.losses()
         publish()
         if not loops_may_overlap():
-            self._losses = self._timed(update)  # the same result, only later
+            self._losses = self._timed(update)  # in the foreground: the result is the same
             return losses
         if self._pool is None:
             self._pool = ThreadPoolExecutor(1, thread_name_prefix="map")
@@ -105,11 +105,11 @@ class InBackground(MapUpdates):
         return losses
 
     def times(self) -> list[float]:
-        taken, self._milliseconds = self._milliseconds, []
-        return taken
+        milliseconds, self._milliseconds = self._milliseconds, []
+        return milliseconds
 
     def state(self) -> State:
-        """The losses that nobody has asked for yet."""
+        """The losses that were not returned yet."""
         self.wait()
         return {"losses": self._losses}
 
@@ -125,7 +125,7 @@ class InBackground(MapUpdates):
 
 
 def loops_may_overlap() -> bool:
-    """Whether two threads may run parallel loops at once; Numba's own layer, without OpenMP and TBB, ends the program then."""
+    """Whether two threads may run parallel loops at once. Numba's own threading layer aborts then; those of OpenMP and TBB do not."""
     import numba
 
     try:

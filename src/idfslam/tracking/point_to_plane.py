@@ -15,7 +15,7 @@ from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.frame_features import Described
 
 # Chosen by hand on pairs of frames (docs/model-card.md).
-_STRIDE = 4  # of the rows and columns of the frame in all but the last steps. More: faster, and noisier first steps
+_STRIDE = 4  # [px] stride of the frame's rows and columns in all but the last steps. More: faster, and noisier first steps
 _FINE_STEPS = 2  # number of last steps, in which all rows and columns take part. More: slower, hardly more exact
 # [m] Largest distance of a point from its plane, in the first and in the last step. More: worse first poses are corrected, and more
 # outliers take part.

@@ -1,6 +1,7 @@
-"""Covisibility on the CPU, compiled by Numba; `covisibility.py` holds the plain form.
+"""Covisibility on the CPU, compiled by Numba. The plain form is in `covisibility.py`.
 
-Each chosen keyframe is held against all stored ones: thousands of points by hundreds of views, which in torch go through memory ten times.
+Each new keyframe is compared with all stored ones: thousands of points by hundreds of views. In torch they would pass through memory ten
+times.
 """
 
 import numpy as np
@@ -9,9 +10,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
 def in_view(x, y, z, sides, counts):  # type: ignore[no-untyped-def]
-    """How many of N points lie within all five sides (K, 5, 4) of each of K views' pyramids: counts (K,).
+    """Fills counts (K,) with the number of the N points inside the viewing frustum of each of K views, given by five planes (K, 5, 4).
 
-    A point is within a side (a, b, c, d) if a x + b y + c z + d is no less than 0, and that of the last, which is the camera's plane, more.
+    A point is inside a plane (a, b, c, d) if a x + b y + c z + d >= 0. For the last one, the camera's own plane, it must be > 0.
     """
     zero = np.float32(0)
     for k in range(len(sides)):

@@ -1,4 +1,4 @@
-"""The grid encoding on the backend of its tensors: Numba, Triton or plain torch; another one can be asked for."""
+"""The grid encoding on the backend of its tensors (Numba, Triton or plain torch) or on another one that the caller names."""
 
 from types import ModuleType
 from typing import Any
@@ -24,9 +24,9 @@ def grid_encode(
     S is a power of two. Features are trilinear between the hashed vertices of each level's unbounded lattice (Mueller et al. 2022, Sec. 3);
     `torch.cat([tables, tables], 1)` is a table of twice the size with exactly the same features. Differentiable once by points and tables.
 
-    With `accumulate_into` (L, S, F) the gradient by the tables is added there in place and autograd returns none for them, which saves
-    allocating and adding a whole table per call; the tables must still require a gradient for that to happen. `sparse_adam` leaves that
-    buffer zero again. Raises ValueError for shapes, dtypes and devices outside the contract.
+    With `accumulate_into` (L, S, F) the gradient by the tables is added to that buffer in place, and autograd returns none for them. This
+    saves allocating and adding a whole table in each call. The tables must still require a gradient. `sparse_adam` zeroes the buffer.
+    Raises ValueError for shapes, dtypes and devices outside the contract.
     """
     kernels = _kernels(points.device, backend)
     _check(points, tables, cells, any_dtype=kernels is torch_grid)
@@ -45,9 +45,9 @@ def grid_scatter(
     touched: Tensor | None = None,
     backend: Backend | None = None,
 ) -> None:
-    """Add to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd.
+    """Adds to `into` (L, S, F) the tables' gradient for grad_features (N, L * F) at points (N, 3), outside autograd.
 
-    touched: of `touched_runs`, for `sparse_adam`.
+    touched: marks for `sparse_adam`, made by `touched_runs`.
     """
     kernels = _kernels(points.device, backend)
     _check(points, into, cells, any_dtype=kernels is torch_grid)
@@ -68,11 +68,11 @@ def sparse_adam(
     touched: Tensor | None = None,
     backend: Backend | None = None,
 ) -> None:
-    """One Adam step on the numbers whose gradient is not zero, in place; all four tensors (L, S, F). `grad` is zero afterwards.
+    """One step of Adam, in place, on the numbers with a gradient other than zero; tensors (L, S, F). `grad` is zero afterwards.
 
     Entries that no sample touched keep value and moments (lazy Adam), and their memory is not written. `step` counts from 1 for the tables
-    as a whole; with the default betas a number first touched late still moves by the learning rate, (1 - 0.9) / sqrt(1 - 0.99) = 1.
-    touched: where `grid_scatter` marked all that `grad` holds; none given: it is looked for everywhere.
+    as a whole. With the default betas a number that is first touched late still moves by the learning rate: (1 - 0.9) / sqrt(1 - 0.99) = 1.
+    touched: marks of `grid_scatter` for all entries with a gradient. Without them the whole table is searched.
     """
     if not (tables.shape == grad.shape == m.shape == v.shape):
         raise ValueError(f"shapes differ: tables {tuple(tables.shape)}, grad {tuple(grad.shape)}, m {tuple(m.shape)}, v {tuple(v.shape)}")
@@ -86,8 +86,8 @@ def sparse_adam(
 def load(v: Tensor) -> Tensor:
     """Share (L,) of each level's entries that `sparse_adam` ever updated, from its second moments (L, S, F).
 
-    Near 1 - exp(-k) when k times as many lattice vertices as entries are in use, so 0.63 says as many vertices as entries. A table
-    doubled together with its moments keeps its load; start the moments at zero to measure anew.
+    It is near 1 - exp(-k) if k times as many lattice vertices as entries are in use: 0.63 means as many vertices as entries. A table that
+    is doubled together with its moments keeps its load. Set the moments to zero to measure again.
     """
     return (v > 0).any(-1).float().mean(-1)
 
@@ -115,7 +115,7 @@ class _GridEncode(torch.autograd.Function):
 
 
 def _kernels(device: torch.device, backend: Backend | None) -> ModuleType:
-    """The module with the kernels; imported here because importing Numba or Triton takes a second that not every command needs."""
+    """The module with the kernels. It is imported on demand: importing Numba or Triton takes a second."""
     chosen = backend or backend_of(device)
     if chosen is Backend.NUMBA:
         from idfslam.mapping.kernels import numba_grid

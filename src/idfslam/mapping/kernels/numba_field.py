@@ -1,10 +1,10 @@
 """The small network on the feature grid, on the CPU: one hidden layer, T-SDF and colour, compiled by Numba.
 
-Between a grid's features and a loss the network's own arithmetic is small; what costs is writing every layer's output to memory and
-waking threads for every layer. Here points go through the whole network, and back, in blocks that stay in the first-level
-cache, transposed so that each loop runs over points and vectorises. `tests/test_fused.py` holds it against torch's autograd.
+The network's arithmetic is small. Writing every layer's output to memory and waking threads for every layer would cost more. Here points
+pass forward and backward through the whole network in blocks that stay in the first-level cache. Blocks are transposed, so that each loop
+runs over points and vectorises. `tests/test_fused.py` compares it with torch's autograd.
 
-Sums over points are gathered in a fixed number of parts, whatever the number of threads, so that results repeat exactly; helpers are
+Sums over points are computed in a fixed number of parts, whatever the number of threads, so that results repeat exactly. Helpers are
 inlined by force for the same reason (`numba_grid`).
 """
 
@@ -16,8 +16,8 @@ from idfslam.mapping.kernels.numba_grid import locate, stage, trilinear
 
 Floats = NDArray[np.float32]
 
-BLOCK = 64  # points: the block's activations fill half of the first-level cache
-PARTS = 8  # separate sums of the weights' gradients
+BLOCK = 64  # points in a block, whose activations fill half of the first-level cache. More: they no longer fit
+PARTS = 8  # separate sums of the weights' gradients, one for each thread at most. More: more memory to add up
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
@@ -28,7 +28,7 @@ _parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy"
 
 @_inlined
 def _transpose(rows: Floats, start: int, count: int, columns: Floats) -> None:
-    """Rows start .. start + count of (N, K) as columns of (K, BLOCK); the rest of the block is zero."""
+    """Copies rows start .. start + count of (N, K) to columns of (K, BLOCK). The rest of the block is zero."""
     for i in range(count):
         for k in range(columns.shape[0]):
             columns[k, i] = rows[start + i, k]
@@ -39,9 +39,9 @@ def _transpose(rows: Floats, start: int, count: int, columns: Floats) -> None:
 
 @_inlined
 def _add_product(weight: Floats, x: Floats, y: Floats) -> None:
-    """y (O, BLOCK) += weight (O, K) x (K, BLOCK), four by four weights at a time: each vector that is loaded serves four.
+    """y (O, BLOCK) += weight (O, K) x (K, BLOCK), four by four weights at a time, so that each loaded vector is used four times.
 
-    O and K are multiples of four. The compiler sees a copy of this at each of its calls: what is small has a loop of its own.
+    O and K are multiples of four. The compiler compiles a copy at each call, so small products have a loop of their own (`head`).
     """
     for o in range(0, weight.shape[0], 4):
         for k in range(0, weight.shape[1], 4):
@@ -68,7 +68,7 @@ def linear(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
 
 @_inlined
 def head(weight: Floats, bias: Floats, x: Floats, y: Floats) -> None:
-    """The same of a layer with few outputs."""
+    """`linear` for a layer with few outputs."""
     for o in range(len(bias)):
         for p in range(BLOCK):
             y[o, p] = bias[o]
@@ -96,7 +96,7 @@ def _linear_back(transposed: Floats, g_y: Floats, g_x: Floats) -> None:
 
 @_inlined
 def _head_back(weight: Floats, g_y: Floats, g_x: Floats) -> None:
-    """The same of a layer with few outputs, by its weight (O, K)."""
+    """`_linear_back` for a layer with few outputs and weight (O, K)."""
     for k in range(len(g_x)):
         for p in range(BLOCK):
             g_x[k, p] = _ZERO
@@ -107,7 +107,7 @@ def _head_back(weight: Floats, g_y: Floats, g_x: Floats) -> None:
 
 @_inlined
 def _masked(g: Floats, activation: Floats) -> None:
-    """The gradient where relu let through."""
+    """Sets the gradient to zero where relu was not active."""
     for k in range(g.shape[0]):
         for p in range(BLOCK):
             g[k, p] = g[k, p] if activation[k, p] > _ZERO else _ZERO
@@ -146,7 +146,7 @@ def _weight_gradient(g_y: Floats, x: Floats, g_weight: Floats) -> None:
 
 @_inlined
 def _head_gradient(g_y: Floats, x: Floats, g_weight: Floats) -> None:
-    """The same of a layer with few outputs."""
+    """`_weight_gradient` for a layer with few outputs."""
     for o in range(g_weight.shape[0]):
         for k in range(g_weight.shape[1]):
             total = _ZERO
@@ -164,7 +164,7 @@ def _sigmoid(x: Floats) -> None:
 
 @_parallel
 def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def]
-    """T-SDF (N,) [tr] from features (N, K)."""
+    """Fills sdf (N,) [tr] from features (N, K)."""
     for block in prange((len(features) + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(len(features) - start, BLOCK)
@@ -180,7 +180,7 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
 
 @_parallel
 def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradient) -> None:  # type: ignore[no-untyped-def] # noqa: C901 (there and back, block by block)
-    """scale * T-SDF (N,) and its derivative (N, 3) by points (N, 3): grid and network in one, so that slopes never leave the cache."""
+    """Fills scale * T-SDF (N,) and its gradient (N, 3) at points (N, 3). Grid and network are one loop, so slopes stay in the cache."""
     inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
     mask = np.uint32(tables.shape[1] - 1)
     w1_t = w1.T.copy()
@@ -231,10 +231,10 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
     w1, b1, ws, bs, wc1, bc1, wc2, bc2,
     g_features, g_w1, g_b1, g_ws, g_bs, g_wc1, g_bc1, g_wc2, g_bc2, loss, colour_loss,
 ) -> None:  # fmt: skip
-    """Losses (N,) of T-SDF and (coloured,) of colour, and the gradients of the sum of `loss` and `colour_weight colour_loss`.
+    """Fills the losses (N,) of the T-SDF and (coloured,) of colour, and the gradients of the sum of `loss` and `colour_weight colour_loss`.
 
-    The first `coloured` samples are near the surface: loss = weight (t - s)^2, colour_loss = the mean absolute difference of colour;
-    the rest is free space: loss = weight max(margin - s, 0)^2. Gradients of the network's weights come in PARTS to be added up.
+    The first `coloured` samples are near the surface: loss = weight (t - s)^2, and colour_loss is the mean absolute difference of colour.
+    The others are in free space: loss = weight max(margin - s, 0)^2. The gradients of the network's weights are PARTS separate sums.
     """
     inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
     n = len(features)
@@ -302,7 +302,7 @@ def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and ba
 
 @njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 def adam(x, parts, m, v, step_size, beta1, beta2, correction, eps) -> None:  # type: ignore[no-untyped-def]
-    """Adam on weights x (N,) whose gradient comes in parts (PARTS, N) to be added up, which are zero afterwards."""
+    """One step of Adam on weights x (N,) whose gradient is the sum of parts (PARTS, N). The parts are zero afterwards."""
     for i in range(len(x)):
         g = _ZERO
         for part in range(len(parts)):

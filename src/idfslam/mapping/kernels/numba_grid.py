@@ -1,15 +1,14 @@
 """Multi-resolution hash grid on the CPU, compiled by Numba: the contract of `torch_grid`, float32 only.
 
-Points are taken in blocks: the hashes of a block at one level are computed first, in a loop that vectorises, and the gathers follow while
-the block's inputs and outputs lie in the first-level cache. The tables' gradient is split by level, so no two threads write to one table
+Points are processed in blocks. The hashes of a block at one level are computed first, in a loop that vectorises. The gathers follow while
+the block's inputs and outputs are in the first-level cache. The tables' gradient is split by level, so no two threads write to one table,
 and no atomics are needed.
 
-Kernels are compiled at the first call and cached on disk. `fastmath` leaves infinities and NaN alone: a field that has
-diverged must be seen to have diverged. A point that is not finite reads some valid entry and yields NaN. Coordinates are counted in int32:
-|x| / cell must stay below 2^31.
+Kernels are compiled at the first call and cached on disk. `fastmath` keeps infinities and NaN, so that a diverged field is detected. A
+point that is not finite reads some valid entry and yields NaN. Coordinates are counted in int32: |x| / cell must be below 2^31.
 
-Helpers are inlined by force. Left as functions, each would exist once by itself and once more in every caller, optimised differently; which
-copy a process runs depends on what it happens to load first, and their sums round differently: a run would not repeat to the bit.
+Helpers are inlined by force. Otherwise each would exist by itself and as a copy in every caller, optimised differently. Which copy runs
+would depend on what a process loads first. The copies' sums round differently, so a run would not repeat to the bit.
 """
 
 import numba
@@ -25,11 +24,12 @@ Floats = NDArray[np.float32]
 Entries = NDArray[np.uint32]
 Flags = NDArray[np.uint8]
 
-BLOCK = 256  # points: 8 x 256 corner entries and 256 rows of 64 bytes of output fit the first-level cache
-ADAM_BLOCK = 128  # runs of a table handled by a thread at a time
-ADAM_LINE = 32  # numbers skipped together where no gradient arrived: large enough to vectorise, small enough to be skipped often
+BLOCK = 256  # points in a block: 8 x 256 corner entries and 256 rows of 64 bytes of output fit the first-level cache. More: they do not
+ADAM_BLOCK = 128  # runs of a table that a thread processes at a time. More: less even work for the threads
+ADAM_LINE = 32  # numbers that are skipped together if they have no gradient. More: they are skipped less often. Less: no vectorisation
 
-_X8, _Y8, _Z8 = np.uint32(8), np.uint32(2_654_435_761 * 8 % 2**32), np.uint32(805_459_861 * 8 % 2**32)  # hash of blocks, times 8 places
+# Primes of the hash of a block of vertices, times its 8 entries
+_X8, _Y8, _Z8 = np.uint32(8), np.uint32(2_654_435_761 * 8 % 2**32), np.uint32(805_459_861 * 8 % 2**32)
 _UNIT, _TWO = np.uint32(1), np.uint32(2)
 _ONE = np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
@@ -40,7 +40,7 @@ _parallel = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy"
 
 @_inlined
 def stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
-    """Copy a block of points to `xyz` (3, BLOCK), where a vector of x lies together."""
+    """Copies a block of points to `xyz` (3, BLOCK), in which each coordinate is contiguous."""
     for i in range(count):
         for axis in range(3):
             xyz[axis, i] = points[start + i, axis]
@@ -48,15 +48,15 @@ def stage(points: Floats, start: int, count: int, xyz: Floats) -> None:
 
 @_inlined
 def _part(vertex: np.uint32, prime8: np.uint32, shift: np.uint32) -> np.uint32:
-    """What one coordinate of a vertex adds to its entry: `torch_grid.hash_vertices`. The zeros that the shift fills in do not stay."""
+    """The part of one coordinate in a vertex's hash (`torch_grid.hash_vertices`): the block's hash, and a bit of the place within it."""
     return np.uint32(np.uint32((vertex >> _UNIT) * prime8) ^ np.uint32((vertex & _UNIT) << shift))
 
 
 @_inlined
 def locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entries: Entries, fraction: Floats) -> None:
-    """Fill `entries` (8, BLOCK), x changing fastest, and `fraction` (3, BLOCK) for one block of points at one level.
+    """Fills `entries` (8, BLOCK), x changing fastest, and `fraction` (3, BLOCK) for one block of points at one level.
 
-    Numba widens uint32 arithmetic to 64 bits; the casts after every operation let the loop vectorise over 32-bit lanes.
+    Numba widens uint32 arithmetic to 64 bits. With the casts after every operation the loop vectorises over 32-bit lanes.
     """
     for i in range(count):
         u, v, w = xyz[0, i] * inverse, xyz[1, i] * inverse, xyz[2, i] * inverse
@@ -75,7 +75,7 @@ def locate(xyz: Floats, count: int, inverse: np.float32, mask: np.uint32, entrie
 
 @_inlined
 def trilinear(c0, c1, c2, c3, c4, c5, c6, c7, u, v, w):  # type: ignore[no-untyped-def]
-    """Value and derivatives by u, v, w of the interpolation between 8 corners, x changing fastest."""
+    """The value, and its derivatives by u, v and w, of the interpolation between 8 corners, x changing fastest."""
     d0, d2, d4, d6 = c1 - c0, c3 - c2, c5 - c4, c7 - c6
     b0, b2, b4, b6 = c0 + u * d0, c2 + u * d2, c4 + u * d4, c6 + u * d6
     e0, e4 = b2 - b0, b6 - b4
@@ -157,7 +157,7 @@ def _backward_points(
 def _scatter(
     table: Floats, touched: Flags, e: Entries, fraction: Floats, count: int, lanes: tuple[int, ...], grad: Floats, n: int, first: int
 ) -> None:
-    """Add the gradient of a block of points, rows from n and columns from `first` of `grad`, to one level's table."""
+    """Adds the gradient of a block of points to one level's table: rows from n on and columns from `first` on of `grad`."""
     for corner in range(8):
         for i in range(count):
             touched[e[corner, i] // RUN] = 1
@@ -205,7 +205,7 @@ def _any_nonzero(grad: Floats) -> bool:
 
 @_inlined
 def _adam_run(x: Floats, grad: Floats, m: Floats, v: Floats, rates: tuple[np.float32, ...]) -> None:
-    """Adam on neighbouring numbers; computed for all and kept where the gradient is not zero, so that the loop vectorises."""
+    """Adam on neighbouring numbers. It is computed for all and kept where the gradient is not zero, so that the loop vectorises."""
     step_size, beta1, beta2, correction, eps = rates
     one_minus1, one_minus2 = _ONE - beta1, _ONE - beta2
     for i in range(len(x)):
@@ -235,7 +235,7 @@ def _adam_step(x: Floats, grad: Floats, m: Floats, v: Floats, touched: Flags, ra
 
 
 def _array(tensor: Tensor) -> Floats:
-    """The tensor's own memory as an array."""
+    """A tensor as an array that shares its memory."""
     return tensor.detach().numpy()
 
 
@@ -252,7 +252,7 @@ def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
 
 
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
-    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F); marks in `touched` where."""
+    """Adds the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F). Marks the places in `touched`."""
     levels, _, width = grad_tables.shape
     workers = min(levels, numba.get_num_threads())
     tables, flags = _array(grad_tables), (touched_runs(grad_tables) if touched is None else touched).numpy()
@@ -260,26 +260,26 @@ def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_t
 
 
 def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
-    """Gradient by the points (N, 3), given that by the features (N, L * F)."""
+    """The gradient by the points (N, 3), given that by the features (N, L * F)."""
     grad_points = torch.zeros_like(points)
     _backward_points(_array(points), _array(tables), _inverse(cells), (0,) * tables.shape[2], _array(grad_features), _array(grad_points))
     return grad_points
 
 
 def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
-    """Adam on the numbers whose gradient is not zero, in place; looked for in `touched` runs alone, if given. Both are zero afterwards."""
+    """Adam, in place, on the numbers with a gradient other than zero, in the `touched` runs if given. Both are zero afterwards."""
     x, g, first, second = (_array(tensor).reshape(-1) for tensor in (tables, grad, m, v))
     flags = (touched_runs(tables).fill_(1) if touched is None else touched).numpy().reshape(-1)
     _adam_step(x, g, first, second, flags, single(rates))
 
 
 def single(rates: Rates) -> tuple[np.float32, ...]:
-    """Rates as the kernels take them."""
+    """The rates in single precision, for the kernels."""
     return tuple(np.float32(rate) for rate in rates)
 
 
 class Tables:
-    """The tables that a map update works on, as arrays: each call is a kernel and nothing else."""
+    """The tables of a map update as arrays, so that each call is one kernel without work in Python."""
 
     def __init__(self, tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor, cells: Tensor) -> None:
         self._tables, self._grad, self._inverse, self._lanes = _array(tables), _array(grad), _inverse(cells), (0,) * tables.shape[2]
@@ -295,6 +295,6 @@ class Tables:
         _backward_tables(points, self._inverse, self._lanes, grad_features, self._grad, self._touched, self._workers)
 
     def adam(self, learning_rate: float, step: int) -> None:
-        """`sparse_adam`."""
+        """One step of `sparse_adam`."""
         x, grad, m, v = self._flat
         _adam_step(x, grad, m, v, self._touched.reshape(-1), single(adam_rates(learning_rate, *BETAS, EPS, step)))

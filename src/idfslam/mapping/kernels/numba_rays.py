@@ -1,6 +1,7 @@
-"""Pixels to rays to samples on the CPU, compiled by Numba; `sampling.py`, `rays.py` and `ray_samples.py` hold the plain forms.
+"""Pixels to rays to samples on the CPU, compiled by Numba. The plain forms are in `sampling.py`, `rays.py` and `ray_samples.py`.
 
-A map step draws some thousand pixels: in torch each of fifty small operations on the way to their samples costs more than its arithmetic.
+A step of the map draws some thousand pixels. In torch each of the fifty small operations from pixels to samples costs more than its
+arithmetic.
 """
 
 import numpy as np
@@ -18,12 +19,12 @@ _inlined = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)  
 _EDGE, _EDGE_SHARE = np.float32(EDGE), np.float32(EDGE_SHARE)
 _FREE_FROM, _FREE_TO, _GRAZING = np.float32(FREE_FROM), np.float32(FREE_TO), np.float32(GRAZING)
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
-_SHORT = np.float32(1e-12)  # [m^2] a normal of no length
+_SHORT = np.float32(1e-12)  # [m^2] length up to which a cross product counts as zero, and gives no normal
 
 
 @_compiled
 def group_pixels(allowed, cells, order, counts):  # type: ignore[no-untyped-def]
-    """Fills `order` with v * width + u of the allowed pixels (H, W), cell after cell, and counts (cells^2,); returns how many there are."""
+    """Fills `order` with v * width + u of the allowed pixels (H, W), sorted by cell, and counts (cells^2,); returns their number."""
     height, width = allowed.shape
     cell_u = np.empty(width, np.int64)
     for u in range(width):
@@ -50,7 +51,7 @@ def group_pixels(allowed, cells, order, counts):  # type: ignore[no-untyped-def]
 
 @_inlined
 def _facing(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, reach: int) -> np.float32:
-    """|n . d| of the surface's normal and the ray of one pixel."""
+    """|n . d| of the surface's normal and the ray of one pixel: `rays.facing`."""
     height, width = depth.shape
     left, right, up, down = max(u - reach, 0), min(u + reach, width - 1), max(v - reach, 0), min(v + reach, height - 1)
     here, l, r, a, b = depth[v, u], depth[v, left], depth[v, right], depth[up, u], depth[down, u]
@@ -72,7 +73,7 @@ def _facing(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: n
 
 @_compiled
 def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray_colour, ray_facing) -> None:  # type: ignore[no-untyped-def]
-    """Fills what a view with rotation R (3, 3) has to say at pixels uv (N, 2): `rays.cast`."""
+    """Fills the rays, depths and colours of a view with rotation R (3, 3) at pixels uv (N, 2): `rays.cast`."""
     for n in range(len(uv)):
         u, v = uv[n, 0], uv[n, 1]
         x, y = (np.float32(u) - cx) / fx, (np.float32(v) - cy) / fy
@@ -85,9 +86,9 @@ def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray
 
 @_compiled
 def place(origins, directions, depth, facing, chance, free_chance, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
-    """Fills points (B * (S + S'), 3) and target (as many,) of S samples near the surface and S' in free space of B rays.
+    """Fills points (B * (S + S'), 3) and target (B * (S + S'),) of S samples near the surface and S' in free space on B rays.
 
-    chance (B, S) and free_chance (B, S') in [0, 1) place each in its part: `ray_samples.placed`.
+    chance (B, S) and free_chance (B, S') in [0, 1) place each sample in its stratum: `ray_samples.placed`.
     """
     rays, near = chance.shape
     free = free_chance.shape[1]

@@ -1,7 +1,7 @@
-"""Rays traced to the surface of a small field on the feature grid, on the CPU, compiled by Numba; `sphere_tracing.trace` is the plain form.
+"""Sphere tracing through a small field on the feature grid, on the CPU, compiled by Numba. `sphere_tracing.trace` is the plain form.
 
-In torch a step of all rays is thirty operations, and most steps belong to the few rays that graze a surface. Here a thread advances a
-block of rays at a time, through grid and network without leaving the cache, and a ray that has ended makes room for the next.
+In torch a step of all rays takes thirty operations, and the few rays that graze a surface take most steps. Here a thread advances a block
+of rays at a time, and grid and network stay in the cache. A ray that has ended is replaced by the next one.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from numba import njit, prange
 from idfslam.mapping.kernels.numba_field import BLOCK, head, linear, relu
 from idfslam.mapping.kernels.numba_grid import locate, trilinear
 
-_CHUNK = 2048  # rays that one thread works off
+_CHUNK = 2048  # rays that a thread traces at a time. More: less even work for the threads. Chosen by hand
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
@@ -20,9 +20,9 @@ _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 def trace(  # type: ignore[no-untyped-def] # noqa: C901 (a ray's life, a block of them at a time)
     origins, directions, near, far, reach, caution, least, tables, inverse, lanes, w1, b1, ws, bs, depth
 ):
-    """Depths (N,) at which rays first pass from before the surface behind it, started at near (N,); left as it was where none does.
+    """Fills depth (N,) at which rays from near (N,) on first pass from the front of a surface to its back; unchanged for other rays.
 
-    reach (N,): the truncation in depth along each ray; caution, least: shares of the free distance, and of the truncation, in a step.
+    reach (N,): the truncation distance in depth along each ray. caution: the share of the distance in a step. least: the least step [tr].
     """
     inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
     mask = np.uint32(tables.shape[1] - 1)

@@ -1,12 +1,13 @@
 """Multi-resolution hash grid in plain torch: the reference that the Numba and Triton kernels are tested against.
 
-The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space: the lattice of every
-level is infinite and its vertices are hashed into a table of S = 2^k entries, here eight at a time: the vertices of a block of 2 x 2 x 2
-lie side by side, so that with two features a cell's corners are in 3.4 cache lines in the mean instead of 6. The grid modules share one
-contract of four functions, `forward`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3) [m], `tables`
-(L, S, F) and `cells` (L,) [m]; features come out level-major, (N, L * F). Where tables have a gradient `touched` (L, S / RUN) uint8
-marks, so that Adam need not look everywhere (Numba; the others do without). Any floating dtype works here; the other implementations
-take float32.
+The encoding is that of Mueller et al., "Instant Neural Graphics Primitives" (2022), Sec. 3, on unbounded space. The lattice of every level
+is infinite, and its vertices are hashed into a table of S = 2^k entries. Unlike there, a block of 2 x 2 x 2 vertices is hashed at once to
+neighbouring entries. With two features a cell's corners are then in 3.4 cache lines on average instead of 6.
+
+The grid modules share one contract of four functions, `forward`, `backward_tables`, `backward_points` and `adam_step`, on `points` (N, 3)
+[m], `tables` (L, S, F) and `cells` (L,) [m]. Features are level-major, (N, L * F). `touched` (L, S / RUN) uint8 marks the runs of entries
+with a gradient, so that Adam need not search the whole table (Numba; the others ignore it). Any floating dtype works here. The other
+implementations take float32.
 """
 
 import math
@@ -14,9 +15,9 @@ import math
 import torch
 from torch import Tensor
 
-PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1 so that neighbours in x lie side by side
+PRIMES = (1, 2_654_435_761, 805_459_861)  # Eq. 4 of the paper; the first is 1, so neighbours in x are neighbouring entries
 
-RUN = 64  # entries that share a mark
+RUN = 64  # entries that share a mark of `touched`. More: fewer marks, and more entries that are searched
 BETAS, EPS = (0.9, 0.99), 1e-15  # of Adam on the tables
 
 
@@ -25,20 +26,20 @@ Rates = tuple[float, float, float, float, float]
 
 
 def adam_rates(learning_rate: float, beta1: float, beta2: float, eps: float, step: int) -> Rates:
-    """Those of a step, counted from 1."""
+    """The rates of a step, counted from 1."""
     return learning_rate / (1 - beta1**step), beta1, beta2, 1 / math.sqrt(1 - beta2**step), eps
 
 
 def touched_runs(tables: Tensor) -> Tensor:
-    """Marks (L, S / RUN) uint8 for tables (L, S, F), none set; at least one a level."""
+    """Marks (L, S / RUN) uint8 for tables (L, S, F), at least one for each level, all zero."""
     return torch.zeros(tables.shape[0], max(1, tables.shape[1] // RUN), dtype=torch.uint8, device=tables.device)
 
 
 def hash_vertices(vertices: Tensor, size: int) -> Tensor:
-    """Table entries (...) of integer lattice vertices (..., 3): the hash of its block, and behind it three bits for the place there.
+    """Table entries (...) of integer lattice vertices (..., 3): the hash of a vertex's block, followed by three bits for the place in it.
 
-    The low bits of a product do not depend on its high ones, so 64-bit integers give what uint32 with wrap-around gives. The entry is
-    taken modulo a power of two: twice the table repeated twice holds the same value at the new entry as at the old one.
+    The low bits of a product do not depend on the high ones, so 64-bit integers give the same as uint32 with wrap-around. The entry is
+    taken modulo a power of two. So a table that is doubled by repetition has the same value at the new entry as at the old one.
     """
     primes, places = (torch.tensor(numbers, device=vertices.device) for numbers in (PRIMES, (1, 2, 4)))
     x, y, z = ((vertices >> 1) * primes * 8 + (vertices & 1) * places).unbind(-1)
@@ -46,7 +47,7 @@ def hash_vertices(vertices: Tensor, size: int) -> Tensor:
 
 
 def locate(points: Tensor, cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Entries (N, L, 8) of the corners around each point, x changing fastest, and the position (N, L, 3) within the cell, 0..1."""
+    """Entries (N, L, 8) of the corners of each point's cell, x changing fastest, and the position (N, L, 3) within the cell, 0..1."""
     position = points[:, None, :] * (1 / cells)[None, :, None]
     lower = position.detach().floor()
     steps = torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1
@@ -54,7 +55,7 @@ def locate(points: Tensor, cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
 
 
 def gather(tables: Tensor, entries: Tensor) -> Tensor:
-    """Values (N, L, 8, F) of the tables at the entries (N, L, 8)."""
+    """The values (N, L, 8, F) of the tables at entries (N, L, 8)."""
     levels = torch.arange(tables.shape[0], device=tables.device)[None, :, None]
     return tables[levels, entries]
 
@@ -66,14 +67,14 @@ def axis_weights(fraction: Tensor) -> Tensor:
 
 
 def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
-    """Features (N, L * F), trilinear in each cell; differentiable by autograd as it stands."""
+    """Features (N, L * F), trilinear in each cell; differentiable by autograd."""
     entries, fraction = locate(points, cells, tables.shape[1])
     weights = axis_weights(fraction).prod(-1)
     return (weights[..., None] * gather(tables, entries)).sum(2).flatten(1)
 
 
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
-    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
+    """Adds the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
     levels, size, width = grad_tables.shape
     entries, fraction = locate(points, cells, size)
     weights = axis_weights(fraction).prod(-1)
@@ -83,7 +84,7 @@ def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_t
 
 
 def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
-    """Gradient by the points (N, 3), given that by the features (N, L * F)."""
+    """The gradient by the points (N, 3), given that by the features (N, L * F)."""
     entries, fraction = locate(points, cells, tables.shape[1])
     factors = axis_weights(fraction)
     signs = torch.where(torch.arange(8, device=points.device)[:, None] >> torch.arange(3, device=points.device) & 1 == 1, 1.0, -1.0)
@@ -94,7 +95,7 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
 
 
 def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
-    """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
+    """Adam, in place, on the numbers with a gradient other than zero. `grad` is zero afterwards."""
     step_size, beta1, beta2, correction, eps = rates
     moved = grad != 0
     m.copy_(torch.where(moved, beta1 * m + (1 - beta1) * grad, m))

@@ -2,8 +2,8 @@
 # The parameters of a Triton kernel are pointers and compile-time constants; Python has no types for them.
 """Multi-resolution hash grid on CUDA in Triton: the contract of `torch_grid`, float32 only.
 
-One program handles a block of points; the features of an entry are padded to a power of two, so every memory access is a tile (points,
-features). The tables' gradient is summed by atomic additions, whose order is not fixed: sums differ in the last bits from run to run.
+One program processes a block of points. The features of an entry are padded to a power of two, so every memory access is a tile (points,
+features). The tables' gradient is summed by atomic additions in no fixed order, so sums differ in the last bits from run to run.
 """
 
 import torch
@@ -27,7 +27,7 @@ def _load_points(points, n, inside):
 
 @triton.jit
 def _locate(x, y, z, inverse):
-    """Lower lattice vertex, and the position within the cell, 0..1."""
+    """The lower lattice vertex of a cell, and the position within the cell, 0..1."""
     x, y, z = x * inverse, y * inverse, z * inverse
     x_floor, y_floor, z_floor = tl.floor(x), tl.floor(y), tl.floor(z)
     return x_floor.to(tl.int32), y_floor.to(tl.int32), z_floor.to(tl.int32), x - x_floor, y - y_floor, z - z_floor
@@ -35,7 +35,7 @@ def _locate(x, y, z, inverse):
 
 @triton.jit
 def _entry(x, y, z, mask, corner: tl.constexpr):
-    """Table entry of a corner, numbered with x changing fastest: `torch_grid.hash_vertices`."""
+    """The table entry of a corner, numbered with x changing fastest: `torch_grid.hash_vertices`."""
     x, y, z = x + corner % 2, y + corner // 2 % 2, z + corner // 4
     block = (x >> 1) * 8 ^ (y >> 1) * _Y8 ^ (z >> 1) * _Z8
     return (block ^ (x & 1) ^ (y & 1) << 1 ^ (z & 1) << 2) & mask
@@ -43,7 +43,7 @@ def _entry(x, y, z, mask, corner: tl.constexpr):
 
 @triton.jit
 def _side(fraction, upper: tl.constexpr):
-    """Weight along one axis of the upper or the lower side of the cell."""
+    """The weight along one axis of the upper or the lower side of the cell."""
     return fraction if upper else 1.0 - fraction
 
 
@@ -162,7 +162,7 @@ def forward(points: Tensor, tables: Tensor, cells: Tensor) -> Tensor:
 
 
 def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_tables: Tensor, touched: Tensor | None = None) -> None:
-    """Add the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
+    """Adds the gradient by the tables to `grad_tables` (L, S, F), given that by the features (N, L * F)."""
     levels, size, _ = grad_tables.shape
     if len(points):
         blocks = (triton.cdiv(len(points), BLOCK), levels)
@@ -170,7 +170,7 @@ def backward_tables(points: Tensor, cells: Tensor, grad_features: Tensor, grad_t
 
 
 def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features: Tensor) -> Tensor:
-    """Gradient by the points (N, 3), given that by the features (N, L * F)."""
+    """The gradient by the points (N, 3), given that by the features (N, L * F)."""
     grad_points = torch.empty_like(points)
     if len(points):
         blocks = (triton.cdiv(len(points), BLOCK),)
@@ -181,6 +181,6 @@ def backward_points(points: Tensor, tables: Tensor, cells: Tensor, grad_features
 
 
 def adam_step(tables: Tensor, grad: Tensor, m: Tensor, v: Tensor, touched: Tensor | None, rates: Rates) -> None:
-    """Adam on the numbers whose gradient is not zero, in place; `grad` is zero afterwards."""
+    """Adam, in place, on the numbers with a gradient other than zero. `grad` is zero afterwards."""
     blocks = (triton.cdiv(tables.numel(), ADAM_BLOCK),)
     _adam_kernel[blocks](tables, grad, m, v, tables.numel(), *rates, BLOCK=ADAM_BLOCK)
