@@ -1,4 +1,4 @@
-"""The back end: keyframes into graph and map (Sec. IV), and what is done with the frames between them."""
+"""The back end: it inserts keyframes into graph and map (Sec. IV), and updates the map between keyframes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -25,28 +25,30 @@ from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
-_CLOSE_KEYFRAMES = 2  # map updates: a keyframe that comes no later after the last one is of a camera that runs ahead of its map. More:
-#                       more updates are waited for
-_UPDATES_AFTER_MERGE = 10  # map updates around a submap that has moved, before the next frame; the others follow by replay. More: the next
-#                            frames are found there more surely, after a longer pause
+# [map updates] If the last keyframe is at most so far back, the camera runs ahead of the map, and the next frame waits for the update.
+# More: more frames wait. Chosen by hand.
+_CLOSE_KEYFRAMES = 2
+# [map updates] around a submap that has moved, before the next frame; further updates follow by replay. More: the next frames are tracked
+# more surely, after a longer pause. Chosen by hand.
+_UPDATES_AFTER_MERGE = 10
 
 
 class BackEnd(Stateful, ABC):
-    """Maps frames. A back end of one's own needs `add_keyframe` alone."""
+    """Maps frames. Another back end must implement `add_keyframe` only."""
 
     @abstractmethod
     def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
-        """Takes the last frame, which was selected as a keyframe; losses by name."""
+        """Adds the last frame, which was selected as a keyframe; returns losses by name."""
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
-        """After a frame that is no keyframe; losses by name."""
+        """Called after a frame that is no keyframe; returns losses by name."""
         return {}
 
     def finish(self) -> None:
-        """After the last frame."""
+        """Called after the last frame."""
 
     def foreground(self) -> AbstractContextManager[None]:
-        """Within, a frame is processed: compiled loops take the share of the cores that the back end leaves them."""
+        """A context for processing a frame, in which compiled loops use the cores that the back end does not."""
         return nullcontext()
 
     def loops(self) -> Sequence[Loop]:
@@ -81,10 +83,10 @@ class KeyframeMapping(BackEnd):
         self.config, self.graph, self.frames, self.coverage, self.replay, self.relearn = config, graph, frames, coverage, replay, relearn
         self.mapper, self.features, self.keyframe_pose, self.hooks = mapper, features, keyframe_pose, list(hooks)
         self.refinement, self.polish, self.finetuner, self.timer = refinement, polish, finetuner, timer
-        self._updated_at = 0  # frames processed when the map was last updated
+        self._updated_at = 0  # number of frames at the last update of the map
 
     def state(self) -> State:
-        """When the map was last updated."""
+        """The number of frames at the last update of the map."""
         return {"updated_at": self._updated_at}
 
     def restore(self, state: State) -> None:
@@ -102,7 +104,7 @@ class KeyframeMapping(BackEnd):
         return self.mapper.updates.foreground()
 
     def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
-        """The keyframe's pose, its relations to others, and the map by it and replayed ones (Sec. IV)."""
+        """Refines the keyframe's pose, inserts it into the graph, and trains the map on it and on replayed ones (Sec. IV)."""
         last = self.graph.last_keyframe
         losses = {} if last is None else self.keyframe_pose.refine(keyframe, tracked.evidence)
         stored = self.graph.insert(keyframe)
@@ -117,7 +119,7 @@ class KeyframeMapping(BackEnd):
         return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, grow=stored)
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
-        """A map update on the frame, if one is due; otherwise a step of the tracker's finetuning (Sec. V-B)."""
+        """Updates the map on the frame if an update is due, and otherwise finetunes the tracker (Sec. V-B)."""
         due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
         if not due or tracked.is_lost:
             return self.finetuner.step()
@@ -143,22 +145,22 @@ class KeyframeMapping(BackEnd):
                 return
 
     def _follow(self, keyframe: Keyframe) -> None:
-        """A submap has moved, the newest keyframe with it: the map learns what lies around that before the next frame."""
+        """Trains the map around the newest keyframe before the next frame, after its whole submap has moved."""
         with self.timer.stage("map"), threads(1.0):
             for _ in range(_UPDATES_AFTER_MERGE):
                 self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
 
     def _initialise(self, keyframe: Keyframe) -> dict[str, float]:
-        """The first keyframe of a submap; replay keeps what the map knows of the others."""
+        """Trains the map on the first keyframe of a submap. Replay preserves the other submaps."""
         replayed = self._replayed(keyframe) if keyframe.host else []
         with self.timer.stage("map"), threads(1.0):
             return self._learn([keyframe, *replayed], self.config.mapper.first_iterations)
 
     def _update_map(self, view: Keyframe, *, at_once: bool, grow: bool = False) -> dict[str, float]:
-        """Refines replayed keyframes, then has the map learn from them and the view.
+        """Refines replayed keyframes, then trains the map on them and the view.
 
-        at_once: the next frame already sees the update. Otherwise it may run in the background, and the losses are those of the one
-        before.
+        at_once: the update ends before the next frame. Otherwise it may run in the background, and the losses of the update before it are
+        returned.
         """
         self._updated_at = len(self.frames)
         replayed, iterations = self._replayed(view), self.config.mapper.iterations
@@ -176,7 +178,7 @@ class KeyframeMapping(BackEnd):
         return losses
 
     def _replayed(self, view: Keyframe) -> list[Keyframe]:
-        """The keyframes that an update trains on beside a view: those that the map has yet to follow, or else random ones."""
+        """The keyframes that an update trains on besides a view: those that have moved and wait to be learnt again, or random ones."""
         return self.relearn.nearest(view, self.graph.keyframes, self.replay.count) or self.replay.draw(view)
 
     def _learn(self, window: Sequence[Keyframe], iterations: int, *, grow: bool = False) -> dict[str, float]:

@@ -1,6 +1,6 @@
-"""Which parts a system consists of: the one place that turns a configuration into parts.
+"""The parts of a system, made from its configuration. No other place does this.
 
-A front end, a map or a back end of one's own is one class and one line in FRONT_ENDS, MAPS or BACK_ENDS (docs/design.md has an example).
+A new front end, map or back end is one class and one line in FRONT_ENDS, MAPS or BACK_ENDS (docs/design.md has an example).
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ Part = TypeVar("Part")
 
 
 class System:
-    """The parts of one system, each made when it is first asked for and shared by all that need it."""
+    """The parts of one system. Each is made on first use and shared."""
 
     def __init__(
         self,
@@ -53,12 +53,12 @@ class System:
         back_end: "Callable[[System], BackEnd] | None" = None,
         map: "Callable[[System], Mapper] | None" = None,
     ) -> None:
-        """front_end, back_end, map: in place of those that the configuration names."""
+        """front_end, back_end, map: make these parts instead of those that the configuration names."""
         self.config, self.device = config, resolve_device(config.device, config.preset)
         self._make_front_end = front_end or _named(FRONT_ENDS, "front_end", config.front_end)
         self._make_back_end = back_end or _named(BACK_ENDS, "back_end", config.back_end)
         self._make_map = map or _named(MAPS, "map_representation", config.map_representation)
-        self.generator = torch.Generator().manual_seed(config.seed)  # of what is drawn on the CPU while frames come
+        self.generator = torch.Generator().manual_seed(config.seed)  # for all random draws on the CPU while frames are processed
         self.timer, self.motion = StageTimer(), MotionModel()
         self.tracker, self.mapper = self._networks()
         self.graph = KeyframeGraph(config.keyframes, verify=self.closes_loops)
@@ -69,7 +69,7 @@ class System:
         self.back_end = self._make_back_end(self)
 
     def _networks(self) -> tuple[Tracker, Mapper]:
-        """Their first weights come from torch's global generator, which is seeded for that and then put back."""
+        """The tracker and the map. Torch's global generator initialises their weights; it is seeded for that and then restored."""
         with seeded(self.config.seed):
             tracker = Tracker(self.config.tracker, self.config.finetune, self.device, self.config.seed)
             return tracker, self._make_map(self)

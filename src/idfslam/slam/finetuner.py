@@ -1,4 +1,4 @@
-"""Online finetuning of the tracker (Sec. V-B): one step on a pair of keyframes whenever the tracker has been asked often enough."""
+"""Online finetuning of the tracker (Sec. V-B): one step on a pair of keyframes after every so many registrations."""
 
 from typing import Any
 
@@ -23,13 +23,13 @@ class NoFinetuning:
 
 
 class Finetuner(NoFinetuning):
-    """Finetunes the tracker's out-conv, the map frozen."""
+    """Finetunes the tracker's out-conv. The map is frozen."""
 
     def __init__(self, tracker: Tracker, features: KeyframeFeatures, mapper: Mapper, graph: KeyframeGraph, timer: StageTimer) -> None:
         self.tracker, self.features, self.mapper, self.graph, self.timer = tracker, features, mapper, graph, timer
 
     def step(self) -> dict[str, float]:
-        """One step on a random pair of consecutive keyframes (Eq. 6), if one is due; its losses by name."""
+        """One step on a random pair of consecutive keyframes (Eq. 6), if it is due; returns its losses by name."""
         keyframes = self.graph.keyframes
         if not (self.tracker.due and self.tracker.learns(len(keyframes))):
             return {}

@@ -1,7 +1,7 @@
-"""The front end: a frame's pose from the keyframes and the map. Each front end is one class; `compose.py` names them.
+"""The front end: it computes a frame's pose from the keyframes and the map. Each front end is one class; `compose.py` names them.
 
-`Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map, and asks the neural tracker only where that is in
-doubt.
+`Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map, and uses the neural tracker only if the result is
+doubtful.
 """
 
 from abc import ABC, abstractmethod
@@ -21,19 +21,20 @@ from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.tracker import Tracker
 
-_BETTER = 1.05  # a later guess's score must be so many times the best one's to replace it. More: the predicted motion stands more often
-#                 where all guesses fit alike.
+# [1] Least ratio of the score of a later guess to the best score for it to replace the best. More: the predicted motion wins more often
+# where all guesses score about the same. Chosen by hand.
+_BETTER = 1.05
 
 
 class FrontEnd(Stateful, ABC):
-    """Tracks frames. A front end of one's own needs `track` alone."""
+    """Tracks frames. Another front end must implement `track` only."""
 
     @abstractmethod
     def track(self, view: Keyframe) -> Tracked:
-        """The pose of a view that stands at its predicted pose; the map has at least one keyframe."""
+        """Tracks a view, whose pose is the predicted one. The graph has at least one keyframe."""
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
-        """Learns from the final pose of a view, which recovery may have changed; the view is still at its predicted pose."""
+        """Learns from the final result for a view, after recovery. The view still has its predicted pose."""
 
 
 class Registration(FrontEnd):
@@ -52,11 +53,11 @@ class Registration(FrontEnd):
 
 
 class AlignmentToMap(FrontEnd):
-    """Alignment to the map from the predicted pose; where the result is doubtful, also from the registered and from the last pose."""
+    """Alignment to the map from the predicted pose. If the result is doubtful, the registered pose and the last pose are tried too."""
 
     def __init__(self, aligner: Aligner, registration: Registration, graph: KeyframeGraph, frames: FramePoses, timer: StageTimer) -> None:
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
-        self.evidence = Evidence()  # of the last frame that was aligned
+        self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
         """The evidence for the last pose."""
@@ -72,7 +73,7 @@ class AlignmentToMap(FrontEnd):
             return Tracked.aligned(aligned)
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:
-            return replace(registered, evidence=evidence, confident=False)  # it does not lie on the map
+            return replace(registered, evidence=evidence, confident=False)  # the view does not match the map there
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
@@ -81,7 +82,7 @@ class AlignmentToMap(FrontEnd):
             self.aligner.accept(tracked.alignment, view.T_wk)
 
     def _best_alignment(self, view: Keyframe) -> tuple[Alignment, Tracked | None]:
-        """The best alignment of the guesses that were tried, and the registered pose where one was found on the way."""
+        """The best alignment among the guesses, tried until one is not doubtful; and the registered pose if it was computed."""
         references = self.graph.references(self.aligner.config.references)
         best: Alignment | None = None
         registered: Tracked | None = None
@@ -102,7 +103,7 @@ class AlignmentToMap(FrontEnd):
         return best, registered
 
     def _guesses(self) -> list[tuple[Source | None, float | None]]:
-        """Poses to begin at, in their order, and how far off they may be [px]: predicted nearby, predicted, registered, the last pose."""
+        """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""
         expected = self.aligner.expected
         nearby: list[tuple[Source | None, float | None]] = [] if expected is None else [(Source.PREDICTED, expected)]
         return [*nearby, (Source.PREDICTED, None), (Source.REGISTERED, None), (None, None)]

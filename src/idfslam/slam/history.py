@@ -1,4 +1,4 @@
-"""The poses as they were reported while the camera moved, before later frames, loops and the polish improved them."""
+"""The poses reported while the camera moved, before later frames, loops and the polish improved them."""
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from idfslam.storage.state import State, Stateful
 
 
 class History(Stateful):
-    """Reports each frame."""
+    """Reports each frame, and keeps the reported poses."""
 
     def __init__(self, frames: FramePoses) -> None:
         self.frames = frames
@@ -25,11 +25,11 @@ class History(Stateful):
         self._reported = list(state["reported"].numpy())
 
     def poses(self) -> NDArray[np.float64]:
-        """(N, 4, 4) camera-to-world poses as they were reported."""
+        """(N, 4, 4) the reported camera-to-world poses."""
         return np.stack(self._reported) if self._reported else np.zeros((0, 4, 4))
 
     def report(self, frame: Frame, status: Status, losses: dict[str, float], *, keyframe: bool) -> FrameResult:
-        """The result for the frame that was added last. In a submap of its own its place in the world is unknown: it counts as lost."""
+        """The result for the frame added last. A frame outside the first submap has no known pose in the world: it counts as lost."""
         if self.frames.submap(-1) == 0:
             self._reported.append(self.frames.T_wc(-1).numpy())
         else:

@@ -9,7 +9,7 @@ from idfslam.tracking.tracker import Tracker
 
 
 class KeyframeFeatures:
-    """Extracts the features of a view when they are first asked for."""
+    """Extracts the features of a view on first use."""
 
     def __init__(self, tracker: Tracker) -> None:
         self.tracker = tracker
@@ -22,7 +22,7 @@ class KeyframeFeatures:
         return features
 
     def of_all(self, keyframes: Sequence[Keyframe]) -> Sequence[Described]:
-        """The features of keyframes, extracted for those that are looked at."""
+        """The features of keyframes, each extracted on first access."""
         return _LazyFeatures(self, keyframes)
 
 

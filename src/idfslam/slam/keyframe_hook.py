@@ -1,4 +1,4 @@
-"""What happens at each new keyframe beside mapping: loops, merged submaps, doubts about a relocalisation. Each is one class."""
+"""Hooks for each new keyframe: the relocalisation check, loop closing and merging of submaps. Each is one class."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from idfslam.storage.state import Stateful
 
 @dataclass(frozen=True)
 class Moved:
-    """Keyframes that the map has to learn again."""
+    """Keyframes that have moved, which the map must learn again."""
 
     keyframes: Sequence[Keyframe] = ()
-    submap: bool = False  # a whole submap has moved, the newest keyframe with it: the map must follow before the next frame
-    split: bool = False  # it was split off: what other hooks know of its place is wrong
+    submap: bool = False  # a whole submap has moved, with the newest keyframe: the map must learn it before the next frame
+    split: bool = False  # the submap was split off: other hooks must forget where it was thought to be
 
 
 class KeyframeHook(Stateful, ABC):
@@ -24,13 +24,13 @@ class KeyframeHook(Stateful, ABC):
 
     @abstractmethod
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
-        """After the keyframe was inserted into the graph, and before the map learns it."""
+        """Called after the keyframe was inserted into the graph, before the map learns it; returns which keyframes have moved."""
 
     def on_split(self) -> None:
-        """A submap was split off because a relocalisation was wrong."""
+        """Called after a submap was split off because a relocalisation was wrong."""
 
     def closed_loops(self) -> Sequence[Loop]:
-        """The loops that stand."""
+        """The closed loops."""
         return ()
 
     def figures(self) -> dict[str, Any]:

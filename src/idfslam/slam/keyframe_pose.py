@@ -1,4 +1,4 @@
-"""How the pose of a new keyframe is refined before the map learns it: against the frozen map (Eq. 4), or by registration."""
+"""Refinement of a new keyframe's pose before the map learns it: against the frozen map (Eq. 4), or by registration."""
 
 from abc import ABC, abstractmethod
 
@@ -13,8 +13,9 @@ from idfslam.slam.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence
 
-_CERTAIN = 2.0  # times `registration_prior_information`: with this much information of its own a pose would follow a registered one by
-#                 6 % of the difference at most, so the tracker is not asked. More: it is asked more often
+# [1] Factor on `registration_prior_information`. A pose with this much information in every direction would follow a registered one by 6 %
+# of the difference at most, so it is not registered. More: more keyframes are registered.
+_CERTAIN = 2.0
 
 
 class KeyframePose(ABC):
@@ -22,11 +23,11 @@ class KeyframePose(ABC):
 
     @abstractmethod
     def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
-        """Moves the keyframe, which is not stored yet; returns losses by name. evidence: of its tracked pose."""
+        """Refines the pose of a keyframe that is not stored yet; returns losses by name. evidence: for its tracked pose."""
 
 
 class PoseOptimisation(KeyframePose):
-    """Eq. 4: by gradient descent through the renderer."""
+    """Optimisation of the pose by gradient descent through the renderer (Eq. 4)."""
 
     def __init__(self, mapper: Mapper, graph: KeyframeGraph, timer: StageTimer) -> None:
         self.mapper, self.graph, self.timer = mapper, graph, timer
@@ -39,9 +40,10 @@ class PoseOptimisation(KeyframePose):
 
 
 class KeyframeRegistration(KeyframePose):
-    """By the neural tracker against the last keyframe: it is the most exact where the map is bare or noisy and images are few.
+    """Registration by the neural tracker against the last keyframe, which is the most exact where the map is bare or noisy.
 
-    It counts only where the images of the two keyframes agree with it, and only in directions of which map and images know little.
+    The registered pose is used only if the images of the two keyframes agree at it. It is a prior of the alignment, and so acts in
+    directions that map and images constrain weakly.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class KeyframeRegistration(KeyframePose):
 
 
 class TrackedPose(KeyframePose):
-    """The tracked pose stands."""
+    """No refinement: the keyframe keeps its tracked pose."""
 
     def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
         return {}

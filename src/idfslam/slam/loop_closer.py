@@ -1,6 +1,7 @@
-"""Loop closing: a new keyframe is compared with places seen before, and drift is undone.
+"""Loop closing: a new keyframe is compared with places seen before, and drift is corrected.
 
-`graph/loop_consistency.py` says which loops are consistent; here the tracker and the images are asked. The map follows by replay.
+Here the tracker and the images verify loops. `graph/loop_consistency.py` decides which of the verified loops are consistent. The map learns
+moved keyframes again by replay.
 """
 
 from collections.abc import Sequence
@@ -15,8 +16,9 @@ from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
-_MIN_SHIFT = 0.005  # [m] by which a loop must move a keyframe for the map to learn it again; more: less replay, more of a double surface
-_OVERLAPPING = 2  # of the keyframes compared, those that should see the same by their pose; the others are the most similar ones
+# Both were chosen by hand.
+_MIN_SHIFT = 0.005  # [m] least shift of a keyframe for the map to learn it again. More: less replay, and more double surfaces
+_OVERLAPPING = 2  # candidates chosen by their pose; the others are chosen by similarity. More: fewer are chosen by similarity
 
 
 class LoopCloser(KeyframeHook):
@@ -44,7 +46,7 @@ class LoopCloser(KeyframeHook):
         self.loops.forget_between(self.graph)
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
-        """Adds edges to covisible keyframes that the images confirm, and closes a loop where there is drift."""
+        """Adds edges to covisible keyframes that the images confirm, and closes a loop if there is drift."""
         reachable = self.loops.within_reach(self.graph, keyframe)
         self._verify_covisible(keyframe, reachable)
         for i in self._candidates(keyframe, reachable):
@@ -54,20 +56,20 @@ class LoopCloser(KeyframeHook):
         return Moved()
 
     def _verify_covisible(self, keyframe: Keyframe, reachable: list[int]) -> None:
-        """Where the images agree at the present pose, there is no drift: the pose was measured."""
+        """Adds an edge to each covisible keyframe whose image agrees at the present pose. There is no drift then."""
         for i in [i for i in keyframe.unverified if i not in reachable][: self.config.tries]:
             if self.relocaliser.images_agree(keyframe, self.graph.keyframes[i], keyframe.T_wk):
                 self.graph.add_edge(keyframe, i)
 
     def _offer(self, keyframe: Keyframe, i: int, T_wc: Any) -> Moved:
-        """The keyframe was found at T_wc (4, 4), seen from stored keyframe i."""
+        """Offers the loop from stored keyframe i to a keyframe whose verified pose is T_wc (4, 4)."""
         T_wb = self.graph.keyframes[keyframe.host].T_wk
         T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
         shifts = self.loops.offer(self.graph, Loop(i, keyframe.host, T_ab, keyframe.index))
         return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT])
 
     def _candidates(self, keyframe: Keyframe, reachable: list[int]) -> list[int]:
-        """Stored keyframes without an edge that should see the same by their pose, then those that look most similar."""
+        """Stored keyframes without an edge that are covisible at their poses, then those with the most similar descriptors."""
         overlapping = [i for i in keyframe.unverified if i in reachable][:_OVERLAPPING]
         keyframes = [self.graph.keyframes[i] for i in reachable]
         similar = [reachable[i] for i in self.relocaliser.retrieve(keyframe, keyframes, self.config.tries)]

@@ -1,4 +1,4 @@
-"""The polish at the end of a run: all keyframes and the map in turns, in steps that shrink to nothing."""
+"""The polish at the end of a run: it refines keyframes and trains the map in turns, with learning rates that decay to zero."""
 
 import math
 from time import perf_counter
@@ -12,14 +12,14 @@ from idfslam.slam.relearn_queue import RelearnQueue
 
 
 class NoPolish:
-    """The map stays as it is after the last frame, as in the paper."""
+    """No polish, as in the paper."""
 
     def run(self) -> None:
         """Called once, after the last frame."""
 
 
 class Polish(NoPolish):
-    """Refines random keyframes, then updates the map on them, within a budget of time."""
+    """Refines random keyframes, then updates the map on them, within a time budget."""
 
     def __init__(
         self,
@@ -31,7 +31,7 @@ class Polish(NoPolish):
         refinement: NoRefinement,
         mapper: Mapper,
     ) -> None:
-        """steps: of each map update."""
+        """steps: number of steps of each map update."""
         self.config, self.steps, self.graph, self.replay = config, steps, graph, replay
         self.relearn, self.refinement, self.mapper = relearn, refinement, mapper
 
@@ -41,7 +41,9 @@ class Polish(NoPolish):
         updates = max(c.updates, math.ceil(c.rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
             spent = (perf_counter() - start) / c.seconds
-            done = i / updates if spent < (i + 1) / updates else spent  # the clock counts only where time runs short: repeatable elsewhere
+            done = (
+                i / updates if spent < (i + 1) / updates else spent
+            )  # the clock matters only if time runs short, else runs repeat exactly
             if done >= 1:
                 break
             keyframes = self.replay.sample(c.keyframes)

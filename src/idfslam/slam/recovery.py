@@ -1,4 +1,4 @@
-"""Recovery: a lost camera is looked for among all keyframes; where it stays lost, mapping goes on in a new submap (not in the paper)."""
+"""Recovery (not in the paper): a lost camera is relocalised among all keyframes. If that fails for long, a new submap is started."""
 
 import logging
 from abc import ABC, abstractmethod
@@ -19,36 +19,39 @@ from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
 
-_EXAMPLES = 16  # keyframes from which the usual photometric error is estimated; more: a surer estimate, at a comparison of images each
+_EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
 class Mode(Enum):
-    """What the system is doing."""
+    """The state of tracking before a frame."""
 
-    STARTING = "starting"  # no frame has a pose yet, and no map is there to be found in
-    TRACKING = "tracking"  # the last frame has a pose
-    LOST = "lost"  # the last frame has none; at the start, the camera is to be found in a saved map
+    STARTING = "starting"  # there is no frame and no map yet
+    TRACKING = "tracking"  # the last frame was tracked
+    LOST = "lost"  # the last frame was lost; or there is no frame yet, and the camera must be relocalised in a saved map
 
 
 class Recovery(Stateful, ABC):
-    """Confirms what a front end found, or looks for the camera."""
+    """Confirms the result of a front end, or relocalises the camera."""
 
     def __init__(self, graph: KeyframeGraph, frames: FramePoses) -> None:
         self.graph, self.frames = graph, frames
 
     @property
     def mode(self) -> Mode:
-        """What the system is doing before the next frame."""
+        """The state of tracking before the next frame."""
         if len(self.frames):
             return Mode.LOST if self.frames.last_status is Status.LOST else Mode.TRACKING
         return Mode.LOST if self.graph.keyframes else Mode.STARTING
 
     @abstractmethod
     def recover(self, view: Keyframe, tracked: Tracked) -> Tracked:
-        """What stands for a view at its predicted pose, given what the front end found."""
+        """The final result for a view, given the front end's. The view has its predicted pose."""
 
     def close_gap(self, index: int, mode: Mode) -> None:
-        """After the frame `index` was added: gives lost frames before it poses where the camera was found again. mode: before it."""
+        """Interpolates the lost frames before the frame `index`, just added, if the camera was lost before it and is not lost now.
+
+        mode: the state of tracking before the frame.
+        """
 
     def start_in_map(self, keyframes: Sequence[Keyframe]) -> None:
         """Before the first frame of a run that starts in a saved map, of which these are some keyframes."""
@@ -59,14 +62,14 @@ class Recovery(Stateful, ABC):
 
 
 class NoRecovery(Recovery):
-    """A lost frame stays where the last motion leads, and is mapped there (Sec. III)."""
+    """No recovery: a lost frame keeps its predicted pose, and is mapped there (Sec. III)."""
 
     def recover(self, view: Keyframe, tracked: Tracked) -> Tracked:
         return tracked
 
 
 class Relocalisation(Recovery):
-    """Looks for a lost camera among all keyframes, and begins a new submap where it is not found for long."""
+    """Relocalises a lost camera among all keyframes, and starts a new submap if that fails for long."""
 
     def __init__(
         self,
@@ -80,7 +83,7 @@ class Relocalisation(Recovery):
         super().__init__(graph, frames)
         self.config, self.relocaliser, self.check, self.timer = config, relocaliser, check, timer
         self.relocalisations = 0
-        self._searched = 0  # frames with depth in which the camera was looked for since it was lost
+        self._searched = 0  # number of frames with depth since the camera was lost
 
     def state(self) -> State:
         """The counts."""
@@ -109,13 +112,13 @@ class Relocalisation(Recovery):
             log.info("found again at frame %d; %d frames before it are interpolated", index, self.frames.interpolate_gaps())
 
     def _trusts(self, tracked: Tracked) -> bool:
-        """Whether the front end's answer stands; where the camera was lost, only a convincing alignment to the map does."""
+        """Whether the front end's result is accepted. After a lost frame only a convincing alignment to the map is."""
         if self.mode is Mode.TRACKING:
             return not tracked.is_lost and tracked.confident
         return tracked.alignment is not None and self.relocaliser.convincing(tracked.alignment)
 
     def _relocalised(self, view: Keyframe) -> Tracked | None:
-        """The view's pose by the keyframes that look most like it; None if none is convincing."""
+        """Relocalises a view among the keyframes with the most similar descriptors; None if no pose is convincing."""
         if not view.has_depth:
             return None
         with self.timer.stage("relocalise"):

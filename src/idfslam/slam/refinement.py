@@ -1,6 +1,6 @@
-"""Refinement: stored keyframes are aligned anew to the map as it has become, in turns with the map, which then learns from all of them.
+"""Refinement: stored keyframes are aligned to the present map again, in turns with updates of the map on the same keyframes.
 
-It alternates and is not a joint bundle adjustment: one keyframe moves at a time, and the map stands still meanwhile.
+It alternates and is not a joint bundle adjustment: one keyframe moves at a time, while the map is frozen.
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from idfslam.slam.relearn_queue import RelearnQueue
 
 
 class NoRefinement:
-    """Keyframes stay where they were mapped, as in the paper."""
+    """No refinement, as in the paper."""
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Moves keyframes of the graph."""
+        """Refines the poses of stored keyframes."""
 
 
 class KeyframeRefinement(NoRefinement):
@@ -28,8 +28,9 @@ class KeyframeRefinement(NoRefinement):
         self.config, self.graph, self.relearn, self.aligner = config, graph, relearn, aligner
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
-        """Leaves out the first keyframe of each submap, which defines its world, and those that wait to be learnt where a loop has moved
-        them: the map would draw them back.
+        """Refines the poses of stored keyframes, except the first of each submap, which defines its world.
+
+        Keyframes that a loop has moved are left out until the map has learnt them again: it would draw them back.
         """
         for keyframe in keyframes:
             if keyframe.host != keyframe.submap and keyframe not in self.relearn:
@@ -41,6 +42,6 @@ class KeyframeRefinement(NoRefinement):
         change = change_between(keyframe.T_wk, aligned.T_wc)
         small = float(change[:3].norm()) < self.config.max_shift
         if aligned.status is Status.OK and small and not self.aligner.doubtful(aligned):
-            # half way: the map has learnt this place from the present pose, in part
+            # Half of the change: the map has learnt this place partly from the present pose.
             self.graph.set_pose(keyframe, moved(keyframe.T_wk, change / 2))
         self.aligner.release(keyframe)

@@ -1,7 +1,7 @@
-"""Verifies a relocalisation afterwards: two places can look alike for metres, but not for ever.
+"""Verification of a relocalisation by later keyframes: two places can look alike for metres, but not further.
 
-What is mapped after a relocalisation stays apart from older keyframes until the camera has gone some way and still sees what it should.
-If the images of old keyframes contradict it instead, it was another place, and what was mapped since becomes a submap of its own.
+After a relocalisation new keyframes are kept separate from older ones, until the camera has moved on and the images of old keyframes
+confirm the place. If these images contradict it, the relocalisation was wrong, and the keyframes since become a submap of their own.
 """
 
 import logging
@@ -17,11 +17,13 @@ from idfslam.storage.state import State
 
 log = logging.getLogger(__name__)
 
-_CONFIRMED_AFTER = 3.0  # [m], turns as the shift 2 m ahead: a keyframe this far on that agrees confirms the place. More: later, and safer
-_WITNESSES = 4  # old keyframes compared with a new one; more: fewer wrong contradictions, at a comparison of images each
-_MIN_IN_VIEW = 0.3  # share of an old keyframe's landmarks in view from which it says something
-_CONTRADICTION = 1.4  # photometric error over the doubtful one from which an old keyframe contradicts; more: fewer places are refuted
-_CONTRADICTIONS = 2  # contradicted keyframes in a row that refute a place; more: fewer and later refutations
+# All of these were chosen by hand.
+# [m] Distance from the relocalisation, with a turn as the shift 2 m ahead, from which an agreeing keyframe confirms it. More: later, safer.
+_CONFIRMED_AFTER = 3.0
+_WITNESSES = 4  # old keyframes compared with a new one. More: fewer wrong contradictions, at a comparison of images each
+_MIN_IN_VIEW = 0.3  # [1] least share of an old keyframe's landmarks in view for a comparison. More: fewer and safer comparisons
+_CONTRADICTION = 1.4  # [1] ratio of the photometric error to the doubtful one that is a contradiction. More: fewer refutations
+_CONTRADICTIONS = 2  # contradicted keyframes in a row that refute a relocalisation. More: fewer and later refutations
 
 
 class RelocalisationCheck(KeyframeHook):
@@ -29,9 +31,9 @@ class RelocalisationCheck(KeyframeHook):
 
     def __init__(self, aligner: Aligner, graph: KeyframeGraph, frames: FramePoses) -> None:
         self.aligner, self.graph, self.frames = aligner, graph, frames
-        self.max_error = 0.0  # photometric error above which an old keyframe contradicts
-        self.contradictions = 0  # keyframes in a row that were contradicted
-        self.refuted = 0  # relocalisations that were undone
+        self.max_error = 0.0  # largest photometric error to an old keyframe that does not contradict
+        self.contradictions = 0  # number of contradicted keyframes in a row
+        self.refuted = 0  # number of refuted relocalisations
 
     def state(self) -> State:
         """The counts and the limit."""
@@ -45,7 +47,7 @@ class RelocalisationCheck(KeyframeHook):
         return {"relocalisations_refuted": self.refuted}
 
     def begin(self) -> None:
-        """The camera was relocalised just now."""
+        """Starts the check, after a relocalisation."""
         self.max_error, self.contradictions = _CONTRADICTION * self.aligner.doubtful_brightness, 0
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
@@ -60,7 +62,7 @@ class RelocalisationCheck(KeyframeHook):
         return Moved([*seemingly_covisible, *of_submap], submap=True, split=True)
 
     def contradicted(self, keyframe: Keyframe) -> bool:
-        """Whether a keyframe just inserted refutes the relocalisation; if it confirms it instead, the check ends."""
+        """Whether a keyframe just inserted refutes the relocalisation. If it confirms it, the check ends."""
         first = self.graph.unverified_from
         if first is None:
             return False
@@ -71,8 +73,8 @@ class RelocalisationCheck(KeyframeHook):
             return False
         agrees = min(errors) <= self.max_error
         self.contradictions = 0 if agrees else self.contradictions + 1
-        way = distances(self.graph.keyframes[first].T_wk[None].numpy(), keyframe.T_wk[None].numpy())[0]
-        if agrees and way > _CONFIRMED_AFTER:
+        distance = distances(self.graph.keyframes[first].T_wk[None].numpy(), keyframe.T_wk[None].numpy())[0]
+        if agrees and distance > _CONFIRMED_AFTER:
             self.graph.confirm()
         if self.contradictions < _CONTRADICTIONS:
             return False

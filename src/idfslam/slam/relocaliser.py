@@ -1,7 +1,7 @@
-"""Relocalisation: a view's pose by a keyframe that looks similar, wherever the camera was thought to be.
+"""Relocalisation: a view's pose from keyframes that look similar, without a prediction.
 
-The global descriptor says which keyframes to try, the neural tracker registers the view with each, and the alignment to map and images
-there decides: a pose counts only if it explains what is seen, without doubt.
+The global descriptor selects keyframes, and the neural tracker registers the view with each. The view is then aligned to the map and to the
+images there. Only an alignment without doubt is accepted.
 """
 
 import math
@@ -21,11 +21,13 @@ from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.tracker import Tracker
 
-_MIN_IN_VIEW = 0.3  # share of a keyframe's landmarks in view from which it can confirm a pose; more: fewer and safer confirmations
-_SAME_PLACE = 0.5, math.radians(20)  # [m], [rad] within which two poses are one place; more: fewer answers count as ambiguous
-_MAX_ERROR_RATIO = 1.3  # photometric error over the usual one up to which a relocalisation is accepted (right places: 0.8 to 1.3;
-#                         doors that look alike: 1.5)
-_RIVAL = 0.8  # share of the best score from which another place makes the answer ambiguous; more: fewer answers are refused
+# All of these were chosen by hand.
+_MIN_IN_VIEW = 0.3  # [1] least share of a keyframe's landmarks in view to confirm a pose. More: fewer and safer confirmations
+_SAME_PLACE = 0.5, math.radians(20)  # [m], [rad] largest difference of two poses at one place. More: fewer results are ambiguous
+# [1] Largest ratio of the photometric error to the usual one of an accepted relocalisation (right places: 0.8 to 1.3; doors that look
+# alike: 1.5). More: more relocalisations, and more wrong ones.
+_MAX_ERROR_RATIO = 1.3
+_RIVAL = 0.8  # [1] share of the best score above which another place makes the result ambiguous. More: fewer results are refused
 
 
 class Relocaliser(Stateful):
@@ -47,7 +49,7 @@ class Relocaliser(Stateful):
 
     @property
     def references(self) -> int:
-        """How many keyframes' images a view is compared with."""
+        """The number of keyframes whose images a view is compared with."""
         return self.aligner.config.references
 
     def descriptor(self, view: Keyframe) -> Tensor:
@@ -56,7 +58,7 @@ class Relocaliser(Stateful):
 
     @torch.no_grad()
     def _described(self, view: Keyframe) -> Tensor:
-        """From the features as they were trained: finetuned ones would make places seen earlier look different."""
+        """The descriptor from the features before finetuning. Finetuned ones would change the descriptors of places seen earlier."""
         trunk = self.features.of(view).trunk[None]
         features = self.tracker.inference.head(trunk)[0].float()
         if self._codebook is None:
@@ -71,12 +73,12 @@ class Relocaliser(Stateful):
         return similarity.topk(min(count, len(keyframes))).indices.tolist()
 
     def registered(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
-        """The view's pose T_wc (4, 4) by the neural tracker against a keyframe; None if it is lost."""
+        """Registers a view against a keyframe by the neural tracker: its pose T_wc (4, 4), or None if it is lost."""
         result = self.tracker.track(self.features.of(view), self.features.of(keyframe))
         return None if result.status is Status.LOST else keyframe.T_wk @ torch.from_numpy(result.T_kc)
 
     def verify_candidate(self, view: Keyframe, keyframe: Keyframe) -> Alignment | None:
-        """The view's pose by a keyframe that looks similar, aligned to the map and the images there; None if in doubt."""
+        """Registers a view against a candidate keyframe, then aligns it to the map and the images there; None if the result is doubtful."""
         T_guess = self.registered(view, keyframe)
         if T_guess is None:
             return None
@@ -84,17 +86,18 @@ class Relocaliser(Stateful):
         return aligned if self.convincing(aligned) and self.aligner.fits(aligned, _MAX_ERROR_RATIO) else None
 
     def relocalise(self, view: Keyframe, keyframes: Sequence[Keyframe], tries: int) -> tuple[Keyframe, Alignment] | None:
-        """The keyframe beside which a view is, of the `tries` most similar, and the view's pose; None if in doubt."""
-        answers = []
+        """Relocalises a view: the best of the `tries` most similar keyframes, and the view's alignment; None if there is doubt."""
+        results = []
         for i in self.retrieve(view, keyframes, tries):
             if aligned := self.verify_candidate(view, keyframes[i]):
-                answers.append((keyframes[i], aligned))
-        return unambiguous(answers)
+                results.append((keyframes[i], aligned))
+        return unambiguous(results)
 
     def verify_loop(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
-        """The view's pose T_wc (4, 4) by a keyframe from which it may have drifted away; None if in doubt.
+        """The pose T_wc (4, 4) of a view from a keyframe from which it may have drifted; None if there is doubt.
 
-        The images of the two alone decide where they agree: around them the map may hold both the surface and its drifted double.
+        If the images of the two agree, the registered pose is taken without the map: the map may have the surface twice there, once with
+        drift.
         """
         T_wc = self.registered(view, keyframe)
         if T_wc is None or self.images_agree(view, keyframe, T_wc):
@@ -103,7 +106,7 @@ class Relocaliser(Stateful):
         return aligned.T_wc if self.convincing(aligned) else None
 
     def estimate_usual_error(self, keyframes: Sequence[Keyframe]) -> None:
-        """Estimates the usual photometric error between stored keyframes; answers are judged by it while no frame was aligned yet."""
+        """Estimates the usual photometric error from stored keyframes, by which results are judged before a frame was aligned."""
         errors = []
         for keyframe in keyframes:
             references = self.graph.older_references(keyframe, self.references)
@@ -112,21 +115,21 @@ class Relocaliser(Stateful):
         self.aligner.expect(errors)
 
     def convincing(self, aligned: Alignment) -> bool:
-        """Whether an alignment is unlikely to be an accident."""
+        """Whether an alignment is unlikely to be accidental: it is not doubtful, and sees enough landmarks."""
         return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.doubtful(aligned)
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
-        """Whether the view, at `T_wc` (4, 4), shows the keyframe's landmarks where they are."""
+        """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""
         in_view, error = self.aligner.compare(view, keyframe, T_wc)
         return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.doubtful_brightness
 
 
-def unambiguous(answers: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
-    """The best of several answers to where a view is; None if there is none, or if another place explains it nearly as well."""
-    if not answers:
+def unambiguous(results: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
+    """The result with the best score; None if there is none, or if one at another place scores nearly as well."""
+    if not results:
         return None
-    best = max(answers, key=lambda answer: answer[1].score)
-    for _, other in answers:
+    best = max(results, key=lambda result: result[1].score)
+    for _, other in results:
         change = change_between(best[1].T_wc, other.T_wc)
         elsewhere = float(change[:3].norm()) > _SAME_PLACE[0] or float(change[3:].norm()) > _SAME_PLACE[1]
         if elsewhere and other.score > _RIVAL * best[1].score:

@@ -1,4 +1,4 @@
-"""iDF-SLAM (Fig. 2): the neural tracker in front, the neural implicit mapper behind, keyframes between them."""
+"""iDF-SLAM (Fig. 2): a neural tracker as the front end, a neural implicit map as the back end, and keyframes between them."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -26,14 +26,14 @@ from idfslam.storage.state import State, parts_of
 
 log = logging.getLogger(__name__)
 
-_EXAMPLES = 16  # keyframes of a saved map from which the usual photometric error is estimated; more: slower start, surer estimate
-_FIGURES = {"loops": [], "loops_refused": 0, "submaps_merged": 0, "relocalisations_refuted": 0}  # of a system without these parts
+_EXAMPLES = 16  # keyframes of a saved map from which the usual photometric error is estimated. More: slower start, surer estimate
+_FIGURES = {"loops": [], "loops_refused": 0, "submaps_merged": 0, "relocalisations_refuted": 0}  # defaults for a system without these parts
 
 
 class Slam:
-    """Frames in, poses and a map out; one process, sequential, seeded.
+    """Computes poses and a map from frames.
 
-    The world is the first frame's camera. On the CPU, two runs with one config on one machine give the same result.
+    The world is the frame of the first camera. On the CPU, two runs with one config on one machine give the same result.
     """
 
     def __init__(
@@ -44,18 +44,18 @@ class Slam:
         back_end: Callable[[System], BackEnd] | None = None,
         map: Callable[[System], Mapper] | None = None,
     ) -> None:
-        """front_end, back_end, map: what makes a part of one's own in place of the one that the config names (`compose.py`)."""
+        """front_end, back_end, map: make these parts instead of those that the config names (`compose.py`)."""
         system = System(config, front_end=front_end, back_end=back_end, map=map)
         self.config, self.device, self.timer = config, system.device, system.timer
         self.graph, self.frames, self.coverage, self.motion = system.graph, system.frames, system.coverage, system.motion
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
         self.history = History(system.frames)
-        self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if it has a pose and is no keyframe
+        self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if it was tracked and is no keyframe
         self._finished = False
 
     def process(self, frame: Frame) -> FrameResult:
-        """One frame: track it; then map it if it becomes a keyframe, or else refresh the map or finetune the tracker."""
+        """Tracks a frame. Then maps it if it becomes a keyframe, and otherwise updates the map or finetunes the tracker."""
         with self.back_end.foreground():
             view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
             tracked = self._track(view, mode)  # Sec. V
@@ -68,7 +68,7 @@ class Slam:
             return self.history.report(frame, tracked.status, map_frame(view, tracked), keyframe=selected)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
-        """The view's pose from where the last motion leads; the first frame with depth is the world."""
+        """Tracks a view from its predicted pose. The first frame with depth defines the world."""
         if not self.graph.keyframes:
             return Tracked.first(view.T_wk, has_depth=view.has_depth)
         T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
@@ -77,7 +77,7 @@ class Slam:
         if mode is Mode.TRACKING and tracked.continues_motion:
             information = None if tracked.alignment is None else tracked.alignment.information
             self.motion.update(T_last, tracked.T_wc, information, self.config.alignment.prior_information)
-        else:  # the way from where the camera was last seen is not the motion of one frame
+        else:  # the change since the last tracked pose is not the motion of one frame
             self.motion.stop()
         return tracked
 
@@ -85,13 +85,13 @@ class Slam:
         return self.motion.predict(self.frames.T_wc(-1)) if len(self.frames) else torch.eye(4, dtype=torch.float64)
 
     def _view(self, frame: Frame, T_wc: Tensor) -> Keyframe:
-        """The frame on the map's device."""
+        """A frame on the map's device, at pose `T_wc` (4, 4)."""
         return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
 
     def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
-        """Before the first frame: a saved map, whose field is of this config, and its keyframes with poses T_wk (4, 4).
+        """Starts in a saved map with a field of this config, and its keyframes with poses T_wk (4, 4), before the first frame.
 
-        The camera counts as lost until it is found there; from then on the map is extended.
+        The camera counts as lost until it is relocalised in the map. From then on the map is extended.
         """
         self.mapper.take_over(saved.field)
         for frame, T_wk in keyframes:
@@ -100,7 +100,7 @@ class Slam:
         self.recovery.start_in_map(self.replay.sample(_EXAMPLES))
 
     def finish(self) -> None:
-        """The end of a run: the last frame is mapped too, and all keyframes' poses and the map are polished."""
+        """Ends a run: maps the last frame too, and polishes the keyframes' poses and the map."""
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
@@ -109,32 +109,32 @@ class Slam:
                 "%d frames are of submaps that were not merged with the first: they count as lost, and the map leaves them out", alone
             )
         if self.config.refine and self._pending is not None:
-            self.back_end.add_keyframe(*self._pending)  # or what came into view in the last frames would be in no keyframe
+            self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
         self.back_end.finish()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
-        """The observed surface in cells of `resolution` [m] (none: the config's), with vertex colours."""
+        """The observed surface in cells of `resolution` [m], with vertex colours. None: the config's resolution."""
         return mesh_of(self.mapper.learnt(), self.coverage.views(), resolution or self.config.mesh.resolution)
 
     def save_map(self, path: Path) -> None:
-        """The map as one file, to be read by `idfslam.mapping.saved_map.load_map`."""
+        """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads."""
         save_map(path, self.mapper.learnt(), self.coverage.views())
 
     def trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) camera-to-world poses of all frames processed; frames follow their keyframes."""
+        """(N, 4, 4) camera-to-world poses of all processed frames. Frames move with their keyframes."""
         return self.frames.trajectory()
 
     def live_trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) the poses as they were reported: before later frames, loops and the polish improved them."""
+        """(N, 4, 4) the reported poses, before later frames, loops and the polish improved them."""
         return self.history.poses()
 
     def statuses(self) -> list[Status]:
-        """How the pose of each processed frame was found."""
+        """The status of each processed frame."""
         return self.frames.statuses()
 
     @property
     def timings(self) -> dict[str, list[float]]:
-        """[ms] of each call, by stage."""
+        """The durations [ms] of all calls, by stage."""
         return self.timer.milliseconds
 
     def figures(self) -> dict[str, Any]:
@@ -148,19 +148,19 @@ class Slam:
         return [StoredKeyframe(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap, k.camera) for k in self.graph.keyframes]
 
     def loops(self) -> Sequence[Loop]:
-        """The loops that were closed."""
+        """The closed loops."""
         return self.back_end.loops()
 
     def state(self) -> State:
-        """The whole run up to here, without images; gathered from the parts (`idfslam.storage.state`)."""
+        """The state of the run, without images, collected from its parts (`idfslam.storage.state`)."""
         parts = {name: part.state() for name, part in parts_of(self).items()}
         pending = None if self._pending is None else {"view": self._pending[0].state(), "tracked": self._pending[1].state()}
         return {"graph": self.graph.state(), "pending": pending, "finished": self._finished, "parts": parts}
 
     def restore(self, state: State, frame: Callable[[int], Frame]) -> None:
-        """Takes over `state` in a new Slam of the same config: it goes on as the first would have, on the CPU to the last bit.
+        """Takes over `state` in a new Slam of the same config. The run continues as it would have, on the CPU to the last bit.
 
-        frame: the frame of an index, as it was processed. Raises RecordingError where its images are others.
+        frame: returns the processed frame of an index. Raises RecordingError if its images differ.
         """
 
         def revive(kept: State) -> Keyframe:

@@ -1,4 +1,4 @@
-"""How long each stage of a frame takes."""
+"""Timing of the stages of a frame."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from idfslam.storage.state import State, Stateful
 
 
 class StageTimer(Stateful):
-    """The milliseconds of each call of each stage."""
+    """The durations [ms] of all calls, by stage."""
 
     def __init__(self) -> None:
         self.milliseconds: dict[str, list[float]] = defaultdict(list)
@@ -26,7 +26,7 @@ class StageTimer(Stateful):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Times what runs within it."""
+        """A context that times a stage."""
         start = perf_counter()
         yield
         self.milliseconds[name].append((perf_counter() - start) * 1e3)

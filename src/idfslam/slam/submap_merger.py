@@ -1,7 +1,7 @@
-"""Merging submaps: each new keyframe is looked for in the other submaps, until the relative pose of two submaps is known.
+"""Merging submaps: each new keyframe is relocalised in the other submaps, until the relative pose of two submaps is known.
 
-Nothing limits how far two submaps may be apart, and places that look alike are told apart by what lies around them. So several keyframes
-over some way, each convincing and unambiguous, must agree before two submaps are merged.
+The relative pose of two submaps has no prior, so it cannot expose places that only look alike. Therefore several keyframes along a path,
+each convincing and unambiguous, must agree before two submaps are merged.
 """
 
 import logging
@@ -22,15 +22,15 @@ log = logging.getLogger(__name__)
 
 
 class SubmapMerger(KeyframeHook):
-    """Merges submaps of a graph."""
+    """Merges the submaps of a graph."""
 
     def __init__(self, config: LoopConfig, relocaliser: Relocaliser, graph: KeyframeGraph, frames: FramePoses) -> None:
         self.config, self.relocaliser, self.graph, self.frames = config, relocaliser, graph, frames
-        self.agreeing: list[Loop] = []  # the last sightings in another submap, as far as they agree
-        self.merged = 0
+        self.agreeing: list[Loop] = []  # the last consecutive loops to another submap that agree
+        self.merged = 0  # number of merges
 
     def state(self) -> State:
-        """The sightings and the count."""
+        """The agreeing loops and the number of merges."""
         return {"agreeing": [plain_loop(loop) for loop in self.agreeing], "merged": self.merged}
 
     def restore(self, state: State) -> None:
@@ -41,7 +41,7 @@ class SubmapMerger(KeyframeHook):
         return {"submaps_merged": self.merged}
 
     def on_split(self) -> None:
-        self.agreeing = []  # they were made where the camera was thought to be
+        self.agreeing = []  # they belong to poses that were wrong
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
         loop = self._sighting(keyframe)
@@ -63,17 +63,17 @@ class SubmapMerger(KeyframeHook):
         return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > 0], submap=True)
 
     def _span(self) -> float:
-        """How far [m] the camera, or what it looks at, has moved since the first of the agreeing sightings."""
+        """The distance [m] between the first and the last of the agreeing loops, in shift and turn."""
         first, last = (self.graph.keyframes[loop.b].T_wk[None].numpy() for loop in (self.agreeing[0], self.agreeing[-1]))
         return float(distances(first, last)[0])
 
     def _sighting(self, keyframe: Keyframe) -> Loop | None:
-        """The keyframe of another submap that this one sees again, and their relative pose."""
+        """The loop from a keyframe of another submap to this keyframe, if it is relocalised there."""
         others = [other for other in self.graph.keyframes if other.submap != keyframe.submap]
-        answer = self.relocaliser.relocalise(keyframe, others, self.config.relocalisation_tries)
-        if answer is None:
+        result = self.relocaliser.relocalise(keyframe, others, self.config.relocalisation_tries)
+        if result is None:
             return None
-        other, aligned = answer
+        other, aligned = result
         T_wb = self.graph.keyframes[keyframe.host].T_wk
         T_ab = se3.inverse(other.T_wk) @ aligned.T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
         return Loop(other.host, keyframe.host, T_ab, keyframe.index)

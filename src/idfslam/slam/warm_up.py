@@ -1,4 +1,4 @@
-"""What SLAM compiles and loads at its first frames, done before a live camera's first: they would be far apart, or all that there is."""
+"""Warm-up: SLAM compiles and loads code at its first frames. This is done before a live camera's first frame, which would be delayed."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ _FRAMES = 4  # made-up frames; more: nothing new is compiled
 
 
 def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
-    """A few made-up frames through a Slam, to be thrown away: the first map, the alignment, doubt and with it the tracker."""
+    """Runs a Slam on a few synthetic frames: it maps, aligns, and with a doubtful frame uses the tracker. The result is discarded."""
     slam = make_slam(config)
     for i in range(_FRAMES):
         slam.process(made_up(i))
@@ -22,7 +22,7 @@ def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
 
 
 def made_up(i: int) -> Frame:
-    """The corner of a room papered with random squares; the last one has another paper and another shape, and is doubted."""
+    """Frame i: the corner of a room with random squares. The last frame has other squares and another shape, so it is doubtful."""
     rng = np.random.default_rng(i == _FRAMES - 1)
     squares = rng.random((_CAMERA.height // 8, _CAMERA.width // 8, 3), np.float32)
     colour = squares.repeat(8, 0).repeat(8, 1)
