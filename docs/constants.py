@@ -1,6 +1,7 @@
 """The constants of the algorithms, read from the code: what stands at the head of each file, with the comment that explains it."""
 
 import ast
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -48,11 +49,14 @@ def _is_numeric(value: ast.expr) -> bool:
 
 
 def _comment(lines: list[str], node: ast.Assign) -> str:
-    """The comment behind a constant and its continuation below; else the block of comment lines above its group."""
+    """The comment behind a constant and its continuation below; else the block of comment lines directly above."""
     last = (node.end_lineno or node.lineno) - 1
     behind = re.search(r"  # (.*)$", lines[last])
-    parts = [behind[1]] if behind else []
-    for line in lines[last + 1 :] if behind else []:
+    if behind is None:
+        above = list(itertools.takewhile(lambda line: line.startswith("# "), reversed(lines[: node.lineno - 1])))
+        return " ".join(line[2:] for line in reversed(above))
+    parts = [behind[1]]
+    for line in lines[last + 1 :]:
         more = re.match(r"#\s{2,}(.*)$", line)
         if more is None:
             break

@@ -148,7 +148,7 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     check.max_error, check.contradictions, check.refuted = 0.25, 1, 2
     slam.recovery.relocalisations, slam.recovery._searched = 3, 4
     tracker = slam.front_end.registration.tracker
-    tracker._steps, tracker._asked, tracker.guard.undone = 4, 3, 1
+    tracker._steps, tracker._registrations, tracker.guard.undone = 4, 3, 1
     for weights in tracker.guard._best[0].values():
         weights += 1
     slam.recovery.relocaliser.descriptor(slam.graph.keyframes[0])

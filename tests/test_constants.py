@@ -35,6 +35,12 @@ def test_what_counts_as_a_constant(documented: ModuleType, tmp_path: Path) -> No
     (tmp_path / "slam").mkdir()
     (tmp_path / "slam" / "part.py").write_text(
         "import math\n_A = 2.0  # [m] first\n#    and more\n_B, _C = 1, math.radians(3)  # two\n_NAME = 'text'\nlower = 3\n_NONE = 4\n"
+        "# above\n# it\n_D = 5\n"
     )
     found = [(c.name, c.value, c.comment) for c in documented.constants(tmp_path)]
-    assert found == [("_A", "2.0", "[m] first and more"), ("_B, _C", "(1, math.radians(3))", "two"), ("_NONE", "4", "")]
+    assert found == [
+        ("_A", "2.0", "[m] first and more"),
+        ("_B, _C", "(1, math.radians(3))", "two"),
+        ("_NONE", "4", ""),
+        ("_D", "5", "above it"),
+    ]

@@ -41,9 +41,8 @@ class Polish(NoPolish):
         updates = max(c.updates, math.ceil(c.rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
             spent = (perf_counter() - start) / c.seconds
-            done = (
-                i / updates if spent < (i + 1) / updates else spent
-            )  # the clock matters only if time runs short, else runs repeat exactly
+            # The clock matters only if time runs short. Otherwise runs repeat exactly.
+            done = i / updates if spent < (i + 1) / updates else spent
             if done >= 1:
                 break
             keyframes = self.replay.sample(c.keyframes)

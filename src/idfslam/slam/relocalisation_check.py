@@ -18,6 +18,7 @@ from idfslam.storage.state import State
 log = logging.getLogger(__name__)
 
 # All of these were chosen by hand.
+
 # [m] Distance from the relocalisation, with a turn as the shift 2 m ahead, from which an agreeing keyframe confirms it. More: later, safer.
 _CONFIRMED_AFTER = 3.0
 _WITNESSES = 4  # old keyframes compared with a new one. More: fewer wrong contradictions, at a comparison of images each
