@@ -33,11 +33,11 @@ def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torc
     """T_kc by the robust Procrustes; None for too few correspondences."""
     if len(pairs) < max(3, config.min_inliers):
         return None
-    size = {"subsets": config.subsets, "share": config.subset_share}
+    count, share = config.subsets, config.subset_share
     if config.consensus == "spatial_consistency":
-        subsets = compatible_subsets(pairs.frame, pairs.keyframe, tolerance=config.inlier_distance, **size)
+        subsets = compatible_subsets(pairs.frame, pairs.keyframe, subsets=count, share=share, tolerance=config.inlier_distance)
     else:
-        subsets = random_subsets(len(pairs), generator=generator, **size)
+        subsets = random_subsets(len(pairs), subsets=count, share=share, generator=generator)
     fit = {"inlier_distance": config.inlier_distance, "truncation": config.truncation}
     return register(pairs.frame, pairs.keyframe, pairs.weight, subsets, refits=config.refits, **fit)
 

@@ -171,8 +171,8 @@ class Tracker(Stateful):
     def right_matches(self, frame: Described, keyframe: Described, T_kc: Tensor) -> int:
         """The number of mutual matches that are inliers of a pose T_kc (4, 4) that is taken as right."""
         features = self._features(frame), self._features(keyframe)
-        strides = {"query_stride": _QUERY_STRIDE, "target_stride": _TARGET_STRIDE}
-        pairs = lifted(match(*features, frame.valid, keyframe.valid, mutual=True, **strides), frame, keyframe)
+        matches = match(*features, frame.valid, keyframe.valid, query_stride=_QUERY_STRIDE, target_stride=_TARGET_STRIDE, mutual=True)
+        pairs = lifted(matches, frame, keyframe)
         return int(supported(T_kc.to(self.device), pairs.frame, pairs.keyframe, self.config.inlier_distance).inliers.sum())
 
     def _match(self, frame: Described, keyframe: Described) -> Matches:
