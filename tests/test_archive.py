@@ -8,7 +8,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
-from idfslam.tracking.frame_features import Described
+from idfslam.tracking.frame_features import FrameFeatures
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 
@@ -23,11 +23,11 @@ def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
     return made
 
 
-def features(index: int) -> Described:
+def features(index: int) -> FrameFeatures:
     """As the tracker makes it: channels last, the trunk in bf16."""
     generator = torch.Generator().manual_seed(index)
     trunk, colour, points = (torch.randn(12, 16, channels, generator=generator) for channels in (64, 3, 3))
-    return Described(trunk.bfloat16().permute(2, 0, 1), colour.permute(2, 0, 1), points, CAMERA.resized(16, 12), CAMERA)
+    return FrameFeatures(trunk.bfloat16().permute(2, 0, 1), colour.permute(2, 0, 1), points, CAMERA.resized(16, 12), CAMERA)
 
 
 @pytest.mark.parametrize("eight_bits", [True, False])

@@ -14,7 +14,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.depth_noise import difference_noise
 from idfslam.tracking.correspondences import Correspondences
-from idfslam.tracking.frame_features import Described, averaged_depth, surface_normals
+from idfslam.tracking.frame_features import FrameFeatures, averaged_depth, surface_normals
 from idfslam.tracking.point_to_plane import plain_plane_system, plane_system, point_to_plane
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
@@ -22,13 +22,13 @@ T_KC = se3.exp(torch.tensor([0.03, -0.02, 0.04, 0.01, 0.02, -0.02], dtype=torch.
 CORNER = torch.tensor([[0.0, 0.0, -1.0, 2.0], [-0.8, 0.0, -0.6, 1.3], [0.0, -0.8, -0.6, 1.3]], dtype=torch.float64)  # walls n x = -d
 
 
-def described(T_wc: Tensor, walls: Tensor = CORNER, noise: float = 0.0) -> Described:
+def described(T_wc: Tensor, walls: Tensor = CORNER, noise: float = 0.0) -> FrameFeatures:
     """Walls (N, 4) seen from a pose: along each ray the first of them."""
     rays, normals = CAMERA.rays(CAMERA.pixels()).double() @ T_wc[:3, :3].T, walls[:, :3]
     along = (-walls[:, 3] - normals @ T_wc[:3, 3]) / (rays @ normals.T)
     depth = torch.where(along > 0, along, torch.inf).amin(-1).float()
     depth = depth + noise * torch.randn(depth.shape, generator=torch.Generator().manual_seed(0))
-    return Described(torch.zeros(1), torch.zeros(1), CAMERA.backproject(depth), CAMERA, CAMERA)
+    return FrameFeatures(torch.zeros(1), torch.zeros(1), CAMERA.backproject(depth), CAMERA, CAMERA)
 
 
 def no_matches() -> Correspondences:
@@ -92,7 +92,7 @@ def test_matches_hold_where_a_wall_slides() -> None:
 
 
 def test_nothing_to_hold_on_to_leaves_the_pose() -> None:
-    nothing = Described(torch.zeros(1), torch.zeros(1), torch.zeros(60, 80, 3), CAMERA, CAMERA)
+    nothing = FrameFeatures(torch.zeros(1), torch.zeros(1), torch.zeros(60, 80, 3), CAMERA, CAMERA)
     torch.testing.assert_close(point_to_plane(T_KC, nothing, nothing, no_matches(), steps=5), T_KC)
 
 
@@ -112,6 +112,6 @@ def test_it_makes_the_tracker_more_exact(box_recording: Path) -> None:
     shifts = []
     for steps in (0, 5):
         tracker = Tracker(replace(TrackerConfig(), plane_steps=steps), FinetuneConfig(enabled=False))
-        result = tracker.track(tracker.describe(recording[4]), tracker.describe(recording[0]))
+        result = tracker.track(tracker.extract_features(recording[4]), tracker.extract_features(recording[0]))
         shifts.append(float(np.linalg.norm((np.linalg.inv(truth) @ result.T_kc)[:3, 3])))
     assert shifts[1] < 0.002 < shifts[0]

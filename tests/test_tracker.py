@@ -20,7 +20,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.tracking.correspondences import spans_plane
 from idfslam.tracking.finetune_validator import Guard, held_out
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
-from idfslam.tracking.frame_features import Described, subsampled_depth
+from idfslam.tracking.frame_features import FrameFeatures, subsampled_depth
 from idfslam.tracking.matching import Matches
 from idfslam.tracking.tracker import Tracker
 
@@ -55,7 +55,7 @@ T_KC = pose(0.06, -0.04, 0.05, 0.01, 0.03, 0.05)
 
 def test_finds_the_pose_of_a_moved_view() -> None:
     tracker = Tracker(CONFIG, NO_FINETUNING)
-    result = tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    result = tracker.track(tracker.extract_features(view(T_KC)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64))))
     delta = se3.inverse(T_KC) @ torch.from_numpy(result.T_kc)
     assert result.status is Status.OK
     assert float(delta[:3, 3].norm()) < 0.02
@@ -67,21 +67,23 @@ def test_finds_the_pose_of_a_moved_view() -> None:
 def test_the_papers_exact_search_finds_it_too() -> None:
     exact = replace(CONFIG, query_stride=1, target_stride=1, mutual=False, truncation=0.0, refits=0)
     tracker = Tracker(exact, NO_FINETUNING)
-    result = tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    result = tracker.track(tracker.extract_features(view(T_KC)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64))))
     assert float((se3.inverse(T_KC) @ torch.from_numpy(result.T_kc))[:3, 3].norm()) < 0.04
 
 
 def test_one_seed_one_answer() -> None:
     def once(seed: int) -> NDArray[np.float64]:
         tracker = Tracker(CONFIG, NO_FINETUNING, "cpu", seed)
-        return tracker.track(tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).T_kc
+        return tracker.track(tracker.extract_features(view(T_KC)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64)))).T_kc
 
     assert np.array_equal(once(3), once(3))
 
 
 def test_a_blank_frame_is_lost() -> None:
     tracker = Tracker(CONFIG, NO_FINETUNING)
-    result = tracker.track(tracker.describe(Frame.blank(0, 0.0, CAMERA)), tracker.describe(view(torch.eye(4, dtype=torch.float64))))
+    result = tracker.track(
+        tracker.extract_features(Frame.blank(0, 0.0, CAMERA)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64)))
+    )
     assert result.status is Status.LOST
     assert result.matches == 0
     assert np.array_equal(result.T_kc, np.eye(4))
@@ -91,13 +93,16 @@ def test_another_place_is_lost() -> None:
     rng = np.random.default_rng(0)
     noise = Frame(0, 0.0, rng.random((72, 96, 3), np.float32), (1 + rng.random((72, 96))).astype(np.float32), CAMERA)
     tracker = Tracker(CONFIG, NO_FINETUNING)
-    assert tracker.track(tracker.describe(noise), tracker.describe(view(torch.eye(4, dtype=torch.float64)))).status is Status.LOST
+    assert (
+        tracker.track(tracker.extract_features(noise), tracker.extract_features(view(torch.eye(4, dtype=torch.float64)))).status
+        is Status.LOST
+    )
 
 
 def test_depth_that_contradicts_is_evidence_against_a_pose() -> None:
     # The wall at 2 m is 20 cm off where the pose has the frame 20 cm too near: no pixel agrees, however many matches were to support it.
     tracker = Tracker(CONFIG, NO_FINETUNING)
-    frame, keyframe = tracker.describe(view(T_KC)), tracker.describe(view(torch.eye(4, dtype=torch.float64)))
+    frame, keyframe = tracker.extract_features(view(T_KC)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64)))
     found, right = tracker.register(frame, keyframe)
     assert right is not None
     assert tracker.believes(right, found, frame, keyframe)
@@ -135,7 +140,7 @@ def test_losses_of_equation_6_by_hand() -> None:
     # |.| = 0.5 (Eq. 1), and 0.2 m too deep (Eq. 7); the match of a pixel with itself, w = 0.5, lies 3 cm off: 0.015 (Eq. 8).
     tracker = Tracker(CONFIG, NO_FINETUNING)
     plain = Frame(0, 0.0, np.full((72, 96, 3), 0.5, np.float32), np.full((72, 96), 2.0, np.float32), CAMERA)
-    described, same, seen = tracker.describe(plain), torch.tensor([100]), []
+    described, same, seen = tracker.extract_features(plain), torch.tensor([100]), []
 
     def render(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
         assert camera == CAMERA
@@ -163,7 +168,9 @@ def test_the_map_is_rendered_as_the_camera_of_the_current_keyframe_sees_it() -> 
     tracker, seen = Tracker(CONFIG, NO_FINETUNING), []
     other = Camera(48, 36, 50.0, 50.0, 23.5, 17.5)
     reference, current = (
-        tracker.describe(Frame(0, 0.0, np.full((c.height, c.width, 3), 0.5, np.float32), np.full((c.height, c.width), 2.0, np.float32), c))
+        tracker.extract_features(
+            Frame(0, 0.0, np.full((c.height, c.width, 3), 0.5, np.float32), np.full((c.height, c.width), 2.0, np.float32), c)
+        )
         for c in (CAMERA, other)
     )
 
@@ -195,7 +202,7 @@ def test_equation_6_weighs_its_losses() -> None:
 
 def finetuned(tracker: Tracker, steps: int = 1) -> list[dict[str, float] | None]:
     poses = [pose(0.05 * i, 0.03 * i, 0.04 * i, 0.02 * i, 0.03 * i, 0.05 * i) for i in range(3)]
-    keyframes = [tracker.describe(view(T)) for T in poses]
+    keyframes = [tracker.extract_features(view(T)) for T in poses]
     return [tracker.finetune(keyframes, torch.stack(poses).numpy(), wall) for _ in range(steps)]
 
 
@@ -214,7 +221,7 @@ def test_a_step_is_due_after_so_many_registrations() -> None:
     tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, every=2))
     assert [tracker.learns(n) for n in (2, 3)] == [False, True]
     assert not Tracker(CONFIG, FinetuneConfig(enabled=False)).learns(99)
-    frame = tracker.describe(view(pose(0, 0, 0, 0, 0, 0)))
+    frame = tracker.extract_features(view(pose(0, 0, 0, 0, 0, 0)))
     due = []
     for _ in range(3):
         due.append(tracker.due)
@@ -236,9 +243,9 @@ def test_the_guard_undoes_a_harmful_rate() -> None:
     right, undone = {}, {}
     for every in (0, 1):
         tracker = Tracker(CONFIG, FinetuneConfig(keyframes=3, learning_rate=0.3, validate_every=every))
-        keyframes = [tracker.describe(view(T)) for T in poses]
+        keyframes = [tracker.extract_features(view(T)) for T in poses]
 
-        def held_out_matches(tracker: Tracker = tracker, keyframes: list[Described] = keyframes) -> int:
+        def held_out_matches(tracker: Tracker = tracker, keyframes: list[FrameFeatures] = keyframes) -> int:
             return sum(tracker.right_matches(keyframes[i + 2], keyframes[i], se3.inverse(poses[i]) @ poses[i + 2]) for i in range(2))
 
         before = held_out_matches()
@@ -280,7 +287,7 @@ def test_held_out_pairs_see_the_same() -> None:
     # Keyframes 0 to 3 look at the wall, 4 has turned away by half a turn: of the neighbours but one, (2, 4) sees nothing in common.
     tracker = Tracker(CONFIG, NO_FINETUNING)
     poses = [pose(0.05 * i, 0, 0, 0, 0, 0) for i in range(4)]
-    keyframes = [tracker.describe(view(T)) for T in poses]
+    keyframes = [tracker.extract_features(view(T)) for T in poses]
     turned = torch.stack([*poses, pose(0, 0, 0, 0, math.pi, 0)])
     pairs = held_out([*keyframes, keyframes[0]], turned, 4, torch.Generator().manual_seed(0))
     assert sorted(pairs) == [(0, 2), (1, 3)]
@@ -294,7 +301,7 @@ def test_no_finetuning_before_enough_keyframes() -> None:
 
 def test_a_loss_that_is_not_finite_stops_the_run() -> None:
     tracker = Tracker(CONFIG, FinetuneConfig(keyframes=2))
-    keyframes = [tracker.describe(view(pose(0.02 * i, 0, 0, 0, 0, 0))) for i in range(2)]
+    keyframes = [tracker.extract_features(view(pose(0.02 * i, 0, 0, 0, 0, 0))) for i in range(2)]
 
     def broken(camera: Camera, T_wc: Tensor, uv: Tensor) -> tuple[Tensor, Tensor]:
         colour, depth = wall(camera, T_wc, uv)
@@ -310,7 +317,7 @@ def test_redkitchen_at_ten_frames_apart() -> None:
     assert truth is not None
     tracker = Tracker(TrackerConfig(), NO_FINETUNING)
     for i in (100, 400, 700):
-        result = tracker.track(tracker.describe(recording[i + 10]), tracker.describe(recording[i]))
+        result = tracker.track(tracker.extract_features(recording[i + 10]), tracker.extract_features(recording[i]))
         delta = se3.inverse(torch.from_numpy(np.linalg.inv(truth[i]) @ truth[i + 10])) @ torch.from_numpy(result.T_kc)
         assert result.status is Status.OK
         assert math.degrees(float(se3.angle(delta))) < 1.5

@@ -26,7 +26,7 @@ from idfslam.pretraining.validation import pose_error
 from idfslam.storage import atomic_files
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.features import FeatureExtractor, untrained_extractor
-from idfslam.tracking.frame_features import Described, reduced
+from idfslam.tracking.frame_features import FrameFeatures, reduced
 from idfslam.tracking.procrustes import Registration
 from idfslam.tracking.tracker import Tracker
 
@@ -65,10 +65,10 @@ class LearnedFeatures:
     def __init__(self, config: TrackerConfig, extractor: FeatureExtractor | None = None) -> None:
         self._tracker = Tracker(config, FinetuneConfig(enabled=False), extractor=extractor)
 
-    def describe(self, frame: Frame) -> Described:
-        return self._tracker.describe(frame)
+    def describe(self, frame: Frame) -> FrameFeatures:
+        return self._tracker.extract_features(frame)
 
-    def register(self, frame: Described, keyframe: Described) -> Estimate:
+    def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> Estimate:
         found, pose = self._tracker.register(frame, keyframe)
         return Estimate() if pose is None else _estimate(found, pose, self._tracker.believes(pose, found, frame, keyframe))
 

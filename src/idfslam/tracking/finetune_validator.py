@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from idfslam.geometry import se3
 from idfslam.storage.state import State, adam_dict, plain_adam
-from idfslam.tracking.frame_features import Described
+from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.overlap import partners
 
 # Distance of the two keyframes of a validation pair in the graph's order. Finetuning trains on consecutive ones, so these are never trained
@@ -66,7 +66,7 @@ class Guard:
         self._optimiser.load_state_dict(copy.deepcopy(state[1]))
 
 
-def held_out(keyframes: Sequence[Described], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
+def held_out(keyframes: Sequence[FrameFeatures], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
     """Up to `count` random pairs (i, i + 2) of overlapping keyframes with poses (N, 4, 4). At most 3 * count pairs are tested."""
 
     def overlap(i: int, j: int) -> bool:
@@ -77,6 +77,6 @@ def held_out(keyframes: Sequence[Described], T_wk: Tensor, count: int, generator
     return list(islice(pairs, count))  # stops early: extracting a keyframe's features again takes as long as tracking a frame
 
 
-def _overlap(keyframe: Described, frame: Described, T_kc: Tensor) -> float:
+def _overlap(keyframe: FrameFeatures, frame: FrameFeatures, T_kc: Tensor) -> float:
     """Share of the frame's measured pixels that the keyframe sees too."""
     return len(partners(T_kc, keyframe, frame).index) / max(1, int(frame.valid.sum()))

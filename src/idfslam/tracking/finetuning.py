@@ -9,7 +9,7 @@ from idfslam.compute.devices import repeatable
 from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry.camera import Camera
-from idfslam.tracking.frame_features import Described
+from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.matching import Matches
 
 Render = Callable[[Camera, Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -32,8 +32,8 @@ def correspondence_loss(points_r: Tensor, points_c: Tensor, T_rc: Tensor, weight
 
 
 def finetuning_losses(
-    current: Described,
-    reference: Described,
+    current: FrameFeatures,
+    reference: FrameFeatures,
     matches: Matches,
     T_rc: Tensor,
     T_wr: Tensor,

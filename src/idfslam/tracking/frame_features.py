@@ -21,7 +21,7 @@ _NORMAL_EDGE = 0.1  # [1] largest relative difference of depth between these nei
 
 
 @dataclass(frozen=True)
-class Described:
+class FrameFeatures:
     """The features of a frame at the tracker's resolution (h, w).
 
     The trunk's output is kept rather than the final features, so that a finetuned out-conv applies to stored keyframes too.
@@ -43,13 +43,13 @@ class Described:
         """(h, w, 3) unit normals of the points, towards the camera; zero where there is none."""
         return surface_normals(self.points)
 
-    def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], "Described"]]:
+    def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], "FrameFeatures"]]:
         """The tensors in their memory order (channels last), and a function that makes the same features of them again."""
         camera, source, device = self.camera, self.source, self.points.device
 
-        def unpacked(tensors: Sequence[Tensor]) -> Described:
+        def unpacked(tensors: Sequence[Tensor]) -> FrameFeatures:
             trunk, colour, points = (tensor.to(device) for tensor in tensors)
-            return Described(trunk.permute(2, 0, 1), colour.permute(2, 0, 1), points, camera, source)
+            return FrameFeatures(trunk.permute(2, 0, 1), colour.permute(2, 0, 1), points, camera, source)
 
         return [self.trunk.permute(1, 2, 0), self.colour.permute(1, 2, 0), self.points], unpacked
 

@@ -12,7 +12,7 @@ from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.sensing.depth_noise import BEST, difference_noise
 from idfslam.tracking.correspondences import Correspondences
-from idfslam.tracking.frame_features import Described
+from idfslam.tracking.frame_features import FrameFeatures
 
 # Chosen by hand on pairs of frames (docs/model-card.md).
 _STRIDE = 4  # [px] stride of the frame's rows and columns in all but the last steps. More: faster, and noisier first steps
@@ -28,7 +28,7 @@ _ROBUST = 3.0  # [standard deviations] residual at which the weight has fallen t
 
 
 @torch.no_grad()
-def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches: Correspondences, *, steps: int) -> Tensor:
+def point_to_plane(T_kc: Tensor, frame: FrameFeatures, keyframe: FrameFeatures, matches: Correspondences, *, steps: int) -> Tensor:
     """T_kc (4, 4) float64 after `steps` steps of Gauss-Newton from a T_kc that is exact to a few cm."""
     for step in range(steps):
         stride = 1 if step >= steps - _FINE_STEPS else _STRIDE
@@ -40,7 +40,7 @@ def point_to_plane(T_kc: Tensor, frame: Described, keyframe: Described, matches:
     return se3.orthonormal(T_kc)
 
 
-def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+def plane_system(T_kc: Tensor, frame: FrameFeatures, keyframe: FrameFeatures, stride: int, reach: float) -> tuple[Tensor, Tensor]:
     """Normal equations H (6, 6), b (6,) of the distances of the frame's points to the keyframe's planes that they project to.
 
     Every `stride`-th row and column takes part, and distances up to `reach` [m].
@@ -48,7 +48,7 @@ def plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: in
     return pick(frame.points, compiled=compiled_plane_system, plain=plain_plane_system)(T_kc, frame, keyframe, stride, reach)
 
 
-def compiled_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+def compiled_plane_system(T_kc: Tensor, frame: FrameFeatures, keyframe: FrameFeatures, stride: int, reach: float) -> tuple[Tensor, Tensor]:
     """`plane_system` by Numba, on the CPU."""
     from idfslam.tracking.kernels import numba_tracking
 
@@ -60,7 +60,7 @@ def compiled_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, s
     return H, b
 
 
-def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stride: int, reach: float) -> tuple[Tensor, Tensor]:
+def plain_plane_system(T_kc: Tensor, frame: FrameFeatures, keyframe: FrameFeatures, stride: int, reach: float) -> tuple[Tensor, Tensor]:
     """`plane_system` in torch, on any device."""
     points, normals = _surface(frame, stride)
     T, camera = T_kc.to(points), keyframe.camera
@@ -78,7 +78,7 @@ def plain_plane_system(T_kc: Tensor, frame: Described, keyframe: Described, stri
     return (JtW @ J).double(), -(JtW @ distance).double()
 
 
-def _surface(frame: Described, stride: int) -> tuple[Tensor, Tensor]:
+def _surface(frame: FrameFeatures, stride: int) -> tuple[Tensor, Tensor]:
     """Points (N, 3) and normals (N, 3) of every `stride`-th row and column, where there is a normal."""
     inside = slice(stride // 2, None, stride)
     points, normals = (image[inside, inside].flatten(0, 1) for image in (frame.points, frame.normals))

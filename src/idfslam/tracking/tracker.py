@@ -19,7 +19,7 @@ from idfslam.tracking.correspondences import Correspondences, believable, estima
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetune_validator import Guard, held_out
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
-from idfslam.tracking.frame_features import Described, reduced
+from idfslam.tracking.frame_features import FrameFeatures, reduced
 from idfslam.tracking.matching import Features, Matches, match, spread
 from idfslam.tracking.overlap import partners
 from idfslam.tracking.point_to_plane import point_to_plane
@@ -93,15 +93,15 @@ class Tracker(Stateful):
         return total
 
     @torch.no_grad()
-    def describe(self, frame: Frame) -> Described:
+    def extract_features(self, frame: Frame) -> FrameFeatures:
         """A frame's trunk features and points at the tracker's resolution. The caller keeps them while the frame serves as a reference."""
         image, depth, camera = reduced(frame, self.config.height)
         colour = torch.from_numpy(image).to(self.device).permute(2, 0, 1)
         trunk = self.inference.trunk(colour[None].to(self.dtype, memory_format=torch.channels_last))[0]
-        return Described(trunk, colour, camera.backproject(torch.from_numpy(depth).to(self.device)), camera, frame.camera)
+        return FrameFeatures(trunk, colour, camera.backproject(torch.from_numpy(depth).to(self.device)), camera, frame.camera)
 
     @torch.no_grad()
-    def track(self, frame: Described, keyframe: Described) -> TrackingResult:
+    def track(self, frame: FrameFeatures, keyframe: FrameFeatures) -> TrackingResult:
         """The frame's pose in the keyframe; LOST if it has too few matches, or is not consistent with matches and depth."""
         self._registrations += 1
         pairs, pose = self.register(frame, keyframe)
@@ -111,7 +111,7 @@ class Tracker(Stateful):
         return TrackingResult(pose.T_ab.cpu().numpy(), status, len(pairs), int(pose.inliers.sum()), pose.rmse)
 
     @torch.no_grad()
-    def register(self, frame: Described, keyframe: Described) -> tuple[Correspondences, Registration | None]:
+    def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> tuple[Correspondences, Registration | None]:
         """The best matches of the two, and T_kc by the matches and the depth images; None for too few matches."""
         pairs = lifted(self._match(frame, keyframe), frame, keyframe)
         pose = estimate_pose(pairs, self.config, self.generator)
@@ -120,7 +120,7 @@ class Tracker(Stateful):
         T_kc = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=self.config.plane_steps)
         return pairs, supported(T_kc, pairs.frame, pairs.keyframe, self.config.inlier_distance)
 
-    def believes(self, pose: Registration, pairs: Correspondences, frame: Described, keyframe: Described) -> bool:
+    def believes(self, pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures) -> bool:
         """Whether a pose is consistent with the matches and with the depth images."""
         least = self.config.min_agreement
         return believable(pose, pairs, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
@@ -134,7 +134,7 @@ class Tracker(Stateful):
         """Whether there were `every` registrations since the last step of finetuning."""
         return self._registrations >= self.finetuning.every
 
-    def finetune(self, keyframes: Sequence[Described], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
+    def finetune(self, keyframes: Sequence[FrameFeatures], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
         """One step on Eq. 6 for a random pair of consecutive keyframes with poses (N, 4, 4); returns its losses by name.
 
         Returns None if finetuning is off, if there are fewer than N_kf keyframes, or if the pair has too few matches. Raises DivergedError
@@ -160,7 +160,7 @@ class Tracker(Stateful):
             self._examine(keyframes, torch.as_tensor(T_wk))
         return numbers
 
-    def _examine(self, keyframes: Sequence[Described], T_wk: Tensor) -> None:
+    def _examine(self, keyframes: Sequence[FrameFeatures], T_wk: Tensor) -> None:
         """Validates the weights on pairs of keyframes that are never trained on; a worse result rolls them back."""
         indices = held_out(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
         pairs = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in indices]
@@ -168,26 +168,26 @@ class Tracker(Stateful):
             self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in pairs))
 
     @torch.no_grad()
-    def right_matches(self, frame: Described, keyframe: Described, T_kc: Tensor) -> int:
+    def right_matches(self, frame: FrameFeatures, keyframe: FrameFeatures, T_kc: Tensor) -> int:
         """The number of mutual matches that are inliers of a pose T_kc (4, 4) that is taken as right."""
         features = self._features(frame), self._features(keyframe)
         matches = match(*features, frame.valid, keyframe.valid, query_stride=_QUERY_STRIDE, target_stride=_TARGET_STRIDE, mutual=True)
         pairs = lifted(matches, frame, keyframe)
         return int(supported(T_kc.to(self.device), pairs.frame, pairs.keyframe, self.config.inlier_distance).inliers.sum())
 
-    def _match(self, frame: Described, keyframe: Described) -> Matches:
+    def _match(self, frame: FrameFeatures, keyframe: FrameFeatures) -> Matches:
         config = self.config
         strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
         matches = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
         return spread(matches, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
 
-    def _features(self, frame: Described) -> Features:
+    def _features(self, frame: FrameFeatures) -> Features:
         """The lookup of a frame's features, computed by the present out-conv for the requested pixels alone."""
         trunk = frame.trunk.flatten(1).mT
         return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
-def lifted(matches: Matches, frame: Described, keyframe: Described) -> Correspondences:
+def lifted(matches: Matches, frame: FrameFeatures, keyframe: FrameFeatures) -> Correspondences:
     """Matches of pixels as correspondences of points; differentiable in the weights."""
     points_c, points_k = frame.points.flatten(0, 1)[matches.frame], keyframe.points.flatten(0, 1)[matches.keyframe]
     return Correspondences(frame.source.project(points_c)[0], keyframe.source.project(points_k)[0], points_c, points_k, matches.weight)
