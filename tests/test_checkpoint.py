@@ -148,8 +148,8 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     check.max_error, check.contradictions, check.refuted = 0.25, 1, 2
     slam.recovery.relocalisations, slam.recovery._searched = 3, 4
     tracker = slam.front_end.registration.tracker
-    tracker._steps, tracker._registrations, tracker.guard.undone = 4, 3, 1
-    for weights in tracker.guard._best[0].values():
+    tracker._steps, tracker._registrations, tracker.validator.rollbacks = 4, 3, 1
+    for weights in tracker.validator._best[0].values():
         weights += 1
     slam.recovery.relocaliser.descriptor(slam.graph.keyframes[0])
     slam.graph.keyframes[0].unverified = [4, 2]

@@ -18,7 +18,7 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.correspondences import spans_plane
-from idfslam.tracking.finetune_validator import Guard, held_out
+from idfslam.tracking.finetune_validator import FinetuneValidator, validation_pairs
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
 from idfslam.tracking.frame_features import FrameFeatures, subsampled_depth
 from idfslam.tracking.matching import Matches
@@ -251,7 +251,7 @@ def test_the_guard_undoes_a_harmful_rate() -> None:
         before = held_out_matches()
         for _ in range(6):
             tracker.finetune(keyframes, torch.stack(poses).numpy(), wall)
-        right[every], undone[every] = held_out_matches() / before, tracker.guard.undone
+        right[every], undone[every] = held_out_matches() / before, tracker.validator.rollbacks
     assert right[1] >= 0.95
     assert undone[1] >= 1
     assert right[0] < 0.7
@@ -270,15 +270,15 @@ def test_the_guard_keeps_what_helps_and_restores_the_optimiser() -> None:
     def step(gradient: float) -> bool:
         learning.weight.grad = torch.full((1, 1), gradient)
         optimiser.step()
-        return guard.examine(score)
+        return validator.validate(score)
 
     torch.nn.init.ones_(learning.weight)
-    guard = Guard(learning, optimiser, margin=0.05)
+    validator = FinetuneValidator(learning, optimiser, margin=0.05)
     assert step(-1.0)  # momentum -1, weight 2
     assert step(0.95)  # momentum -0.9 + 0.95 = 0.05, weight 1.95
     assert not step(0.055)  # momentum 0.045 + 0.055 = 0.1, weight 1.85
     assert score() == pytest.approx(2.0)
-    assert guard.undone == 1
+    assert validator.rollbacks == 1
     assert optimiser.param_groups[0]["lr"] == 0.5
     assert float(optimiser.state[learning.weight]["momentum_buffer"]) == pytest.approx(-1.0)
 
@@ -289,9 +289,9 @@ def test_held_out_pairs_see_the_same() -> None:
     poses = [pose(0.05 * i, 0, 0, 0, 0, 0) for i in range(4)]
     keyframes = [tracker.extract_features(view(T)) for T in poses]
     turned = torch.stack([*poses, pose(0, 0, 0, 0, math.pi, 0)])
-    pairs = held_out([*keyframes, keyframes[0]], turned, 4, torch.Generator().manual_seed(0))
+    pairs = validation_pairs([*keyframes, keyframes[0]], turned, 4, torch.Generator().manual_seed(0))
     assert sorted(pairs) == [(0, 2), (1, 3)]
-    assert held_out(keyframes[:2], turned[:2], 4, torch.Generator().manual_seed(0)) == []
+    assert validation_pairs(keyframes[:2], turned[:2], 4, torch.Generator().manual_seed(0)) == []
 
 
 def test_no_finetuning_before_enough_keyframes() -> None:

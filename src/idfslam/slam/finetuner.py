@@ -39,4 +39,4 @@ class Finetuner(NoFinetuning):
         return {f"finetune_{name}": value for name, value in (losses or {}).items()}
 
     def figures(self) -> dict[str, Any]:
-        return {"finetuning_rollbacks": self.tracker.guard.undone}
+        return {"finetuning_rollbacks": self.tracker.validator.rollbacks}

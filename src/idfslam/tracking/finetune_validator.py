@@ -21,7 +21,7 @@ _APART = 2
 _MIN_OVERLAP = 0.2
 
 
-class Guard:
+class FinetuneValidator:
     """Keeps the best weights and their optimiser's state, and rolls back to both when later weights are clearly worse.
 
     A rollback halves the learning rate: a rate that did harm once will do it again.
@@ -30,25 +30,25 @@ class Guard:
     def __init__(self, learning: nn.Module, optimiser: torch.optim.Optimizer, margin: float) -> None:
         self._learning, self._optimiser, self._margin = learning, optimiser, margin
         self._best: tuple[dict[str, Tensor], dict[str, Any]] = self._state()
-        self.undone = 0  # number of rollbacks
+        self.rollbacks = 0  # number of rollbacks
 
     def state(self) -> State:
         """The best weights, their optimiser's state, and the number of rollbacks."""
         weights, optimiser = self._best
-        return {"weights": dict(weights), "adam": plain_adam(optimiser), "undone": self.undone}
+        return {"weights": dict(weights), "adam": plain_adam(optimiser), "rollbacks": self.rollbacks}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._best, self.undone = (OrderedDict(state["weights"]), adam_dict(state["adam"])), state["undone"]
+        self._best, self.rollbacks = (OrderedDict(state["weights"]), adam_dict(state["adam"])), state["rollbacks"]
 
     @torch.no_grad()
-    def examine(self, score: Callable[[], float]) -> bool:
+    def validate(self, score: Callable[[], float]) -> bool:
         """Compares the present weights with the best ones by `score` (higher is better); False if they were rolled back."""
         present, state = score(), self._state()
         self._restore(self._best)
         best = score()
         if present < (1 - self._margin) * best:
-            self.undone += 1
+            self.rollbacks += 1
             for group in self._optimiser.param_groups:
                 group["lr"] /= 2
             self._best = self._state()
@@ -66,7 +66,7 @@ class Guard:
         self._optimiser.load_state_dict(copy.deepcopy(state[1]))
 
 
-def held_out(keyframes: Sequence[FrameFeatures], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
+def validation_pairs(keyframes: Sequence[FrameFeatures], T_wk: Tensor, count: int, generator: torch.Generator) -> list[tuple[int, int]]:
     """Up to `count` random pairs (i, i + 2) of overlapping keyframes with poses (N, 4, 4). At most 3 * count pairs are tested."""
 
     def overlap(i: int, j: int) -> bool:

@@ -17,7 +17,7 @@ from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful, adam_dict, plain_adam
 from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
-from idfslam.tracking.finetune_validator import Guard, held_out
+from idfslam.tracking.finetune_validator import FinetuneValidator, validation_pairs
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.frame_features import FrameFeatures, reduced
 from idfslam.tracking.matching import Features, Matches, match, spread
@@ -63,15 +63,15 @@ class Tracker(Stateful):
         self.inference = folded(self.extractor, self.dtype)
         learning = self.extractor.out_conv.requires_grad_(True)
         self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
-        self.guard = Guard(learning, self.optimiser, finetune.margin)
+        self.validator = FinetuneValidator(learning, self.optimiser, finetune.margin)
         self._steps = 0  # steps of finetuning
         self._registrations = 0  # since the last step of finetuning
 
     def state(self) -> State:
         """The finetuned weights, their optimiser and the generator, and a checksum of the other weights."""
         learnt = dict(self.extractor.out_conv.state_dict())
-        counts = {"steps": self._steps, "asked": self._registrations}
-        optimiser = {"adam": plain_adam(self.optimiser.state_dict()), **counts, "guard": self.guard.state()}
+        counts = {"steps": self._steps, "registrations": self._registrations}
+        optimiser = {"adam": plain_adam(self.optimiser.state_dict()), **counts, "validator": self.validator.state()}
         return {"weights": self._checksum(), "learnt": learnt, "generator": self.generator.get_state(), **optimiser}
 
     def restore(self, state: State) -> None:
@@ -81,8 +81,8 @@ class Tracker(Stateful):
             raise ConfigError(f"the tracker's weights are not those that the run began with ({reason}); start the run anew")
         self.extractor.out_conv.load_state_dict(state["learnt"])
         self.optimiser.load_state_dict(adam_dict(state["adam"]))
-        self.guard.restore(state["guard"])
-        self._steps, self._registrations = state["steps"], state["asked"]
+        self.validator.restore(state["validator"])
+        self._steps, self._registrations = state["steps"], state["registrations"]
         self.generator.set_state(state["generator"])
 
     def _checksum(self) -> int:
@@ -157,15 +157,15 @@ class Tracker(Stateful):
         numbers = finetune_step(self.optimiser, losses, config)
         self._steps += 1
         if config.validate_every and self._steps % config.validate_every == 0:
-            self._examine(keyframes, torch.as_tensor(T_wk))
+            self._validate(keyframes, torch.as_tensor(T_wk))
         return numbers
 
-    def _examine(self, keyframes: Sequence[FrameFeatures], T_wk: Tensor) -> None:
+    def _validate(self, keyframes: Sequence[FrameFeatures], T_wk: Tensor) -> None:
         """Validates the weights on pairs of keyframes that are never trained on; a worse result rolls them back."""
-        indices = held_out(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
+        indices = validation_pairs(keyframes, T_wk, self.finetuning.validation_pairs, self.generator)
         pairs = [(keyframes[j], keyframes[i], se3.inverse(T_wk[i]) @ T_wk[j]) for i, j in indices]
         if pairs:
-            self.guard.examine(lambda: sum(self.right_matches(*pair) for pair in pairs))
+            self.validator.validate(lambda: sum(self.right_matches(*pair) for pair in pairs))
 
     @torch.no_grad()
     def right_matches(self, frame: FrameFeatures, keyframe: FrameFeatures, T_kc: Tensor) -> int:
