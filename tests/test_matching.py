@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.tracking.matching import Features, Matches, features_in, match, nearest, ratio_weights, spread, two_largest
+from idfslam.tracking.matching import Features, PixelMatches, bucket, features_in, match, nearest, ratio_weights, two_largest
 
 
 def at(*degrees: float) -> Tensor:
@@ -94,21 +94,21 @@ def test_grid_limit_by_hand() -> None:
     # A 2 x 2 grid on a 4 x 4 image, K = 4: one a cell. Pixels 0, 1, 4, 5 lie in the first cell, 2 in the second, 15 in the last.
     # Best first by weight: 1 (0.9), 0 (0.8: its cell is full), 15 (0.5), 2 (0.3).
     frame = torch.tensor([0, 1, 2, 15])
-    matches = Matches(frame, frame, torch.tensor([0.8, 0.9, 0.3, 0.5]))
-    assert spread(matches, (4, 4), limit=4, grid=2).frame.tolist() == [1, 15, 2]
+    matches = PixelMatches(frame, frame, torch.tensor([0.8, 0.9, 0.3, 0.5]))
+    assert bucket(matches, (4, 4), limit=4, grid=2).frame.tolist() == [1, 15, 2]
 
 
 def test_grid_of_one_is_plain_top_k() -> None:
     frame = torch.tensor([0, 1, 2, 15])
-    matches = Matches(frame, frame, torch.tensor([0.8, 0.9, 0.3, 0.5]))
-    assert spread(matches, (4, 4), limit=2, grid=1).frame.tolist() == [1, 0]
+    matches = PixelMatches(frame, frame, torch.tensor([0.8, 0.9, 0.3, 0.5]))
+    assert bucket(matches, (4, 4), limit=2, grid=1).frame.tolist() == [1, 0]
 
 
 def test_limit_holds_over_all_cells() -> None:
     # K = 200 on 4 x 4: ceil(12.5) = 13 a cell would be 208; no more than 200 are kept.
     frame = torch.arange(64 * 64)
-    matches = Matches(frame, frame, torch.rand(64 * 64))
-    kept = spread(matches, (64, 64), limit=200, grid=4)
+    matches = PixelMatches(frame, frame, torch.rand(64 * 64))
+    kept = bucket(matches, (64, 64), limit=200, grid=4)
     assert len(kept) == 200
     cells = (kept.frame // 64 // 16) * 4 + kept.frame % 64 // 16
     assert int(torch.bincount(cells).max()) <= 13

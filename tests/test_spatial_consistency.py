@@ -4,7 +4,7 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.tracking.procrustes import random_subsets, register
-from idfslam.tracking.spatial_consistency import compatible_subsets
+from idfslam.tracking.spatial_consistency import consistent_subsets
 
 
 def test_by_hand() -> None:
@@ -12,7 +12,7 @@ def test_by_hand() -> None:
     source = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 0], [0.2, 0.7, 0]])
     target = source + torch.tensor([5.0, 0, 0])
     target[4:] += torch.tensor([[0.0, 3, 0], [0, 0, -2]])
-    chosen = compatible_subsets(source, target, subsets=4, share=0.5, tolerance=0.05)
+    chosen = consistent_subsets(source, target, subsets=4, share=0.5, tolerance=0.05)
     assert chosen.shape == (4, 3)
     assert set(chosen.flatten().tolist()) <= {0, 1, 2, 3}
 
@@ -27,7 +27,7 @@ def test_nine_outliers_of_ten() -> None:
     fit = {"inlier_distance": 0.05, "truncation": 0.1, "refits": 3}
     proposed = {
         "random": random_subsets(200, subsets=100, share=0.05, generator=draw),
-        "compatible": compatible_subsets(source, target, subsets=100, share=0.05, tolerance=0.05),
+        "compatible": consistent_subsets(source, target, subsets=100, share=0.05, tolerance=0.05),
     }
     errors = {
         name: float((se3.inverse(T) @ register(source, target, torch.ones(200), subsets, **fit).T_ab)[:3, 3].norm())
@@ -39,4 +39,4 @@ def test_nine_outliers_of_ten() -> None:
 
 def test_fewer_matches_than_subsets() -> None:
     source = torch.rand(5, 3, generator=torch.Generator().manual_seed(0))
-    assert compatible_subsets(source, source, subsets=100, share=0.05, tolerance=0.05).shape == (5, 3)
+    assert consistent_subsets(source, source, subsets=100, share=0.05, tolerance=0.05).shape == (5, 3)

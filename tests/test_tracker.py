@@ -21,7 +21,7 @@ from idfslam.tracking.correspondences import spans_plane
 from idfslam.tracking.finetune_validator import FinetuneValidator, validation_pairs
 from idfslam.tracking.finetuning import finetune_step, finetuning_losses
 from idfslam.tracking.frame_features import FrameFeatures, subsampled_depth
-from idfslam.tracking.matching import Matches
+from idfslam.tracking.matching import PixelMatches
 from idfslam.tracking.tracker import Tracker
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
@@ -105,11 +105,11 @@ def test_depth_that_contradicts_is_evidence_against_a_pose() -> None:
     frame, keyframe = tracker.extract_features(view(T_KC)), tracker.extract_features(view(torch.eye(4, dtype=torch.float64)))
     found, right = tracker.register(frame, keyframe)
     assert right is not None
-    assert tracker.believes(right, found, frame, keyframe)
+    assert tracker.is_consistent(right, found, frame, keyframe)
     wrong = replace(right, T_ab=pose(0, 0, 0.2, 0, 0, 0) @ T_KC)
-    assert not tracker.believes(wrong, found, frame, keyframe)
+    assert not tracker.is_consistent(wrong, found, frame, keyframe)
     by_matches_alone = Tracker(replace(CONFIG, min_agreement=0.0), NO_FINETUNING)
-    assert by_matches_alone.believes(wrong, found, frame, keyframe)
+    assert by_matches_alone.is_consistent(wrong, found, frame, keyframe)
 
 
 def test_inliers_on_a_line_are_no_evidence() -> None:
@@ -150,7 +150,7 @@ def test_losses_of_equation_6_by_hand() -> None:
     losses = finetuning_losses(
         described,
         described,
-        Matches(same, same, torch.tensor([0.5])),
+        PixelMatches(same, same, torch.tensor([0.5])),
         pose(0, 0.03, 0, 0, 0, 0),
         pose(1, 0, 0, 0, 0, 0),
         render=render,
@@ -179,7 +179,7 @@ def test_the_map_is_rendered_as_the_camera_of_the_current_keyframe_sees_it() -> 
         return torch.full((len(uv), 3), 0.5), torch.full((len(uv),), 2.0)
 
     same, generator = torch.tensor([100]), torch.Generator().manual_seed(0)
-    matches = Matches(same, same, torch.tensor([0.5]))
+    matches = PixelMatches(same, same, torch.tensor([0.5]))
     losses = finetuning_losses(current, reference, matches, torch.eye(4), torch.eye(4), render=render, pixels=200, generator=generator)
     ((camera, uv),) = seen
     assert camera == other

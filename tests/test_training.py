@@ -20,7 +20,7 @@ from idfslam.pretraining.footage import Footage, Pair, Recording, View, load_foo
 from idfslam.pretraining.point_rendering import splat
 from idfslam.pretraining.training import explained, registration_losses, rendering_losses, train_step
 from idfslam.tracking.features import FeatureExtractor
-from idfslam.tracking.overlap import partners
+from idfslam.tracking.overlap import overlapping_pixels
 
 CAMERA = Camera(32, 24, 30.0, 30.0, 15.5, 11.5)
 SMALL = PretrainConfig(height=24, crop=(24, 32), gap=2, queries=32, matches=100)  # the contrastive loss alone
@@ -168,16 +168,16 @@ def test_rendering_losses_prefer_the_true_pose() -> None:
     assert float(wrong_depth) == pytest.approx(0.05, abs=1e-4)  # the wall drawn 5 cm too deep
 
 
-def test_partners_by_hand() -> None:
+def test_overlap_by_hand() -> None:
     # f = 30 px, wall at 1 m, shift 3 cm: pixel u of b lies at u + 0.9 in a; columns 0..30 of 32 fall inside a (30.9 < 31.5), 31 does not.
     pair = wall_pair()
     truth = se3.exp(torch.tensor([0.03, 0, 0, 0, 0, 0], dtype=torch.float64))
-    found = partners(truth, pair.a, pair.b)
-    assert len(found.index) == 24 * 31
-    torch.testing.assert_close(found.uv[:, 0], found.index % 32 + 0.9)
-    assert found.agreement == 1.0
+    overlap = overlapping_pixels(truth, pair.a, pair.b)
+    assert len(overlap.index) == 24 * 31
+    torch.testing.assert_close(overlap.uv[:, 0], overlap.index % 32 + 0.9)
+    assert overlap.depth_consistency == 1.0
     wrong = se3.exp(torch.tensor([0, 0, -0.2, 0, 0, 0], dtype=torch.float64))
-    assert partners(wrong, pair.a, pair.b).agreement == 0.0  # 20 cm in front of the measured wall
+    assert overlapping_pixels(wrong, pair.a, pair.b).depth_consistency == 0.0  # 20 cm in front of the measured wall
     assert explained(truth, pair, SMALL) is not None
     assert explained(wrong, pair, SMALL) is None
 

@@ -24,7 +24,7 @@ from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.pretraining.validation import pose_error
 from idfslam.storage import atomic_files
-from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
+from idfslam.tracking.correspondences import Correspondences, estimate_pose, is_valid
 from idfslam.tracking.features import FeatureExtractor, untrained_extractor
 from idfslam.tracking.frame_features import FrameFeatures, reduced
 from idfslam.tracking.procrustes import Registration
@@ -70,7 +70,7 @@ class LearnedFeatures:
 
     def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> Estimate:
         found, pose = self._tracker.register(frame, keyframe)
-        return Estimate() if pose is None else _estimate(found, pose, self._tracker.believes(pose, found, frame, keyframe))
+        return Estimate() if pose is None else _estimate(found, pose, self._tracker.is_consistent(pose, found, frame, keyframe))
 
 
 class KeypointFeatures:
@@ -89,7 +89,7 @@ class KeypointFeatures:
         points = torch.from_numpy(frame.points[i]), torch.from_numpy(keyframe.points[j])
         found = Correspondences(*pixels, *points, torch.from_numpy(weight))
         pose = estimate_pose(found, self._config, self._generator)
-        return Estimate() if pose is None else _estimate(found, pose, believable(pose, found, PAPER.tracker))
+        return Estimate() if pose is None else _estimate(found, pose, is_valid(pose, found, PAPER.tracker))
 
 
 class DepthAlone:

@@ -20,8 +20,8 @@ from idfslam.pretraining.footage import Pair, View
 from idfslam.pretraining.point_rendering import splat
 from idfslam.tracking.features import FeatureExtractor
 from idfslam.tracking.finetuning import correspondence_loss
-from idfslam.tracking.matching import Matches, features_in, match, spread
-from idfslam.tracking.overlap import Partners, partners
+from idfslam.tracking.matching import PixelMatches, bucket, features_in, match
+from idfslam.tracking.overlap import Overlap, overlapping_pixels
 from idfslam.tracking.procrustes import random_subsets, register
 
 
@@ -62,10 +62,10 @@ def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig
     return {"colour": (colour_a + colour_b) / 2, "depth": (depth_a + depth_b) / 2, "correspondence": apart}
 
 
-def explained(T_ab: Tensor, pair: Pair, config: PretrainConfig) -> tuple[Partners, Partners] | None:
+def explained(T_ab: Tensor, pair: Pair, config: PretrainConfig) -> tuple[Overlap, Overlap] | None:
     """What each view's pixels see of the other at this pose, b's in a and a's in b; None where the depth images contradict it."""
-    both = partners(T_ab, pair.a, pair.b), partners(se3.inverse(T_ab), pair.b, pair.a)
-    enough = all(found.agreement >= config.agreement and len(found.index) >= config.queries for found in both)
+    both = overlapping_pixels(T_ab, pair.a, pair.b), overlapping_pixels(se3.inverse(T_ab), pair.b, pair.a)
+    enough = all(found.depth_consistency >= config.agreement and len(found.index) >= config.queries for found in both)
     return both if enough else None
 
 
@@ -83,12 +83,12 @@ def contrastive_losses(
     return {"contrastive": torch.stack(losses).mean()}
 
 
-def _correspondences(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, *, mutual: bool) -> Matches:
+def _correspondences(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, *, mutual: bool) -> PixelMatches:
     found = match(features_in(b), features_in(a), pair.b.valid, pair.a.valid, query_stride=3, target_stride=2, mutual=mutual)
-    return spread(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=4)
+    return bucket(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=4)
 
 
-def _matched_points(matches: Matches, pair: Pair) -> tuple[Tensor, Tensor]:
+def _matched_points(matches: PixelMatches, pair: Pair) -> tuple[Tensor, Tensor]:
     return pair.b.points.flatten(0, 1)[matches.frame], pair.a.points.flatten(0, 1)[matches.keyframe]
 
 

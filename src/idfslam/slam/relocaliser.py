@@ -54,10 +54,10 @@ class Relocaliser(Stateful):
 
     def descriptor(self, view: Keyframe) -> Tensor:
         """A view's global descriptor, computed once; the first view gives the codebook."""
-        return self._descriptors.of(view, lambda: self._described(view))
+        return self._descriptors.of(view, lambda: self._compute_descriptor(view))
 
     @torch.no_grad()
-    def _described(self, view: Keyframe) -> Tensor:
+    def _compute_descriptor(self, view: Keyframe) -> Tensor:
         """The descriptor from the features before finetuning. Finetuned ones would change the descriptors of places seen earlier."""
         trunk = self.features.of(view).trunk[None]
         features = self.tracker.inference.head(trunk)[0].float()

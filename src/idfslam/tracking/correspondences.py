@@ -7,7 +7,7 @@ from torch import Tensor
 
 from idfslam.config import TrackerConfig
 from idfslam.tracking.procrustes import Registration, random_subsets, register
-from idfslam.tracking.spatial_consistency import compatible_subsets
+from idfslam.tracking.spatial_consistency import consistent_subsets
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torc
         return None
     count, share = config.subsets, config.subset_share
     if config.consensus == "spatial_consistency":
-        subsets = compatible_subsets(pairs.frame, pairs.keyframe, subsets=count, share=share, tolerance=config.inlier_distance)
+        subsets = consistent_subsets(pairs.frame, pairs.keyframe, subsets=count, share=share, tolerance=config.inlier_distance)
     else:
         subsets = random_subsets(len(pairs), subsets=count, share=share, generator=generator)
     fit = {"inlier_distance": config.inlier_distance, "truncation": config.truncation}
     return register(pairs.frame, pairs.keyframe, pairs.weight, subsets, refits=config.refits, **fit)
 
 
-def believable(pose: Registration, pairs: Correspondences, config: TrackerConfig) -> bool:
+def is_valid(pose: Registration, pairs: Correspondences, config: TrackerConfig) -> bool:
     """Whether enough of the correspondences are inliers of the pose, and lie far enough apart to determine it."""
     enough = int(pose.inliers.sum()) >= max(3, config.min_inliers, config.min_inlier_share * len(pairs))
     return enough and spans_plane(pairs.frame[pose.inliers], config.min_extent)

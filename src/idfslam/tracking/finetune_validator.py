@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from idfslam.geometry import se3
 from idfslam.storage.state import State, adam_dict, plain_adam
 from idfslam.tracking.frame_features import FrameFeatures
-from idfslam.tracking.overlap import partners
+from idfslam.tracking.overlap import overlapping_pixels
 
 # Distance of the two keyframes of a validation pair in the graph's order. Finetuning trains on consecutive ones, so these are never trained
 # on. More: harder pairs. Chosen by hand.
@@ -79,4 +79,4 @@ def validation_pairs(keyframes: Sequence[FrameFeatures], T_wk: Tensor, count: in
 
 def _overlap(keyframe: FrameFeatures, frame: FrameFeatures, T_kc: Tensor) -> float:
     """Share of the frame's measured pixels that the keyframe sees too."""
-    return len(partners(T_kc, keyframe, frame).index) / max(1, int(frame.valid.sum()))
+    return len(overlapping_pixels(T_kc, keyframe, frame).index) / max(1, int(frame.valid.sum()))

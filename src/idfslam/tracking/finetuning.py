@@ -10,7 +10,7 @@ from idfslam.config import FinetuneConfig
 from idfslam.errors import DivergedError
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.frame_features import FrameFeatures
-from idfslam.tracking.matching import Matches
+from idfslam.tracking.matching import PixelMatches
 
 Render = Callable[[Camera, Tensor, Tensor], tuple[Tensor, Tensor]]
 """The frozen map as a recording's camera sees it from T_wc (4, 4) at pixels (B, 2) of its image: colour (B, 3), depth (B,) [m].
@@ -34,7 +34,7 @@ def correspondence_loss(points_r: Tensor, points_c: Tensor, T_rc: Tensor, weight
 def finetuning_losses(
     current: FrameFeatures,
     reference: FrameFeatures,
-    matches: Matches,
+    matches: PixelMatches,
     T_rc: Tensor,
     T_wr: Tensor,
     *,

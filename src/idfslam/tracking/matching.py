@@ -22,7 +22,7 @@ def features_in(image: Tensor) -> Features:
 
 
 @dataclass(frozen=True)
-class Matches:
+class PixelMatches:
     """M matches between the pixels of a frame and of a keyframe, as indices into the flattened images."""
 
     frame: Tensor  # (M,) int64
@@ -32,8 +32,8 @@ class Matches:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __getitem__(self, chosen: Tensor) -> "Matches":
-        return Matches(self.frame[chosen], self.keyframe[chosen], self.weight[chosen])
+    def __getitem__(self, chosen: Tensor) -> "PixelMatches":
+        return PixelMatches(self.frame[chosen], self.keyframe[chosen], self.weight[chosen])
 
 
 @torch.no_grad()
@@ -94,7 +94,7 @@ def match(
     query_stride: int = 1,
     target_stride: int = 1,
     mutual: bool = False,
-) -> Matches:
+) -> PixelMatches:
     """Nearest neighbours in feature space among the pixels with depth (H, W), from each image to the other.
 
     The strides thin the lattices of query pixels and of target pixels; 1 and 1 is the paper's full search. `mutual` adds no matches from
@@ -106,7 +106,7 @@ def match(
     queries = lattice(frame_valid, query_stride)
     if min(len(frame_targets), len(keyframe_targets), len(queries)) < 2:
         none = frame_targets[:0]
-        return Matches(none, none, torch.zeros(0, device=none.device))
+        return PixelMatches(none, none, torch.zeros(0, device=none.device))
     frame_features, keyframe_features = frame(frame_targets), keyframe(keyframe_targets)
     neighbour, weight = _directed(frame(queries), keyframe_features)
     matched = keyframe_targets[neighbour]
@@ -116,14 +116,14 @@ def match(
         back = frame_targets[back_neighbour][inverse]
         offset = torch.maximum((back // width - queries // width).abs(), (back % width - queries % width).abs())
         near = offset <= max(query_stride, target_stride)
-        return Matches(queries, matched, torch.minimum(weight, back_weight[inverse]))[near]
+        return PixelMatches(queries, matched, torch.minimum(weight, back_weight[inverse]))[near]
     keyframe_queries = lattice(keyframe_valid, query_stride)
     neighbour, keyframe_weight = _directed(keyframe(keyframe_queries), frame_features)
     pixels = torch.cat([queries, frame_targets[neighbour]]), torch.cat([matched, keyframe_queries])
-    return Matches(*pixels, torch.cat([weight, keyframe_weight]))
+    return PixelMatches(*pixels, torch.cat([weight, keyframe_weight]))
 
 
-def spread(matches: Matches, shape: tuple[int, int], *, limit: int, grid: int) -> Matches:
+def bucket(matches: PixelMatches, shape: tuple[int, int], *, limit: int, grid: int) -> PixelMatches:
     """Grid bucketing (Sec. V-A): the best K = `limit` matches by weight, at most K / grid^2 (rounded up) from each cell of the frame.
 
     shape: (H, W) of the frame's image. `grid` = 1 is the plain top K of [31].

@@ -24,16 +24,16 @@ class DepthImage(Protocol):
 
 
 @dataclass(frozen=True)
-class Partners:
+class Overlap:
     """Pixels of view b that view a sees too."""
 
     index: Tensor  # (N,) int64: flat indices of the pixels in b
     uv: Tensor  # (N, 2) where a sees them [px]
-    agreement: float  # of b's points that a should see (measured there and not occluded), the share that lies on a's surface
+    depth_consistency: float  # of b's points that a should see (measured there and not occluded), the share that lies on a's surface
 
 
 @torch.no_grad()
-def partners(T_ab: Tensor, a: DepthImage, b: DepthImage, tolerance: float = 0.03) -> Partners:
+def overlapping_pixels(T_ab: Tensor, a: DepthImage, b: DepthImage, tolerance: float = 0.03) -> Overlap:
     """Pixels of b that a sees too, by pose and depth. Depths agree within `tolerance` times the depth; less than 1 m counts as 1 m."""
     index = b.valid.flatten().nonzero()[:, 0]
     uv, z = a.camera.project(se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[index]))
@@ -44,4 +44,4 @@ def partners(T_ab: Tensor, a: DepthImage, b: DepthImage, tolerance: float = 0.03
     measured, slack = a.valid[nearest[:, 1], nearest[:, 0]], tolerance * z.clamp(min=1)
     agrees = measured & (behind.abs() < slack)
     visible = measured & (behind < slack)
-    return Partners(index[agrees], uv[agrees], float(agrees.sum() / visible.sum().clamp(min=1)))
+    return Overlap(index[agrees], uv[agrees], float(agrees.sum() / visible.sum().clamp(min=1)))

@@ -11,7 +11,7 @@ _POWER_STEPS = 10  # steps of the power iteration for the leading eigenvector. M
 
 
 @torch.no_grad()
-def compatible_subsets(source: Tensor, target: Tensor, *, subsets: int, share: float, tolerance: float) -> Tensor:
+def consistent_subsets(source: Tensor, target: Tensor, *, subsets: int, share: float, tolerance: float) -> Tensor:
     """Subsets of consistent matches: for each of S = `subsets` seeds the `share` of the matches (M, 3) most consistent with it.
 
     Two matches are consistent if the distance between their points differs by less than `tolerance` [m] in the two clouds. Their

@@ -15,13 +15,13 @@ from idfslam.errors import ConfigError
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful, adam_dict, plain_adam
-from idfslam.tracking.correspondences import Correspondences, believable, estimate_pose
+from idfslam.tracking.correspondences import Correspondences, estimate_pose, is_valid
 from idfslam.tracking.features import FeatureExtractor, folded, load_extractor
 from idfslam.tracking.finetune_validator import FinetuneValidator, validation_pairs
 from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.frame_features import FrameFeatures, reduced
-from idfslam.tracking.matching import Features, Matches, match, spread
-from idfslam.tracking.overlap import partners
+from idfslam.tracking.matching import Features, PixelMatches, bucket, match
+from idfslam.tracking.overlap import overlapping_pixels
 from idfslam.tracking.point_to_plane import point_to_plane
 from idfslam.tracking.procrustes import Registration, supported
 
@@ -107,7 +107,7 @@ class Tracker(Stateful):
         pairs, pose = self.register(frame, keyframe)
         if pose is None:
             return TrackingResult(np.eye(4), Status.LOST, len(pairs), 0, float("nan"))
-        status = Status.OK if self.believes(pose, pairs, frame, keyframe) else Status.LOST
+        status = Status.OK if self.is_consistent(pose, pairs, frame, keyframe) else Status.LOST
         return TrackingResult(pose.T_ab.cpu().numpy(), status, len(pairs), int(pose.inliers.sum()), pose.rmse)
 
     @torch.no_grad()
@@ -120,10 +120,12 @@ class Tracker(Stateful):
         T_kc = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=self.config.plane_steps)
         return pairs, supported(T_kc, pairs.frame, pairs.keyframe, self.config.inlier_distance)
 
-    def believes(self, pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures) -> bool:
+    def is_consistent(self, pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures) -> bool:
         """Whether a pose is consistent with the matches and with the depth images."""
+        if not is_valid(pose, pairs, self.config):
+            return False
         least = self.config.min_agreement
-        return believable(pose, pairs, self.config) and (least == 0 or partners(pose.T_ab, keyframe, frame).agreement >= least)
+        return least == 0 or overlapping_pixels(pose.T_ab, keyframe, frame).depth_consistency >= least
 
     def learns(self, keyframes: int) -> bool:
         """Whether the tracker is finetuned when this many keyframes are stored; at least N_kf are needed."""
@@ -175,11 +177,11 @@ class Tracker(Stateful):
         pairs = lifted(matches, frame, keyframe)
         return int(supported(T_kc.to(self.device), pairs.frame, pairs.keyframe, self.config.inlier_distance).inliers.sum())
 
-    def _match(self, frame: FrameFeatures, keyframe: FrameFeatures) -> Matches:
+    def _match(self, frame: FrameFeatures, keyframe: FrameFeatures) -> PixelMatches:
         config = self.config
         strides = {"query_stride": config.query_stride, "target_stride": config.target_stride}
         matches = match(self._features(frame), self._features(keyframe), frame.valid, keyframe.valid, mutual=config.mutual, **strides)
-        return spread(matches, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
+        return bucket(matches, (frame.camera.height, frame.camera.width), limit=config.matches, grid=config.grid)
 
     def _features(self, frame: FrameFeatures) -> Features:
         """The lookup of a frame's features, computed by the present out-conv for the requested pixels alone."""
@@ -187,7 +189,7 @@ class Tracker(Stateful):
         return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
-def lifted(matches: Matches, frame: FrameFeatures, keyframe: FrameFeatures) -> Correspondences:
+def lifted(matches: PixelMatches, frame: FrameFeatures, keyframe: FrameFeatures) -> Correspondences:
     """Matches of pixels as correspondences of points; differentiable in the weights."""
     points_c, points_k = frame.points.flatten(0, 1)[matches.frame], keyframe.points.flatten(0, 1)[matches.keyframe]
     return Correspondences(frame.source.project(points_c)[0], keyframe.source.project(points_k)[0], points_c, points_k, matches.weight)
