@@ -15,11 +15,13 @@ CONFIG = MapperConfig(
 TRUNCATION = 0.1
 
 
-def rays(*depth: float, facing: float = 1.0) -> Rays:
+def rays(*depth: float, cos_incidence: float = 1.0) -> Rays:
     """Along z from the origin."""
     n = len(depth)
     colour = torch.linspace(0, 1, 3 * n).view(n, 3)
-    return Rays(torch.zeros(n, 3), torch.tensor([[0.0, 0.0, 1.0]]).expand(n, 3), torch.tensor(depth), colour, torch.full((n,), facing))
+    return Rays(
+        torch.zeros(n, 3), torch.tensor([[0.0, 0.0, 1.0]]).expand(n, 3), torch.tensor(depth), colour, torch.full((n,), cos_incidence)
+    )
 
 
 def generator() -> torch.Generator:
@@ -34,18 +36,18 @@ def test_far_depth_ends_behind_the_surface() -> None:
     torch.testing.assert_close(far_depth(rays(1.0, 0.0, 3.0), 0.1), torch.tensor([1.2, 3.2, 3.2]))
 
 
-@pytest.mark.parametrize("facing", [1.0, 0.5])
-def test_samples_near_the_surface(facing: float) -> None:
+@pytest.mark.parametrize("cos_incidence", [1.0, 0.5])
+def test_samples_near_the_surface(cos_incidence: float) -> None:
     # Each in its own quarter of [depth - tr, depth + tr].
     # A surface turned away: a centimetre along the ray is half a centimetre from its plane.
-    samples = SampleObjective(CONFIG, TRUNCATION).samples(rays(1.0, 2.0, facing=facing), generator())
+    samples = SampleObjective(CONFIG, TRUNCATION).samples(rays(1.0, 2.0, cos_incidence=cos_incidence), generator())
     assert samples.near == 2 * 4
     z = samples.points[: samples.near, 2].view(2, 4)
     depth = torch.tensor([[1.0], [2.0]])
     quarters = (z - depth + TRUNCATION) / (2 * TRUNCATION) * 4
     assert (quarters >= torch.arange(4) - 1e-4).all()
     assert (quarters <= torch.arange(1, 5) + 1e-4).all()
-    torch.testing.assert_close(samples.target[: samples.near].view(2, 4), (depth - z) * facing / TRUNCATION, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(samples.target[: samples.near].view(2, 4), (depth - z) * cos_incidence / TRUNCATION, rtol=1e-4, atol=1e-5)
     assert (samples.points[:, :2] == 0).all()
 
 

@@ -43,7 +43,7 @@ def test_rays_are_cast_alike() -> None:
     found, plain = compiled_cast(view(), uv), plain_cast(view(), uv)
     for name in Rays.__dataclass_fields__:
         torch.testing.assert_close(getattr(found, name), getattr(plain, name), rtol=1e-4, atol=1e-5)
-    assert float((found.facing < 0.99).float().mean()) > 0.05  # the slanted wall, beside holes and edges
+    assert float((found.cos_incidence < 0.99).float().mean()) > 0.05  # the slanted wall, beside holes and edges
 
 
 @pytest.mark.parametrize(("near", "free"), [(6, 3), (1, 1)])
@@ -54,7 +54,7 @@ def test_samples_are_placed_alike(near: int, free: int) -> None:
         directions=torch.randn(50, 3, generator=g),
         depth=4 * torch.rand(50, generator=g) + 0.1,
         colour=torch.rand(50, 3, generator=g),
-        facing=torch.rand(50, generator=g),
+        cos_incidence=torch.rand(50, generator=g),
     )
     chance, free_chance = torch.rand(50, near, generator=g), torch.rand(50, free, generator=g)
     found, plain = compiled_placed(rays, chance, free_chance, 0.1), plain_placed(rays, chance, free_chance, 0.1)

@@ -147,7 +147,7 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
     grid, c, count = field.encoding, config, len(rays) // steps
     rays = rays.in_turns(steps)
     chance, free_chance = (torch.rand(len(rays), number, generator=generator).numpy() for number in (c.samples, c.importance_samples))
-    along = [t.numpy() for t in (rays.origins.contiguous(), rays.directions, rays.depth, rays.facing)]
+    along = [t.numpy() for t in (rays.origins.contiguous(), rays.directions, rays.depth, rays.cos_incidence)]
     near, free = count * c.samples, count * c.importance_samples
     colour = rays.colour.repeat_interleave(c.samples, 0).numpy()
     colour_weight = np.full(near, c.photometric_weight / near, np.float32)

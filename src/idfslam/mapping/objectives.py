@@ -64,7 +64,7 @@ def far_depth(rays: Rays, truncation: float) -> Tensor:
 class SampleObjective:
     """Direct supervision of T-SDF and colour at samples on the rays: few of them, near the surface and in free space.
 
-    Near the surface the target is the distance to the tangent plane, which is `Rays.facing` times the distance along the ray. In free space
+    Near the surface the target is the distance to the tangent plane, which is `Rays.cos_incidence` times the distance along the ray. In free space
     the prediction is only bounded from below (`free_margin`): other surfaces may be nearer than the one along the ray.
     """
 

@@ -46,7 +46,7 @@ def plain_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: fl
     near = depth - truncation + 2 * truncation * parts(chance)
     first, last = FREE_FROM, (depth - truncation).clamp(min=FREE_TO)
     free = first + (last - first) * parts(free_chance)
-    target = ((depth - near) * rays.facing[:, None] / truncation).clamp(-1, 1).flatten()
+    target = ((depth - near) * rays.cos_incidence[:, None] / truncation).clamp(-1, 1).flatten()
     return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])
 
 
@@ -62,7 +62,7 @@ def compiled_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation:
 
     points = torch.empty(chance.numel() + free_chance.numel(), 3)
     target = torch.empty(len(points))
-    along = [t.contiguous().numpy() for t in (rays.origins, rays.directions, rays.depth, rays.facing)]
+    along = [t.contiguous().numpy() for t in (rays.origins, rays.directions, rays.depth, rays.cos_incidence)]
     outputs = points.numpy(), target.numpy()
     numba_rays.place(*along, chance.numpy(), free_chance.numpy(), np.float32(truncation), *outputs)  # type: ignore[call-arg]
     return points, target

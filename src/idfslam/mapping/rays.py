@@ -39,7 +39,7 @@ class Rays:
     directions: Tensor  # (B, 3) world
     depth: Tensor  # (B,) [m], 0 = no reading
     colour: Tensor  # (B, 3) in [0, 1]
-    facing: Tensor  # (B,) |normal . direction|: distance to the surface per metre of depth; 1 without a normal
+    cos_incidence: Tensor  # (B,) |normal . direction|: distance to the surface per metre of depth; 1 without a normal
 
     def __len__(self) -> int:
         return len(self.depth)
@@ -68,7 +68,7 @@ def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     camera = view.camera
     directions = camera.rays(uv.to(view.depth.dtype)) @ T[:3, :3].mT
     origins = T[:3, 3].expand_as(directions)
-    return Rays(origins, directions, view.depth[v, u], view.colour[v, u], facing(view.depth, uv, camera))
+    return Rays(origins, directions, view.depth[v, u], view.colour[v, u], cos_incidence(view.depth, uv, camera))
 
 
 def compiled_cast(view: View, uv: Tensor) -> Rays:
@@ -89,7 +89,7 @@ def join(rays: list[Rays]) -> Rays:
     return Rays(*(torch.cat(column) for column in columns))
 
 
-def facing(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = _REACH) -> Tensor:
+def cos_incidence(depth: Tensor, uv: Tensor, camera: Camera, *, reach: int = _REACH) -> Tensor:
     """|n . d| (B,) of the unit normal n of the surface and the ray d (z = 1), which turns a difference of depth into a distance.
 
     The normal is computed from the neighbours `reach` pixels away. The value is 1 where they are missing or an edge lies between.

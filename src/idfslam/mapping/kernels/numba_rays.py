@@ -50,8 +50,8 @@ def group_pixels(allowed, cells, order, counts):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def _facing(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, reach: int) -> np.float32:
-    """|n . d| of the surface's normal and the ray of one pixel: `rays.facing`."""
+def _cos_incidence(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: np.float32, cy: np.float32, reach: int) -> np.float32:
+    """|n . d| of the surface's normal and the ray of one pixel: `rays.cos_incidence`."""
     height, width = depth.shape
     left, right, up, down = max(u - reach, 0), min(u + reach, width - 1), max(v - reach, 0), min(v + reach, height - 1)
     here, l, r, a, b = depth[v, u], depth[v, left], depth[v, right], depth[up, u], depth[down, u]
@@ -72,7 +72,7 @@ def _facing(depth: Floats, u: int, v: int, fx: np.float32, fy: np.float32, cx: n
 
 
 @_compiled
-def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray_colour, ray_facing) -> None:  # type: ignore[no-untyped-def]
+def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray_colour, ray_cosine) -> None:  # type: ignore[no-untyped-def]
     """Fills the rays, depths and colours of a view with rotation R (3, 3) at pixels uv (N, 2): `rays.cast`."""
     for n in range(len(uv)):
         u, v = uv[n, 0], uv[n, 1]
@@ -81,11 +81,11 @@ def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray
             directions[n, axis] = R[axis, 0] * x + R[axis, 1] * y + R[axis, 2]
             ray_colour[n, axis] = colour[v, u, axis]
         ray_depth[n] = depth[v, u]
-        ray_facing[n] = _facing(depth, u, v, fx, fy, cx, cy, reach)
+        ray_cosine[n] = _cos_incidence(depth, u, v, fx, fy, cx, cy, reach)
 
 
 @_compiled
-def place(origins, directions, depth, facing, chance, free_chance, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
+def place(origins, directions, depth, cos_incidence, chance, free_chance, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
     """Fills points (B * (S + S'), 3) and target (B * (S + S'),) of S samples near the surface and S' in free space on B rays.
 
     chance (B, S) and free_chance (B, S') in [0, 1) place each sample in its stratum: `ray_samples.placed`.
@@ -94,7 +94,7 @@ def place(origins, directions, depth, facing, chance, free_chance, truncation, p
     free = free_chance.shape[1]
     for n in range(rays):
         z = depth[n]
-        slope = facing[n] / truncation
+        slope = cos_incidence[n] / truncation
         for s in range(near):
             at = z - truncation + _TWO * truncation * ((np.float32(s) + chance[n, s]) / np.float32(near))
             k = n * near + s
