@@ -7,7 +7,7 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.ray_samples import compiled_placed, plain_placed
+from idfslam.mapping.ray_samples import compiled_sample_points, plain_sample_points
 from idfslam.mapping.rays import Rays, compiled_cast, plain_cast
 from idfslam.mapping.sampling import compiled_group_pixels, plain_group_pixels
 
@@ -56,8 +56,8 @@ def test_samples_are_placed_alike(near: int, free: int) -> None:
         colour=torch.rand(50, 3, generator=g),
         cos_incidence=torch.rand(50, generator=g),
     )
-    chance, free_chance = torch.rand(50, near, generator=g), torch.rand(50, free, generator=g)
-    found, plain = compiled_placed(rays, chance, free_chance, 0.1), plain_placed(rays, chance, free_chance, 0.1)
+    jitter, free_jitter = torch.rand(50, near, generator=g), torch.rand(50, free, generator=g)
+    found, plain = compiled_sample_points(rays, jitter, free_jitter, 0.1), plain_sample_points(rays, jitter, free_jitter, 0.1)
     torch.testing.assert_close(found[0], plain[0], rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(found[1], plain[1], rtol=1e-4, atol=1e-4)
 
@@ -70,7 +70,7 @@ def test_noise_does_not_move_the_surface(noise: float) -> None:
     along = torch.tensor([0.0, 0.0, 1.0]).expand(count, 3)
     depth = 2 + noise * torch.randn(count, generator=g)
     rays = Rays(torch.zeros(count, 3), along, depth, torch.zeros(count, 3), torch.ones(count))
-    points, target = plain_placed(rays, torch.rand(count, 6, generator=g), torch.rand(count, 1, generator=g), truncation)
+    points, target = plain_sample_points(rays, torch.rand(count, 6, generator=g), torch.rand(count, 1, generator=g), truncation)
     z, target = points[: 6 * count, 2], target[: 6 * count]
     there = (z - 2).abs() < 0.002
     assert truncation * float(target[there].mean()) == pytest.approx(0, abs=0.01 * noise)

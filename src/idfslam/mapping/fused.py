@@ -146,7 +146,7 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
     assert isinstance(field.encoding, GridEncoding)
     grid, c, count = field.encoding, config, len(rays) // steps
     rays = rays.in_turns(steps)
-    chance, free_chance = (torch.rand(len(rays), number, generator=generator).numpy() for number in (c.samples, c.importance_samples))
+    jitter, free_jitter = (torch.rand(len(rays), number, generator=generator).numpy() for number in (c.samples, c.importance_samples))
     along = [t.numpy() for t in (rays.origins.contiguous(), rays.directions, rays.depth, rays.cos_incidence)]
     near, free = count * c.samples, count * c.importance_samples
     colour = rays.colour.repeat_interleave(c.samples, 0).numpy()
@@ -164,7 +164,7 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
     for step in range(steps):
         turn = slice(step * count, (step + 1) * count)
         drawn = [t[turn] for t in along]
-        numba_rays.place(*drawn, chance[turn], free_chance[turn], np.float32(field.config.truncation), points, target)  # type: ignore[call-arg]
+        numba_rays.place(*drawn, jitter[turn], free_jitter[turn], np.float32(field.config.truncation), points, target)  # type: ignore[call-arg]
         tables.forward(points, features)
         numba_field.learn(  # type: ignore[call-arg]
             features, near, target, weight, np.float32(c.free_margin), colour[step * near : (step + 1) * near], colour_weight, *network,

@@ -13,7 +13,7 @@ from idfslam.mapping.fused import learn as fused_learn
 from idfslam.mapping.fused import learn_steps as fused_steps
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.optimiser import MapOptimiser
-from idfslam.mapping.ray_samples import RaySamples, placed, uniform
+from idfslam.mapping.ray_samples import RaySamples, sample_points, uniform
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.rendering import RayMarch, render
 
@@ -64,8 +64,8 @@ def far_depth(rays: Rays, truncation: float) -> Tensor:
 class SampleObjective:
     """Direct supervision of T-SDF and colour at samples on the rays: few of them, near the surface and in free space.
 
-    Near the surface the target is the distance to the tangent plane, which is `Rays.cos_incidence` times the distance along the ray. In free space
-    the prediction is only bounded from below (`free_margin`): other surfaces may be nearer than the one along the ray.
+    Near the surface the target is the distance to the tangent plane: `Rays.cos_incidence` times the distance along the ray. In free space the
+    prediction is only bounded from below (`free_margin`), since other surfaces may be nearer than the one along the ray.
     """
 
     def __init__(self, config: MapperConfig, truncation: float) -> None:
@@ -95,9 +95,9 @@ class SampleObjective:
         """S samples near the surface and S' in free space on each ray."""
         c = self.config
         like = rays.depth
-        chance, free_chance = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
-        points, target = placed(rays, chance, free_chance, self.truncation)
-        near, free = chance.numel(), free_chance.numel()
+        jitter, free_jitter = (uniform(like, len(rays), number, generator) for number in (c.samples, c.importance_samples))
+        points, target = sample_points(rays, jitter, free_jitter, self.truncation)
+        near, free = jitter.numel(), free_jitter.numel()
         weight = like.new_full((near + free,), c.free_space_weight / max(free, 1))
         weight[:near] = c.truncation_weight / near
         colour = rays.colour[:, None].expand(-1, c.samples, 3).reshape(-1, 3)

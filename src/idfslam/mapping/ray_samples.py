@@ -28,43 +28,43 @@ def uniform(like: Tensor, rays: int, samples: int, generator: torch.Generator) -
     return torch.rand(rays, samples, generator=generator, device=generator.device).to(like)
 
 
-def placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+def sample_points(rays: Rays, jitter: Tensor, free_jitter: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
     """Stratified samples on B rays: points (B * (S + S'), 3) and their target T-SDF [tr], which is 1 in free space.
 
     S samples of each ray lie within `truncation` of the surface, in front of it and behind it: samples on one side alone would shift the
-    surface when readings are noisy. S' samples lie in front of these. chance (B, S) and free_chance (B, S') in [0, 1) place each sample
+    surface when readings are noisy. S' samples lie in front of these. jitter (B, S) and free_jitter (B, S') in [0, 1) place each sample
     within its stratum.
     """
     gradients = rays.origins.requires_grad or rays.directions.requires_grad  # the kernel computes none
-    place = plain_placed if gradients else pick(rays.depth, compiled=compiled_placed, plain=plain_placed)
-    return place(rays, chance, free_chance, truncation)
+    place = plain_sample_points if gradients else pick(rays.depth, compiled=compiled_sample_points, plain=plain_sample_points)
+    return place(rays, jitter, free_jitter, truncation)
 
 
-def plain_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
-    """`placed` in torch, on any device."""
+def plain_sample_points(rays: Rays, jitter: Tensor, free_jitter: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+    """`sample_points` in torch, on any device."""
     depth = rays.depth[:, None]
-    near = depth - truncation + 2 * truncation * parts(chance)
+    near = depth - truncation + 2 * truncation * stratified(jitter)
     first, last = FREE_FROM, (depth - truncation).clamp(min=FREE_TO)
-    free = first + (last - first) * parts(free_chance)
+    free = first + (last - first) * stratified(free_jitter)
     target = ((depth - near) * rays.cos_incidence[:, None] / truncation).clamp(-1, 1).flatten()
     return torch.cat([_points(rays, near), _points(rays, free)]), torch.cat([target, torch.ones_like(free).flatten()])
 
 
-def parts(chance: Tensor) -> Tensor:
-    """Stratified positions (B, S) in [0, 1): one in each of S equal strata, at `chance` (B, S) within it."""
-    samples = chance.shape[1]
-    return (torch.arange(samples, dtype=chance.dtype, device=chance.device) + chance) / samples
+def stratified(jitter: Tensor) -> Tensor:
+    """Stratified positions (B, S) in [0, 1): one in each of S equal strata, at `jitter` (B, S) within it."""
+    samples = jitter.shape[1]
+    return (torch.arange(samples, dtype=jitter.dtype, device=jitter.device) + jitter) / samples
 
 
-def compiled_placed(rays: Rays, chance: Tensor, free_chance: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
-    """`placed` by Numba, on the CPU, without gradients."""
+def compiled_sample_points(rays: Rays, jitter: Tensor, free_jitter: Tensor, truncation: float) -> tuple[Tensor, Tensor]:
+    """`sample_points` by Numba, on the CPU, without gradients."""
     from idfslam.mapping.kernels import numba_rays
 
-    points = torch.empty(chance.numel() + free_chance.numel(), 3)
+    points = torch.empty(jitter.numel() + free_jitter.numel(), 3)
     target = torch.empty(len(points))
     along = [t.contiguous().numpy() for t in (rays.origins, rays.directions, rays.depth, rays.cos_incidence)]
     outputs = points.numpy(), target.numpy()
-    numba_rays.place(*along, chance.numpy(), free_chance.numpy(), np.float32(truncation), *outputs)  # type: ignore[call-arg]
+    numba_rays.place(*along, jitter.numpy(), free_jitter.numpy(), np.float32(truncation), *outputs)  # type: ignore[call-arg]
     return points, target
 
 

@@ -85,25 +85,25 @@ def cast(uv, depth, colour, fx, fy, cx, cy, R, reach, directions, ray_depth, ray
 
 
 @_compiled
-def place(origins, directions, depth, cos_incidence, chance, free_chance, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
+def place(origins, directions, depth, cos_incidence, jitter, free_jitter, truncation, points, target) -> None:  # type: ignore[no-untyped-def]
     """Fills points (B * (S + S'), 3) and target (B * (S + S'),) of S samples near the surface and S' in free space on B rays.
 
-    chance (B, S) and free_chance (B, S') in [0, 1) place each sample in its stratum: `ray_samples.placed`.
+    jitter (B, S) and free_jitter (B, S') in [0, 1) place each sample in its stratum: `ray_samples.sample_points`.
     """
-    rays, near = chance.shape
-    free = free_chance.shape[1]
+    rays, near = jitter.shape
+    free = free_jitter.shape[1]
     for n in range(rays):
         z = depth[n]
         slope = cos_incidence[n] / truncation
         for s in range(near):
-            at = z - truncation + _TWO * truncation * ((np.float32(s) + chance[n, s]) / np.float32(near))
+            at = z - truncation + _TWO * truncation * ((np.float32(s) + jitter[n, s]) / np.float32(near))
             k = n * near + s
             for axis in range(3):
                 points[k, axis] = origins[n, axis] + directions[n, axis] * at
             target[k] = min(max((z - at) * slope, -_ONE), _ONE)
         first, last = _FREE_FROM, max(z - truncation, _FREE_TO)
         for s in range(free):
-            at = first + (last - first) * ((np.float32(s) + free_chance[n, s]) / np.float32(free))
+            at = first + (last - first) * ((np.float32(s) + free_jitter[n, s]) / np.float32(free))
             k = rays * near + n * free + s
             for axis in range(3):
                 points[k, axis] = origins[n, axis] + directions[n, axis] * at
