@@ -182,7 +182,7 @@ def test_queries_follow_tables_that_grew() -> None:
     asked, where = field(), points(100)
     query = fused.distance_query(asked)
     before = query(where)[0]
-    asked.encoding.grow()
+    asked.encoding.double_tables()
     torch.testing.assert_close(query(where)[0], before)
 
 

@@ -140,7 +140,7 @@ def test_render_shows_the_wall(saved: Path) -> None:
 def test_tables_that_grew_come_back(taught: tuple[Field, list[DepthView]], tmp_path: Path) -> None:
     torch.manual_seed(0)
     field = Field(FieldConfig(table_log2=8))
-    field.encoding.grow()
+    field.encoding.double_tables()
     save_map(tmp_path / "map.safetensors", field, taught[1])
     assert load_map(tmp_path / "map.safetensors").field.encoding.tables.shape[1] == 512
 

@@ -14,7 +14,7 @@ from idfslam.mapping.kernels import grid_encode, grid_scatter, touched_runs
 class GridEncoding(nn.Module):
     """Spatially hashed lattices of features with trilinear interpolation. It has `forward` and `out_dim` like every encoding.
 
-    Space is unbounded: any lattice coordinate is hashed. A table that fills up is doubled by repeating it (`grow`). The encoding stays
+    Space is unbounded: any lattice coordinate is hashed. A table that fills up is doubled by repeating it (`double_tables`). The encoding stays
     exactly the same, since the hash is taken modulo a power of two.
     """
 
@@ -43,7 +43,7 @@ class GridEncoding(nn.Module):
         """Adds the gradient by the features (N, levels * features) at points (N, 3) to the tables' gradient, without autograd."""
         grid_scatter(points, self.cells, g_features, self.gradient, touched=self.touched)
 
-    def grow(self) -> None:
+    def double_tables(self) -> None:
         """Doubles the number of entries. The encoding stays the same."""
         self.replace(torch.cat([self.tables.detach(), self.tables.detach()], 1))
 

@@ -80,17 +80,19 @@ class Mapper(Stateful):
         self.optimiser.count_as_used()
         self._publish()
 
-    def optimise_map(self, frames: Sequence[PosedFrame], iterations: int, *, grow: bool = False) -> dict[str, float]:
+    def optimise_map(self, frames: Sequence[PosedFrame], iterations: int, *, double_tables: bool = False) -> dict[str, float]:
         """Optimises Eq. 3 on the rays of frames, with fixed poses, and returns the losses of the last step.
 
-        grow: tables of the feature grid that have filled up are doubled first.
+        double_tables: tables of the feature grid that have filled up are doubled first.
         """
         self.updates.wait()
-        losses = self._learn(_views(frames), iterations, grow=grow)
+        losses = self._learn(_views(frames), iterations, double_tables=double_tables)
         self._publish()
         return losses
 
-    def start_update(self, frames: Sequence[PosedFrame], iterations: int, *, anneal: float = 1.0, grow: bool = False) -> dict[str, float]:
+    def start_update(
+        self, frames: Sequence[PosedFrame], iterations: int, *, anneal: float = 1.0, double_tables: bool = False
+    ) -> dict[str, float]:
         """`optimise_map`, in the background if `updates` does so; returns the losses of the last published update.
 
         The frames' present poses and images are used. Each call publishes the update before it, so results do not depend on how long an
@@ -101,7 +103,7 @@ class Mapper(Stateful):
 
         def learn() -> dict[str, float]:
             self.optimiser.anneal = anneal
-            return self._learn(views, iterations, grow=grow)
+            return self._learn(views, iterations, double_tables=double_tables)
 
         return self.updates.run(learn, self._publish)
 
@@ -123,11 +125,11 @@ class Mapper(Stateful):
         if self.published is not self.field:
             load_field(self.published, self.field.state_dict())
 
-    def _learn(self, views: Sequence[TrainingView], iterations: int, *, grow: bool) -> dict[str, float]:
+    def _learn(self, views: Sequence[TrainingView], iterations: int, *, double_tables: bool) -> dict[str, float]:
         """Optimises Eq. 3 on views; returns the losses of the last step."""
         numbers: dict[str, float] = {}
-        if grow:
-            self.optimiser.grow()
+        if double_tables:
+            self.optimiser.double_tables()
         with self.optimiser.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)

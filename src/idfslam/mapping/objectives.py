@@ -64,8 +64,8 @@ def far_depth(rays: Rays, truncation: float) -> Tensor:
 class SampleObjective:
     """Direct supervision of T-SDF and colour at samples on the rays: few of them, near the surface and in free space.
 
-    Near the surface the target is the distance to the tangent plane: `Rays.cos_incidence` times the distance along the ray. In free space the
-    prediction is only bounded from below (`free_margin`), since other surfaces may be nearer than the one along the ray.
+    Near the surface the target is the distance to the tangent plane: `Rays.cos_incidence` times the distance along the ray. In free space
+    the prediction is only bounded from below (`free_margin`), since other surfaces may be nearer than the one along the ray.
     """
 
     def __init__(self, config: MapperConfig, truncation: float) -> None:

@@ -70,12 +70,12 @@ class MapOptimiser:
         rate = self.config.learning_rate * min(1.0, self.steps / max(self.config.warm_up, 1))
         return self.anneal * rate, self.anneal * self.config.table_rate
 
-    def grow(self) -> bool:
+    def double_tables(self) -> bool:
         """Doubles the tables if they have filled up; returns whether they were. The map stays the same function."""
         c = self.field.config
         if self.grid is None or self.grid.tables.shape[1] >= 2**c.table_log2_max or float(load(self.v).max()) < c.table_load:
             return False
-        self.grid.grow()
+        self.grid.double_tables()
         self._forget(self.grid)  # the load starts at zero again
         return True
 

@@ -116,7 +116,7 @@ class KeyframeMapping(BackEnd):
             return self._initialise(keyframe)
         camera_ahead_of_map = keyframe.index - last.index <= _CLOSE_KEYFRAMES * self.config.mapper.every
         unmapped = tracked.evidence.mapped_share < self.config.mapper.min_mapped_share
-        return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, grow=stored)
+        return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, double_tables=stored)
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Updates the map on the frame if an update is due, and otherwise finetunes the tracker (Sec. V-B)."""
@@ -156,7 +156,7 @@ class KeyframeMapping(BackEnd):
         with self.timer.stage("map"), threads(1.0):
             return self._learn([keyframe, *replayed], self.config.mapper.first_iterations)
 
-    def _update_map(self, view: Keyframe, *, at_once: bool, grow: bool = False) -> dict[str, float]:
+    def _update_map(self, view: Keyframe, *, at_once: bool, double_tables: bool = False) -> dict[str, float]:
         """Refines replayed keyframes, then trains the map on them and the view.
 
         at_once: the update ends before the next frame. Otherwise it may run in the background, and the losses of the update before it are
@@ -169,11 +169,11 @@ class KeyframeMapping(BackEnd):
         window = [view, *replayed]
         if at_once:
             with self.timer.stage("map"), threads(1.0):
-                losses = self._learn(window, iterations, grow=grow)
+                losses = self._learn(window, iterations, double_tables=double_tables)
         else:
             self.relearn.trained(window)
             with self.timer.stage("wait" if self.mapper.updates.in_background else "map"):
-                losses = self.mapper.start_update(window, iterations, grow=grow)
+                losses = self.mapper.start_update(window, iterations, double_tables=double_tables)
         self.timer.milliseconds["map"] += self.mapper.updates.times()
         return losses
 
@@ -181,6 +181,6 @@ class KeyframeMapping(BackEnd):
         """The keyframes that an update trains on besides a view: those that have moved and wait to be learnt again, or random ones."""
         return self.relearn.nearest(view, self.graph.keyframes, self.replay.count) or self.replay.draw(view)
 
-    def _learn(self, window: Sequence[Keyframe], iterations: int, *, grow: bool = False) -> dict[str, float]:
+    def _learn(self, window: Sequence[Keyframe], iterations: int, *, double_tables: bool = False) -> dict[str, float]:
         self.relearn.trained(window)
-        return self.mapper.optimise_map(window, iterations, grow=grow)
+        return self.mapper.optimise_map(window, iterations, double_tables=double_tables)
