@@ -13,7 +13,7 @@ from idfslam.mapping.constants import GRAZING
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 
-class View(Protocol):
+class PosedView(Protocol):
     """A view with a pose: depth and colour from one camera."""
 
     T_wk: Tensor  # (4, 4) float64
@@ -54,14 +54,14 @@ class Rays:
         return Rays(*(getattr(self, name)[order] for name in Rays.__dataclass_fields__))
 
 
-def cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
+def cast(view: PosedView, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """Rays through integer pixels (B, 2) (u, v) of a view, at its own pose or at `T_wc` (4, 4); differentiable in `T_wc`."""
     if T_wc is not None:
         return plain_cast(view, uv, T_wc)
     return pick(uv, compiled=compiled_cast, plain=plain_cast)(view, uv)
 
 
-def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
+def plain_cast(view: PosedView, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     """`cast` in torch, on any device."""
     T = (view.T_wk if T_wc is None else T_wc).to(view.depth)
     u, v = uv.unbind(-1)
@@ -71,7 +71,7 @@ def plain_cast(view: View, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
     return Rays(origins, directions, view.depth[v, u], view.colour[v, u], cos_incidence(view.depth, uv, camera))
 
 
-def compiled_cast(view: View, uv: Tensor) -> Rays:
+def compiled_cast(view: PosedView, uv: Tensor) -> Rays:
     """`cast` by Numba, on the CPU, at the view's own pose."""
     from idfslam.mapping.kernels import numba_rays
 

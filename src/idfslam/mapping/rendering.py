@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from idfslam.geometry.camera import Camera
 
-Field = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+FieldFunction = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def render_weights(sdf: Tensor, depths: Tensor, truncation: float, sharpness: fl
     return bell / (bell.sum(1, keepdim=True) + 1e-8)
 
 
-def query(field: Field, origins: Tensor, directions: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
+def query(field: FieldFunction, origins: Tensor, directions: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
     """The field at `depths` (B, S) along rays (B, 3): T-SDF (B, S) [tr] and colour (B, S, 3)."""
     points = origins[:, None] + directions[:, None] * depths[..., None]
     views = F.normalize(directions, dim=-1)[:, None].expand_as(points)
@@ -118,7 +118,7 @@ def query(field: Field, origins: Tensor, directions: Tensor, depths: Tensor) -> 
 
 
 def render(
-    field: Field, origins: Tensor, directions: Tensor, far: Tensor, march: RayMarch, *, generator: torch.Generator | None = None
+    field: FieldFunction, origins: Tensor, directions: Tensor, far: Tensor, march: RayMarch, *, generator: torch.Generator | None = None
 ) -> Rendered:
     """Colour and depth of rays (B, 3), (B, 3) up to depth `far` (B,) [m]: the means of their samples' values, weighted by `render_weights`.
 
@@ -140,7 +140,7 @@ def render(
 
 @torch.no_grad()
 def render_image(
-    field: Field, T_wc: Tensor, camera: Camera, far: float | Tensor, march: RayMarch, *, rays_a_chunk: int = 4096
+    field: FieldFunction, T_wc: Tensor, camera: Camera, far: float | Tensor, march: RayMarch, *, rays_a_chunk: int = 4096
 ) -> RenderedImage:
     """The whole picture that `camera` at T_wc (4, 4) takes of the map; `far` [m] is one depth or an image (H, W) of them.
 

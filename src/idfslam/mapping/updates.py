@@ -9,7 +9,7 @@ from time import perf_counter
 from idfslam.compute.devices import threads
 from idfslam.storage.state import State
 
-Losses = dict[str, float]
+LossValues = dict[str, float]
 
 
 class MapUpdates(ABC):
@@ -19,7 +19,7 @@ class MapUpdates(ABC):
     foreground_share = 1.0  # share of the cores for the frames that are tracked meanwhile
 
     @abstractmethod
-    def run(self, update: Callable[[], Losses], publish: Callable[[], None]) -> Losses:
+    def run(self, update: Callable[[], LossValues], publish: Callable[[], None]) -> LossValues:
         """Runs an update, publishes the newest finished one, and returns the losses of that one."""
 
     @abstractmethod
@@ -27,7 +27,7 @@ class MapUpdates(ABC):
         """Waits for the last update. Raises the exception that it raised."""
 
     @abstractmethod
-    def losses(self) -> Losses:
+    def losses(self) -> LossValues:
         """Waits for the last update and returns its losses once; empty if they were returned before."""
 
     @abstractmethod
@@ -48,7 +48,7 @@ class MapUpdates(ABC):
 class InTurns(MapUpdates):
     """Each update ends before the next frame is tracked, as in the paper."""
 
-    def run(self, update: Callable[[], Losses], publish: Callable[[], None]) -> Losses:
+    def run(self, update: Callable[[], LossValues], publish: Callable[[], None]) -> LossValues:
         with threads(1.0):
             losses = update()
         publish()
@@ -56,7 +56,7 @@ class InTurns(MapUpdates):
 
     def wait(self) -> None: ...
 
-    def losses(self) -> Losses:
+    def losses(self) -> LossValues:
         return {}
 
     def times(self) -> list[float]:
@@ -79,11 +79,11 @@ class InBackground(MapUpdates):
 
     def __init__(self) -> None:
         self._milliseconds: list[float] = []
-        self._losses: Losses = {}  # of the last update, until `losses` returns them
+        self._losses: LossValues = {}  # of the last update, until `losses` returns them
         self._pool: ThreadPoolExecutor | None = None
-        self._running: Future[Losses] | None = None
+        self._running: Future[LossValues] | None = None
 
-    def run(self, update: Callable[[], Losses], publish: Callable[[], None]) -> Losses:
+    def run(self, update: Callable[[], LossValues], publish: Callable[[], None]) -> LossValues:
         losses = self.losses()
         publish()
         if not loops_may_overlap():
@@ -99,7 +99,7 @@ class InBackground(MapUpdates):
             running, self._running = self._running, None
             self._losses = running.result()
 
-    def losses(self) -> Losses:
+    def losses(self) -> LossValues:
         self.wait()
         losses, self._losses = self._losses, {}
         return losses
@@ -116,7 +116,7 @@ class InBackground(MapUpdates):
     def restore(self, state: State) -> None:
         self._losses = dict(state["losses"])
 
-    def _timed(self, update: Callable[[], Losses]) -> Losses:
+    def _timed(self, update: Callable[[], LossValues]) -> LossValues:
         start = perf_counter()
         with threads(0.5):
             losses = update()
