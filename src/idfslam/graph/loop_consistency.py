@@ -52,15 +52,14 @@ class Loop:
         """The correction (4, 4) that the loop implies for the present pose of b, in b's own frame."""
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab
 
+    def state(self) -> State:
+        """The loop as a state."""
+        return {"a": self.a, "b": self.b, "T_ab": self.T_ab, "view": self.view}
 
-def plain_loop(loop: Loop) -> State:
-    """A loop as a state."""
-    return {"a": loop.a, "b": loop.b, "T_ab": loop.T_ab, "view": loop.view}
-
-
-def loop_from(state: State) -> Loop:
-    """The loop of a state."""
-    return Loop(**state)
+    @classmethod
+    def from_state(cls, state: State) -> "Loop":
+        """The loop that `state` was made from."""
+        return cls(**state)
 
 
 def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float) -> bool:
@@ -85,13 +84,13 @@ class Loops:
 
     def state(self) -> State:
         """The closed loops, the waiting one, and the number of refused ones."""
-        closed, waiting = [plain_loop(loop) for loop in self.closed], None if self.waiting is None else plain_loop(self.waiting)
+        closed, waiting = [loop.state() for loop in self.closed], None if self.waiting is None else self.waiting.state()
         return {"closed": closed, "waiting": waiting, "refused": self.refused}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self.closed, self.refused = [loop_from(loop) for loop in state["closed"]], state["refused"]
-        self.waiting = None if state["waiting"] is None else loop_from(state["waiting"])
+        self.closed, self.refused = [Loop.from_state(loop) for loop in state["closed"]], state["refused"]
+        self.waiting = None if state["waiting"] is None else Loop.from_state(state["waiting"])
 
     def within_reach(self, graph: KeyframeGraph, keyframe: Keyframe) -> list[int]:
         """Stored keyframes of the same submap, beyond a short path, that may be covisible with a keyframe once drift is corrected."""

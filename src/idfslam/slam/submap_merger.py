@@ -12,7 +12,7 @@ from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.loop_consistency import Loop, loop_from, plain_loop, same_correction
+from idfslam.graph.loop_consistency import Loop, same_correction
 from idfslam.graph.path_length import distances
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.relocaliser import Relocaliser
@@ -31,11 +31,11 @@ class SubmapMerger(KeyframeHook):
 
     def state(self) -> State:
         """The agreeing loops and the number of merges."""
-        return {"agreeing": [plain_loop(loop) for loop in self.agreeing], "merged": self.merged}
+        return {"agreeing": [loop.state() for loop in self.agreeing], "merged": self.merged}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self.agreeing, self.merged = [loop_from(loop) for loop in state["agreeing"]], state["merged"]
+        self.agreeing, self.merged = [Loop.from_state(loop) for loop in state["agreeing"]], state["merged"]
 
     def figures(self) -> dict[str, Any]:
         return {"submaps_merged": self.merged}
