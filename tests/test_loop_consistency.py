@@ -12,7 +12,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.loop_consistency import Loop, Loops
+from idfslam.graph.loop_consistency import Loop, LoopConsistency
 from idfslam.graph.path_length import distances, path_lengths
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
@@ -63,11 +63,11 @@ def test_a_turn_is_as_far_as_it_moves_what_is_ahead() -> None:
 def test_what_may_be_a_loop(graph: KeyframeGraph) -> None:
     """After 20 m 0.1 + 0.03 * 20 m of drift may be, and 1.5 m more lie between views of one place; short paths lead to the last ones."""
     assert graph.beyond(graph.keyframes[40], path_lengths(graph.keyframes, 40)) == list(range(32))
-    assert Loops(CONFIG).within_reach(graph, graph.keyframes[40]) == [0, 1, 2, 3, 4]
+    assert LoopConsistency(CONFIG).within_reach(graph, graph.keyframes[40]) == [0, 1, 2, 3, 4]
 
 
 def test_two_loops_that_agree_close(graph: KeyframeGraph, frames: FramePoses) -> None:
-    loops = Loops(CONFIG)
+    loops = LoopConsistency(CONFIG)
     frames.append(2.0, graph.keyframes[40].T_wk @ at(0.01), Status.OK)
     assert loops.offer(graph, Loop(1, 39, at(-0.5, 0.5), 39)) == []
     assert loops.waiting is not None
@@ -82,7 +82,7 @@ def test_two_loops_that_agree_close(graph: KeyframeGraph, frames: FramePoses) ->
 
 
 def test_a_loop_alone_waits(graph: KeyframeGraph, frames: FramePoses) -> None:
-    loops = Loops(CONFIG)
+    loops = LoopConsistency(CONFIG)
     before = frames.trajectory()
     assert loops.offer(graph, Loop(1, 39, at(-0.5, 0.5), 39)) == []
     assert loops.offer(graph, Loop(0, 40, at(0.3), 40)) == []  # asks for something else
@@ -91,13 +91,13 @@ def test_a_loop_alone_waits(graph: KeyframeGraph, frames: FramePoses) -> None:
 
 
 def test_more_than_drift_is_refused(graph: KeyframeGraph) -> None:
-    loops = Loops(CONFIG)
+    loops = LoopConsistency(CONFIG)
     assert loops.offer(graph, Loop(2, 40, at(0.0), 40)) == []  # 1.02 m off after 19 m, where 0.67 m may be
     assert (loops.refused, loops.waiting) == (1, None)
 
 
 def test_without_drift_keyframes_get_an_edge(graph: KeyframeGraph) -> None:
-    loops = Loops(CONFIG)
+    loops = LoopConsistency(CONFIG)
     T_ab = se3.inverse(graph.keyframes[1].T_wk) @ graph.keyframes[39].T_wk
     assert loops.offer(graph, Loop(1, 39, T_ab, 39)) == []
     assert (loops.refused, loops.waiting) == (0, None)

@@ -13,7 +13,7 @@ from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_selection import KeyframeSelection
-from idfslam.graph.loop_consistency import Loop, Loops
+from idfslam.graph.loop_consistency import Loop, LoopConsistency
 from idfslam.slam.relocalisation_check import RelocalisationCheck
 
 DOUBTFUL = 0.03  # photometric error
@@ -91,7 +91,7 @@ def test_another_submap_or_a_merge_ends_the_check() -> None:
 
 
 def test_loops_with_what_was_split_off_are_forgotten() -> None:
-    graph, loops = found_again().graph, Loops(FAST.loops)
+    graph, loops = found_again().graph, LoopConsistency(FAST.loops)
     loops.closed = [Loop(0, 2, at(1.6), 2), Loop(0, 4, at(0.8), 6)]
     loops.waiting = Loop(1, 3, at(0.1), 5)
     graph.split_off()

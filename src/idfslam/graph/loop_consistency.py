@@ -73,7 +73,7 @@ def same_correction(graph: KeyframeGraph, loop: Loop, other: Loop, within: float
     return near and apart < within
 
 
-class Loops:
+class LoopConsistency:
     """The loops of a run: the closed ones, one that waits for confirmation, and the number of refused ones."""
 
     def __init__(self, config: LoopConfig) -> None:

@@ -11,7 +11,7 @@ from idfslam.config import LoopConfig
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.loop_consistency import Loop, Loops
+from idfslam.graph.loop_consistency import Loop, LoopConsistency
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.relocaliser import Relocaliser
 from idfslam.storage.state import State
@@ -26,7 +26,7 @@ class LoopCloser(KeyframeHook):
 
     def __init__(self, config: LoopConfig, relocaliser: Relocaliser, graph: KeyframeGraph) -> None:
         self.config, self.relocaliser, self.graph = config, relocaliser, graph
-        self.loops = Loops(config)
+        self.loops = LoopConsistency(config)
 
     def state(self) -> State:
         """The loops."""
