@@ -14,8 +14,8 @@ from idfslam.mapping.kernels import grid_encode, grid_scatter, touched_runs
 class GridEncoding(nn.Module):
     """Spatially hashed lattices of features with trilinear interpolation. It has `forward` and `out_dim` like every encoding.
 
-    Space is unbounded: any lattice coordinate is hashed. A table that fills up is doubled by repeating it (`double_tables`). The encoding stays
-    exactly the same, since the hash is taken modulo a power of two.
+    Space is unbounded: any lattice coordinate is hashed. A table that fills up is doubled by repeating it (`double_tables`). The encoding
+    stays exactly the same, since the hash is taken modulo a power of two.
     """
 
     cells: Tensor  # (levels,) edges of the cells [m]
