@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.aligner import MapAligner
 from idfslam.config import AlignmentConfig, FieldConfig, MapperConfig
 from idfslam.frame import Frame
 from idfslam.geometry import se3
@@ -48,8 +48,8 @@ def taught(walls: Tensor) -> Mapper:
     return learner
 
 
-def aligner(learner: Mapper, config: AlignmentConfig = CONFIG) -> Aligner:
-    return Aligner(config, distance_query(learner.field), learner.field.config.truncation, torch.Generator().manual_seed(0))
+def aligner(learner: Mapper, config: AlignmentConfig = CONFIG) -> MapAligner:
+    return MapAligner(config, distance_query(learner.field), learner.field.config.truncation, torch.Generator().manual_seed(0))
 
 
 def error(T: Tensor, truth: Tensor) -> tuple[float, float]:

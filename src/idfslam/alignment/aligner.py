@@ -115,7 +115,7 @@ MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
-class Aligner(Stateful):
+class MapAligner(Stateful):
     """Aligns views to a map and to the images of keyframes. Both may change between calls."""
 
     def __init__(self, config: AlignmentConfig, query: MapQuery, truncation: float, generator: torch.Generator) -> None:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import torch
 
-from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.motion import MotionModel
 from idfslam.compute.devices import resolve_device, seeded, updates_may_overlap
 from idfslam.config import Config
@@ -88,9 +88,9 @@ class System:
         return self.config.loops.relocalise and self.aligns
 
     @cached_property
-    def aligner(self) -> Aligner:
+    def aligner(self) -> MapAligner:
         query = distance_query(self.mapper.published)
-        return Aligner(self.config.alignment, query, self.config.field.truncation, self.generator)
+        return MapAligner(self.config.alignment, query, self.config.field.truncation, self.generator)
 
     @cached_property
     def registration(self) -> Registration:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from idfslam.alignment.aligner import Aligner, Alignment
+from idfslam.alignment.aligner import Alignment, MapAligner
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
@@ -55,7 +55,9 @@ class Registration(FrontEnd):
 class AlignmentToMap(FrontEnd):
     """Alignment to the map from the predicted pose. If the result is doubtful, the registered pose and the last pose are tried too."""
 
-    def __init__(self, aligner: Aligner, registration: Registration, graph: KeyframeGraph, frames: FramePoses, timer: StageTimer) -> None:
+    def __init__(
+        self, aligner: MapAligner, registration: Registration, graph: KeyframeGraph, frames: FramePoses, timer: StageTimer
+    ) -> None:
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.evidence = Evidence()  # evidence for the last frame's pose
 

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 
-from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.aligner import MapAligner
 from idfslam.compute.devices import threads
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
@@ -47,7 +47,7 @@ class KeyframeRegistration(KeyframePose):
     """
 
     def __init__(
-        self, config: AlignmentConfig, relocaliser: Relocaliser, aligner: Aligner, graph: KeyframeGraph, timer: StageTimer
+        self, config: AlignmentConfig, relocaliser: Relocaliser, aligner: MapAligner, graph: KeyframeGraph, timer: StageTimer
     ) -> None:
         self.config, self.relocaliser, self.aligner, self.graph, self.timer = config, relocaliser, aligner, graph, timer
 

@@ -5,7 +5,7 @@ It alternates and is not a joint bundle adjustment: one keyframe moves at a time
 
 from collections.abc import Sequence
 
-from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.motion import change_between, moved
 from idfslam.config import RefinementConfig
 from idfslam.frame import Status
@@ -24,7 +24,7 @@ class NoRefinement:
 class KeyframeRefinement(NoRefinement):
     """Aligns keyframes to the map and to the images of older keyframes."""
 
-    def __init__(self, config: RefinementConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: Aligner) -> None:
+    def __init__(self, config: RefinementConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: MapAligner) -> None:
         self.config, self.graph, self.relearn, self.aligner = config, graph, relearn, aligner
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:

@@ -7,7 +7,7 @@ confirm the place. If these images contradict it, the relocalisation was wrong, 
 import logging
 from typing import Any
 
-from idfslam.alignment.aligner import Aligner
+from idfslam.alignment.aligner import MapAligner
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
@@ -30,7 +30,7 @@ _CONTRADICTIONS = 2  # contradicted keyframes in a row that refute a relocalisat
 class RelocalisationCheck(KeyframeHook):
     """Compares the keyframes since a relocalisation with older ones."""
 
-    def __init__(self, aligner: Aligner, graph: KeyframeGraph, frames: FramePoses) -> None:
+    def __init__(self, aligner: MapAligner, graph: KeyframeGraph, frames: FramePoses) -> None:
         self.aligner, self.graph, self.frames = aligner, graph, frames
         self.max_error = 0.0  # largest photometric error to an old keyframe that does not contradict
         self.contradictions = 0  # number of contradicted keyframes in a row

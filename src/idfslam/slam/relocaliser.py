@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from idfslam.alignment.aligner import Aligner, Alignment
+from idfslam.alignment.aligner import Alignment, MapAligner
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
@@ -33,7 +33,7 @@ _RIVAL = 0.8  # [1] share of the best score above which another place makes the 
 class Relocaliser(Stateful):
     """Finds views among keyframes."""
 
-    def __init__(self, tracker: Tracker, features: KeyframeFeatures, aligner: Aligner, graph: KeyframeGraph) -> None:
+    def __init__(self, tracker: Tracker, features: KeyframeFeatures, aligner: MapAligner, graph: KeyframeGraph) -> None:
         self.tracker, self.features, self.aligner, self.graph = tracker, features, aligner, graph
         self._codebook: Tensor | None = None
         self._descriptors: FrameMemory[Tensor] = FrameMemory()
