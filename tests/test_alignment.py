@@ -170,7 +170,7 @@ def test_depth_alone_decides_in_a_corner(corner: Mapper) -> None:
     found = aligner(corner).align(view(CORNER, truth), truth @ pose(0.01, -0.01, 0.01, 0.005, 0, 0.005), [])
     assert found.status is Status.OK
     assert error(found.T_wc, truth)[0] < 0.006
-    assert found.brightness == 0.0
+    assert found.photometric_error == 0.0
 
 
 def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
@@ -226,14 +226,14 @@ def test_doubt(corner: Mapper) -> None:
     assert judge.doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
     judge.accept(good, EYE)
     assert not judge.doubtful(good)
-    assert not judge.doubtful(replace(good, brightness=0.029))  # 1.5 * 0.02 = 0.03
-    assert judge.doubtful(replace(good, brightness=0.031))
+    assert not judge.doubtful(replace(good, photometric_error=0.029))  # 1.5 * 0.02 = 0.03
+    assert judge.doubtful(replace(good, photometric_error=0.031))
     assert judge.doubtful(replace(good, overlap=0.5))
     assert judge.doubtful(replace(good, status=Status.LOST))
-    judge.accept(replace(good, brightness=0.04), EYE)  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
-    assert not judge.doubtful(replace(good, brightness=0.032))
-    judge.accept(replace(good, brightness=0.0), EYE)  # no landmark in view says nothing
-    assert judge.doubtful(replace(good, brightness=0.034))
+    judge.accept(replace(good, photometric_error=0.04), EYE)  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
+    assert not judge.doubtful(replace(good, photometric_error=0.032))
+    judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
+    assert judge.doubtful(replace(good, photometric_error=0.034))
 
 
 def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:
@@ -272,5 +272,5 @@ def off_by_a_little() -> Tensor:
 
 def test_score_prefers_overlap_closeness_and_colour() -> None:
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
-    for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"brightness": 0.03}, {"in_view": 0.5}, {"status": Status.LOST}):
+    for worse in ({"overlap": 0.8}, {"rmse": 0.005}, {"photometric_error": 0.03}, {"in_view": 0.5}, {"status": Status.LOST}):
         assert replace(good, **worse).score < good.score

@@ -22,7 +22,7 @@ DOUBTFUL = 0.03  # photometric error
 class Witness:
     """An aligner with a given answer to each comparison: share of landmarks in view, photometric error."""
 
-    doubtful_brightness = DOUBTFUL
+    doubtful_error = DOUBTFUL
 
     def __init__(self) -> None:
         self.answer: tuple[float, float] = 0.8, 0.01

@@ -54,8 +54,8 @@ class Alignment:
     status: Status
     overlap: float  # share of the points that lie near a mapped surface
     rmse: float  # [m] of the robustly weighted distances
-    stiffness: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
-    brightness: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
+    min_eigenvalue: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
+    photometric_error: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
     in_view: float  # share of the references' landmarks that are in view; 1 without landmarks
     information: Information | None  # of depth and images together; None for a frame without depth
     iterations: int
@@ -73,7 +73,7 @@ class Alignment:
 
         A landmark out of view counts as a wrong one. Otherwise a pose that looks away from all landmarks would score best.
         """
-        agreement = self.in_view / (self.brightness + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
+        agreement = self.in_view / (self.photometric_error + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
         return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + _RMSE_FLOOR)
 
     def distance(self, T_wc: Tensor) -> float:
@@ -123,17 +123,17 @@ class MapAligner(Stateful):
         self.config, self.query, self.truncation, self._generator = config, query, truncation, generator
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
-        self._usual_brightness = 0.0
+        self._usual_error = 0.0
         self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
     def state(self) -> State:
         """The usual photometric error, the bound on the prediction error, and the generator."""
         expected = math.inf if self.expected is None else self.expected
-        return {"usual_brightness": self._usual_brightness, "expected": expected, "generator": self._generator.get_state()}
+        return {"usual_error": self._usual_error, "expected": expected, "generator": self._generator.get_state()}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._usual_brightness = state["usual_brightness"]
+        self._usual_error = state["usual_error"]
         self.expected = state["expected"] if math.isfinite(state["expected"]) else None
         self._generator.set_state(state["generator"])
 
@@ -159,13 +159,13 @@ class MapAligner(Stateful):
                 system, _ = self._depth_system(coarse, T, step, None)
             else:  # the normals of the first fine step are used again: they hardly turn any more
                 system, normals = self._depth_system(surface, T, step, normals)
-            H, b, brightness, in_view = self._with_images(system, view, references, T, step)
+            H, b, photometric_error, in_view = self._with_images(system, view, references, T, step)
             largest = damped_step(H, b, system.weight, system.radius, hold, change, T)
             if step >= coarse_steps and largest < self.config.converged:
                 break
         information = Information.of(H, system.weight, system.radius)
         focal = self.appearance(view).levels[0].camera.fx
-        return self._judged(T, system, information, brightness, in_view, step + 1 - first, focal)
+        return self._judged(T, system, information, photometric_error, in_view, step + 1 - first, focal)
 
     def _first_step(self, within: float | None) -> int:
         """The first step for a guess with an error of up to `within` [px]: at most `level_reach` pixels of the coarsest level used."""
@@ -196,21 +196,21 @@ class MapAligner(Stateful):
 
     def fits(self, alignment: Alignment, times: float) -> bool:
         """Whether the photometric error is at most `times` the usual one."""
-        return alignment.brightness <= times * self._expected_brightness
+        return alignment.photometric_error <= times * self._expected_error
 
     @property
-    def doubtful_brightness(self) -> float:
+    def doubtful_error(self) -> float:
         """Photometric error [1] above which the images do not match: it is more than noise."""
-        return self.config.doubtful_brightness * self._expected_brightness
+        return self.config.doubtful_brightness * self._expected_error
 
     @property
-    def _expected_brightness(self) -> float:
-        return max(self._usual_brightness, self.config.colour_noise)
+    def _expected_error(self) -> float:
+        return max(self._usual_error, self.config.colour_noise)
 
     @property
     def has_usual_error(self) -> bool:
         """Whether the usual photometric error is available: a frame was aligned, or `expect` was called."""
-        return self._usual_brightness > 0
+        return self._usual_error > 0
 
     def expect(self, differences: Sequence[float]) -> None:
         """Initialises the usual photometric error with the median of some errors, before the first alignment.
@@ -218,12 +218,12 @@ class MapAligner(Stateful):
         An error of 0 means that nothing was in view, and is left out.
         """
         if measured := sorted(difference for difference in differences if difference > 0):
-            self._usual_brightness = measured[len(measured) // 2]
+            self._usual_error = measured[len(measured) // 2]
 
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
-        if alignment.brightness > 0:
-            self._usual_brightness += (alignment.brightness - self._usual_brightness) * (_USUAL_RATE if self._usual_brightness else 1.0)
+        if alignment.photometric_error > 0:
+            self._usual_error += (alignment.photometric_error - self._usual_error) * (_USUAL_RATE if self._usual_error else 1.0)
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
@@ -250,7 +250,7 @@ class MapAligner(Stateful):
 
         Returns H (6, 6), b (6,), the scale of the brightness differences, and the share of the landmarks in view.
         """
-        H, b, brightness, seen, in_view, count = system.H, system.b, 0.0, 0, 0, 0
+        H, b, photometric_error, seen, in_view, count = system.H, system.b, 0.0, 0, 0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
@@ -262,8 +262,8 @@ class MapAligner(Stateful):
                 continue
             H = H + self.config.depth_noise**2 * term.H
             b = b + self.config.depth_noise**2 * term.b
-            brightness, seen = brightness + term.seen * term.noise, seen + term.seen
-        return H, b, brightness / max(seen, 1), in_view / count if count else 1.0
+            photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
+        return H, b, photometric_error / max(seen, 1), in_view / count if count else 1.0
 
     def compare(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
@@ -292,18 +292,18 @@ class MapAligner(Stateful):
         self._appearances.pop(view.images, None)
 
     def _judged(
-        self, T: Tensor, system: _System, information: Information, brightness: float, in_view: float, iterations: int, focal: float
+        self, T: Tensor, system: _System, information: Information, photometric_error: float, in_view: float, iterations: int, focal: float
     ) -> Alignment:
         of_depth = Information.of(system.H, system.weight, system.radius)
-        stiffness = float(of_depth.values[0])
+        min_eigenvalue = float(of_depth.values[0])
         status = Status.OK
         if system.overlap < self.config.min_overlap or system.rmse > self.config.max_rmse:
             status = Status.LOST
-        elif stiffness < self.config.min_eigenvalue:
+        elif min_eigenvalue < self.config.min_eigenvalue:
             status = Status.DEGENERATE
         # Images that do not match say nothing about the motion.
-        trusted = of_depth if brightness > self.doubtful_brightness else information
-        evidence = system.overlap, system.rmse, stiffness, brightness, in_view, trusted
+        trusted = of_depth if photometric_error > self.doubtful_error else information
+        evidence = system.overlap, system.rmse, min_eigenvalue, photometric_error, in_view, trusted
         return Alignment(se3.orthonormal(T), status, *evidence, iterations, focal, system.radius)
 
 

@@ -121,7 +121,7 @@ class Relocaliser(Stateful):
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
         """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""
         in_view, error = self.aligner.compare(view, keyframe, T_wc)
-        return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.doubtful_brightness
+        return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.doubtful_error
 
 
 def unambiguous(results: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
