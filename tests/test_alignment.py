@@ -223,17 +223,17 @@ def test_two_alignments_are_the_same(corner: Mapper) -> None:
 def test_doubt(corner: Mapper) -> None:
     judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6, doubtful_brightness=1.5, colour_noise=0.01))
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
-    assert judge.doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
+    assert judge.is_doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
     judge.accept(good, EYE)
-    assert not judge.doubtful(good)
-    assert not judge.doubtful(replace(good, photometric_error=0.029))  # 1.5 * 0.02 = 0.03
-    assert judge.doubtful(replace(good, photometric_error=0.031))
-    assert judge.doubtful(replace(good, overlap=0.5))
-    assert judge.doubtful(replace(good, status=Status.LOST))
+    assert not judge.is_doubtful(good)
+    assert not judge.is_doubtful(replace(good, photometric_error=0.029))  # 1.5 * 0.02 = 0.03
+    assert judge.is_doubtful(replace(good, photometric_error=0.031))
+    assert judge.is_doubtful(replace(good, overlap=0.5))
+    assert judge.is_doubtful(replace(good, status=Status.LOST))
     judge.accept(replace(good, photometric_error=0.04), EYE)  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
-    assert not judge.doubtful(replace(good, photometric_error=0.032))
+    assert not judge.is_doubtful(replace(good, photometric_error=0.032))
     judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
-    assert judge.doubtful(replace(good, photometric_error=0.034))
+    assert judge.is_doubtful(replace(good, photometric_error=0.034))
 
 
 def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:

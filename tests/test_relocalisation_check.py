@@ -27,7 +27,7 @@ class Witness:
     def __init__(self) -> None:
         self.answer: tuple[float, float] = 0.8, 0.01
 
-    def compare(self, view: Keyframe, reference: Keyframe, T_wc: torch.Tensor) -> tuple[float, float]:
+    def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: torch.Tensor) -> tuple[float, float]:
         return self.answer
 
 

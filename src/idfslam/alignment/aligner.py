@@ -186,17 +186,17 @@ class MapAligner(Stateful):
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
         return pick(view.depth, compiled=compiled_surface, plain=plain_surface)(view.depth, view.camera, jitter, patch)
 
-    def doubtful(self, alignment: Alignment) -> bool:
+    def is_doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess should be tried: the view is lost, overlaps little with the map, or has a large photometric error."""
         return (
             alignment.status is Status.LOST
             or alignment.overlap < self.config.doubtful_overlap
-            or not self.fits(alignment, self.config.doubtful_brightness)
+            or not self.photometric_error_within(alignment, self.config.doubtful_brightness)
         )
 
-    def fits(self, alignment: Alignment, times: float) -> bool:
-        """Whether the photometric error is at most `times` the usual one."""
-        return alignment.photometric_error <= times * self._expected_error
+    def photometric_error_within(self, alignment: Alignment, ratio: float) -> bool:
+        """Whether the photometric error is at most `ratio` times the usual one."""
+        return alignment.photometric_error <= ratio * self._expected_error
 
     @property
     def doubtful_error(self) -> float:
@@ -265,7 +265,7 @@ class MapAligner(Stateful):
             photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
         return H, b, photometric_error / max(seen, 1), in_view / count if count else 1.0
 
-    def compare(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
+    def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
         marks, noise, widest = self.landmarks(reference), self.config.colour_noise, self.config.colour_robust
         term = photometric_term(self.appearance(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)

@@ -99,7 +99,7 @@ class AlignmentToMap(FrontEnd):
                 aligned = self.aligner.align(view, T_guess, references, within=within)
             if best is None or aligned.score > _BETTER * best.score:
                 best = aligned
-            if not self.aligner.doubtful(best) and not self.aligner.unexpected(aligned, T_guess, within):
+            if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, within):
                 break
         assert best is not None
         return best, registered

@@ -41,7 +41,7 @@ class KeyframeRefinement(NoRefinement):
         aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
         change = change_between(keyframe.T_wk, aligned.T_wc)
         small = float(change[:3].norm()) < self.config.max_shift
-        if aligned.status is Status.OK and small and not self.aligner.doubtful(aligned):
+        if aligned.status is Status.OK and small and not self.aligner.is_doubtful(aligned):
             # Half of the change: the map has learnt this place partly from the present pose.
             self.graph.set_pose(keyframe, moved(keyframe.T_wk, change / 2))
         self.aligner.release(keyframe)

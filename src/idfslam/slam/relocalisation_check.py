@@ -68,7 +68,7 @@ class RelocalisationCheck(KeyframeHook):
         if first is None:
             return False
         witnesses = [self.graph.keyframes[i] for i in keyframe.covisible_references if i < first][:_WITNESSES]
-        compared = [self.aligner.compare(keyframe, witness, keyframe.T_wk) for witness in witnesses]
+        compared = [self.aligner.photometric_comparison(keyframe, witness, keyframe.T_wk) for witness in witnesses]
         errors = [error for in_view, error in compared if in_view > _MIN_IN_VIEW]
         if not errors:
             return False

@@ -83,7 +83,7 @@ class Relocaliser(Stateful):
         if T_guess is None:
             return None
         aligned = self.aligner.align(view, T_guess, self.graph.references_for(keyframe, self.references))
-        return aligned if self.convincing(aligned) and self.aligner.fits(aligned, _MAX_ERROR_RATIO) else None
+        return aligned if self.convincing(aligned) and self.aligner.photometric_error_within(aligned, _MAX_ERROR_RATIO) else None
 
     def relocalise(self, view: Keyframe, keyframes: Sequence[Keyframe], tries: int) -> tuple[Keyframe, Alignment] | None:
         """Relocalises a view: the best of the `tries` most similar keyframes, and the view's alignment; None if there is doubt."""
@@ -110,17 +110,17 @@ class Relocaliser(Stateful):
         errors = []
         for keyframe in keyframes:
             references = self.graph.older_references(keyframe, self.references)
-            errors += [self.aligner.compare(keyframe, other, keyframe.T_wk)[1] for other in references]
+            errors += [self.aligner.photometric_comparison(keyframe, other, keyframe.T_wk)[1] for other in references]
             self.aligner.release(keyframe)
         self.aligner.expect(errors)
 
     def convincing(self, aligned: Alignment) -> bool:
         """Whether an alignment is unlikely to be accidental: it is not doubtful, and sees enough landmarks."""
-        return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.doubtful(aligned)
+        return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.is_doubtful(aligned)
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
         """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""
-        in_view, error = self.aligner.compare(view, keyframe, T_wc)
+        in_view, error = self.aligner.photometric_comparison(view, keyframe, T_wc)
         return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.doubtful_error
 
 
