@@ -188,7 +188,7 @@ def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
 
 def test_what_a_bare_wall_leaves_open_is_held_to_the_registration(wall: Mapper) -> None:
     slid = pose(0.03, -0.02, 0, 0, 0, 0)
-    alone = aligner(wall).align(view(WALL, EYE), EYE, [], within=0.0)
+    alone = aligner(wall).align(view(WALL, EYE), EYE, [], max_guess_error_px=0.0)
     held = aligner(wall).align(view(WALL, EYE), slid, [], registered=True)
     assert error(alone.T_wc, EYE)[0] < 0.005
     assert error(held.T_wc, slid)[0] < 0.005
@@ -239,7 +239,7 @@ def test_doubt(corner: Mapper) -> None:
 def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:
     # Three levels of two steps each, each good for 1.5 of its own pixels: 1.5, 3 and 6 of the finest's
     judge = aligner(corner, replace(CONFIG, level_reach=1.5, steps_a_level=2))
-    assert [judge._first_step(within) for within in (None, 100.0, 3.1, 3.0, 1.6, 1.5, 0.0)] == [0, 0, 0, 2, 2, 4, 4]
+    assert [judge._first_step(error) for error in (None, 100.0, 3.1, 3.0, 1.6, 1.5, 0.0)] == [0, 0, 0, 2, 2, 4, 4]
 
 
 def test_predictions_are_expected_to_be_as_far_off_as_lately(corner: Mapper) -> None:
@@ -261,7 +261,7 @@ def test_predictions_are_expected_to_be_as_far_off_as_lately(corner: Mapper) -> 
 
 def test_from_the_finest_images_it_is_as_exact(corner: Mapper) -> None:
     whole = aligner(corner).align(view(CORNER, EYE), off_by_a_little(), [view(CORNER, EYE)])
-    near = aligner(corner).align(view(CORNER, EYE), off_by_a_little(), [view(CORNER, EYE)], within=1.0)
+    near = aligner(corner).align(view(CORNER, EYE), off_by_a_little(), [view(CORNER, EYE)], max_guess_error_px=1.0)
     assert near.iterations < whole.iterations
     assert error(near.T_wc, EYE)[0] < 0.002 and error(whole.T_wc, EYE)[0] < 0.002
 

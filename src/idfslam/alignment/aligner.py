@@ -138,13 +138,19 @@ class MapAligner(Stateful):
         self._generator.set_state(state["generator"])
 
     def align(
-        self, view: Keyframe, T_guess: Tensor, references: Sequence[Keyframe], *, within: float | None = None, registered: bool = False
+        self,
+        view: Keyframe,
+        T_guess: Tensor,
+        references: Sequence[Keyframe],
+        *,
+        max_guess_error_px: float | None = None,
+        registered: bool = False,
     ) -> Alignment:
         """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4); LOST if too few pixels have depth.
 
-        within: bound on the error of the guess [px of the finest image]. The steps on images too coarse for it are left out. None: unknown.
-        registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in the directions that
-        map and images constrain weakly.
+        max_guess_error_px: bound on the error of the guess, in pixels of the finest image. The steps on images too coarse for it are left
+        out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
+        the directions that map and images constrain weakly.
         """
         hold = self.config.registration_prior_information if registered else self.config.prior_information
         surface = self.surface(view)
@@ -152,7 +158,7 @@ class MapAligner(Stateful):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
         T, change = T_guess.double().clone(), torch.zeros(6, dtype=torch.float64)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
-        first = min(self._first_step(0.0 if registered else within), self.config.iterations - 1)
+        first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
         coarse, normals = surface.every(_COARSE_STRIDE), None
         for step in range(first, self.config.iterations):
             if step < coarse_steps:
@@ -167,12 +173,12 @@ class MapAligner(Stateful):
         focal = self.appearance(view).levels[0].camera.fx
         return self._judged(T, system, information, photometric_error, in_view, step + 1 - first, focal)
 
-    def _first_step(self, within: float | None) -> int:
-        """The first step for a guess with an error of up to `within` [px]: at most `level_reach` pixels of the coarsest level used."""
+    def _first_step(self, max_guess_error_px: float | None) -> int:
+        """The first step for a guess with this largest error: it is at most `level_reach` pixels of the coarsest level used."""
         levels = self.config.image_levels
-        if within is None:
+        if max_guess_error_px is None:
             return 0
-        level = math.ceil(math.log2(max(within / self.config.level_reach, 1.0)))
+        level = math.ceil(math.log2(max(max_guess_error_px / self.config.level_reach, 1.0)))
         return max(0, levels - 1 - level) * self.config.steps_a_level
 
     def surface(self, view: Keyframe) -> Surface:
@@ -227,9 +233,11 @@ class MapAligner(Stateful):
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
-    def unexpected(self, alignment: Alignment, T_guess: Tensor, within: float | None) -> bool:
-        """Whether the pose moved farther from its guess than the images reach that were used for an error of up to `within` [px]."""
-        return within is not None and alignment.distance(T_guess) > _OVERSHOOT * max(within, self.config.level_reach)
+    def unexpected(self, alignment: Alignment, T_guess: Tensor, max_guess_error_px: float | None) -> bool:
+        """Whether the pose moved farther from its guess than the images reach that were used for this largest error of the guess."""
+        return max_guess_error_px is not None and alignment.distance(T_guess) > _OVERSHOOT * max(
+            max_guess_error_px, self.config.level_reach
+        )
 
     def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
         """Normal equations of the points' distances to the map along its normals. The robust scale narrows over the first steps.

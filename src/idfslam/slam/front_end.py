@@ -88,7 +88,7 @@ class AlignmentToMap(FrontEnd):
         references = self.graph.references(self.aligner.config.references)
         best: Alignment | None = None
         registered: Tracked | None = None
-        for guess, within in self._guesses():
+        for guess, max_guess_error_px in self._guesses():
             T_guess = view.T_wk if guess is Source.PREDICTED else self._last_pose(view)
             if guess is Source.REGISTERED:
                 answer = self.registration.track(view)
@@ -96,10 +96,10 @@ class AlignmentToMap(FrontEnd):
                     continue
                 registered, T_guess = answer, answer.T_wc
             with self.timer.stage("align"):
-                aligned = self.aligner.align(view, T_guess, references, within=within)
+                aligned = self.aligner.align(view, T_guess, references, max_guess_error_px=max_guess_error_px)
             if best is None or aligned.score > _BETTER * best.score:
                 best = aligned
-            if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, within):
+            if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, max_guess_error_px):
                 break
         assert best is not None
         return best, registered

@@ -38,7 +38,7 @@ class KeyframeRefinement(NoRefinement):
 
     def _refine(self, keyframe: Keyframe) -> None:
         references = self.graph.older_references(keyframe, self.aligner.config.references)
-        aligned = self.aligner.align(keyframe, keyframe.T_wk, references, within=0.0)
+        aligned = self.aligner.align(keyframe, keyframe.T_wk, references, max_guess_error_px=0.0)
         change = change_between(keyframe.T_wk, aligned.T_wc)
         small = float(change[:3].norm()) < self.config.max_shift
         if aligned.status is Status.OK and small and not self.aligner.is_doubtful(aligned):
