@@ -152,7 +152,7 @@ class MapAligner(Stateful):
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
         the directions that map and images constrain weakly.
         """
-        hold = self.config.registration_prior_information if registered else self.config.prior_information
+        prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         surface = self.surface(view)
         if len(surface.points) < self.config.min_points:
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
@@ -166,7 +166,7 @@ class MapAligner(Stateful):
             else:  # the normals of the first fine step are used again: they hardly turn any more
                 system, normals = self._depth_system(surface, T, step, normals)
             H, b, photometric_error, in_view = self._with_images(system, view, references, T, step)
-            largest = damped_step(H, b, system.weight, system.radius, hold, change, T)
+            largest = damped_step(H, b, system.weight, system.radius, prior_information, change, T)
             if step >= coarse_steps and largest < self.config.converged:
                 break
         information = Information.of(H, system.weight, system.radius)
@@ -343,25 +343,25 @@ def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) 
     return Surface(points[:count], noise_ratio(z[:count]), patches)
 
 
-def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
     """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior at the guess for directions with little information.
 
-    hold: information [1] below which the prior dominates (`Information.prior`). The step moves in place the pose T (4, 4) and its change
-    since the guess, change (6,). Returns the largest entry of the step. All tensors are on the host, wherever the points are.
+    prior_information: information [1] below which the prior dominates (`Information.prior`). The step moves in place the pose T (4, 4) and
+    its change since the guess, change (6,). Returns the largest entry of the step. All tensors are on the host, wherever the points are.
     """
-    return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, hold, change, T)
+    return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, prior_information, change, T)
 
 
-def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
     """`damped_step` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
-    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, hold, change.numpy(), T.numpy()))  # type: ignore[call-arg]
+    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, prior_information, change.numpy(), T.numpy()))  # type: ignore[call-arg]
 
 
-def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, hold: float, change: Tensor, T: Tensor) -> float:
+def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
     """`damped_step` in torch, on any device."""
-    P = Information.of(H, weight, radius).prior(hold)
+    P = Information.of(H, weight, radius).prior(prior_information)
     delta = torch.linalg.solve(H + P, b - P @ change)
     change += delta
     T[:] = moved(T, delta)

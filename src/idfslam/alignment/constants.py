@@ -19,4 +19,4 @@ DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its m
 
 # Information of a pose by direction (`motion.Information`)
 LEAST_RADIUS = 0.1  # [m] least distance of the points by which a turn is compared with a shift. More: turns close to a surface count less
-LEAST_VALUE = 0.1  # [1] least information of a direction, as a share of `hold`. Less: the prior is stronger in an open direction
+LEAST_VALUE = 0.1  # [1] least information of a direction, as a share of `prior_information`. Less: a stronger prior in an open direction

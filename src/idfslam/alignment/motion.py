@@ -41,14 +41,14 @@ class Information:
         values, directions = torch.linalg.eigh(H * unit[:, None] * unit / max(weight, 1e-9))
         return cls(values, directions, unit, max(weight, 1e-9))
 
-    def prior(self, hold: float) -> Tensor:
-        """Prior information (6, 6) at the guess: it dominates directions with far less information than `hold`, and vanishes far above."""
-        prior = (self.directions * (hold**4 / self.values.clamp(min=LEAST_VALUE * hold) ** 3)) @ self.directions.T
+    def prior(self, prior_information: float) -> Tensor:
+        """The prior (6, 6) at the guess. It dominates directions with far less than `prior_information`, and vanishes with far more."""
+        prior = (self.directions * (prior_information**4 / self.values.clamp(min=LEAST_VALUE * prior_information) ** 3)) @ self.directions.T
         return self.weight * prior / (self.unit[:, None] * self.unit)
 
-    def trusted(self, change: Tensor, hold: float) -> Tensor:
-        """The part of a change (6,) in directions with more information than `hold`; the rest may be noise."""
-        share = self.values**4 / (self.values**4 + hold**4)  # the weight of the measurement against `prior`
+    def trusted(self, change: Tensor, prior_information: float) -> Tensor:
+        """The part of a change (6,) in directions with more information than `prior_information`; the rest may be noise."""
+        share = self.values**4 / (self.values**4 + prior_information**4)  # the weight of the measurement against `prior`
         return self.unit * (self.directions @ (share * (self.directions.T @ (change / self.unit))))
 
 
@@ -84,16 +84,16 @@ class MotionModel(Stateful):
         """The pose (4, 4) of the frame after `T_last`."""
         return T_last @ self.T_step
 
-    def update(self, T_last: Tensor, T_wc: Tensor, information: Information | None = None, hold: float = 0.0) -> None:
+    def update(self, T_last: Tensor, T_wc: Tensor, information: Information | None = None, prior_information: float = 0.0) -> None:
         """Learns the motion from `T_last` to the pose `T_wc` of the frame after it, both (4, 4).
 
-        information, hold: only directions with enough information change the motion. Without information all of them do.
+        information, prior_information: only directions with enough information change the motion. Without information all of them do.
         """
         if information is not None:
             predicted = self.predict(T_last)
-            correction = information.trusted(change_between(predicted, T_wc), _VELOCITY_INFORMATION * hold)
+            correction = information.trusted(change_between(predicted, T_wc), _VELOCITY_INFORMATION * prior_information)
             step = change_between(T_last, predicted)
-            carried = step - information.trusted(step, _VELOCITY_INFORMATION * hold)
+            carried = step - information.trusted(step, _VELOCITY_INFORMATION * prior_information)
             carried[3:] *= 1 - _TURN_KEPT
             carried[:3] = 0
             T_wc = moved(moved(T_last, step - carried), correction)

@@ -275,7 +275,7 @@ def _solved(A, b):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore[no-untyped-def]
+def damped_step(H, b, weight, radius, prior_information, change, T) -> float:  # type: ignore[no-untyped-def]
     """A Gauss-Newton step of normal equations H (6, 6), b (6,) with a prior at the guess: `aligner.plain_damped_step`.
 
     Moves in place the pose T (4, 4) and its change since the guess, change (6,). Returns the largest entry of the step.
@@ -289,7 +289,7 @@ def damped_step(H, b, weight, radius, hold, change, T) -> float:  # type: ignore
     values, directions = np.linalg.eigh(scaled)
     held = np.empty(6)
     for i in range(6):
-        held[i] = max(weight, 1e-9) * hold**4 / max(values[i], LEAST_VALUE * hold) ** 3
+        held[i] = max(weight, 1e-9) * prior_information**4 / max(values[i], LEAST_VALUE * prior_information) ** 3
     left, right = np.empty((6, 6)), b.copy()
     for i in range(6):
         for j in range(6):
