@@ -5,6 +5,9 @@ from idfslam.compute.process import prepare_process
 from idfslam.compute.torch_threads import limit_torch_threads
 
 prepare_process()  # before torch or numba is imported
+import numba
+
+numba.get_num_threads()  # Numba starts its threads when it is first asked, and sets the number of torch's then
 limit_torch_threads("grid")  # for all tests: a command that runs SLAM would do it for the tests after its own
 
 from pathlib import Path

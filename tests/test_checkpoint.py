@@ -415,7 +415,7 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
         stamp = path.stat().st_mtime_ns
         process.kill()
         process.wait()
-        arguments = ["--resume", str(folder), "--checkpoint-every", "3", "--no-report"]
+        arguments = ["--resume", str(folder), "--checkpoint-every", "3"]
     subprocess.run([*begin, *arguments], check=True, capture_output=True)
     assert same(folder, tmp_path / "whole")
     resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]
