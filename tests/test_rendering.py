@@ -11,7 +11,6 @@ from idfslam.mapping.rendering import (
     RayMarch,
     importance_depths,
     render,
-    render_image,
     render_weights,
     stratified_depths,
     world_rays,
@@ -91,13 +90,13 @@ def test_second_surface_does_not_shine_through() -> None:
 
 
 def test_depth_of_a_sphere() -> None:
-    # The central rays meet the ball at 1.5 m.
-    image = render_image(sphere, torch.eye(4), CAMERA, 4.0, RayMarch(128, 16, TR, 20.0), rays_a_chunk=50)
-    assert image.colour.shape == (12, 16, 3) and image.depth.shape == (12, 16)
-    assert float(image.depth[5, 7]) == pytest.approx(1.5, abs=0.01)
-    assert float(image.depth[0, 0]) == 0  # beside the ball
-    again = render_image(sphere, torch.eye(4), CAMERA, torch.full((12, 16), 4.0), RayMarch(128, 16, TR, 20.0))
-    torch.testing.assert_close(image.depth, again.depth)
+    # The central ray meets the ball at 1.5 m; that of the corner passes it.
+    origins, directions = world_rays(torch.eye(4), CAMERA, torch.tensor([[7.0, 5.0], [0.0, 0.0]]))
+    rendered = render(sphere, origins, directions, torch.full((2,), 4.0), RayMarch(128, 16, TR, 20.0))
+    assert float(rendered.depth[0]) == pytest.approx(1.5, abs=0.01)
+    assert zero_crossing(rendered.sdf, rendered.depths).isfinite().tolist() == [True, False]
+    again = render(sphere, origins, directions, torch.full((2,), 4.0), RayMarch(128, 16, TR, 20.0))
+    torch.testing.assert_close(rendered.depth, again.depth)  # without a generator the samples are placed evenly
 
 
 def test_importance_samples_join_in_order() -> None:

@@ -39,14 +39,6 @@ class Rendered:
     weights: Tensor  # (B, S), summing to 1
 
 
-@dataclass(frozen=True)
-class RenderedImage:
-    """A rendered image of the map."""
-
-    colour: Tensor  # (H, W, 3) in [0, 1]
-    depth: Tensor  # (H, W) [m], 0 where the ray meets no surface
-
-
 def world_rays(T_wc: Tensor, camera: Camera, uv: Tensor) -> tuple[Tensor, Tensor]:
     """Rays through the pixels uv (B, 2) of cameras T_wc, (4, 4) or one a ray (B, 4, 4): origins and directions, both (B, 3), world frame.
 
@@ -136,23 +128,3 @@ def render(
         colour = torch.cat([colour, finer_colour], 1).gather(1, order[..., None].expand(-1, -1, 3))
     weights = render_weights(sdf, depths, march.truncation, march.sharpness)
     return Rendered((weights[..., None] * colour).sum(1), (weights * depths).sum(1), sdf, depths, weights)
-
-
-@torch.no_grad()
-def render_image(
-    field: FieldFunction, T_wc: Tensor, camera: Camera, far: float | Tensor, march: RayMarch, *, rays_a_chunk: int = 4096
-) -> RenderedImage:
-    """The whole picture that `camera` at T_wc (4, 4) takes of the map; `far` [m] is one depth or an image (H, W) of them.
-
-    Memory is bounded by the rays rendered at a time. Depth is 0 where the T-SDF does not change sign along the ray.
-    """
-    uv = camera.pixels(T_wc.device).view(-1, 2)
-    limits = torch.as_tensor(far, dtype=T_wc.dtype, device=T_wc.device).expand(camera.height, camera.width).reshape(-1)
-    colours, depths = [], []
-    for pixels, limit in zip(uv.split(rays_a_chunk), limits.split(rays_a_chunk)):
-        rendered = render(field, *world_rays(T_wc, camera, pixels), limit, march)
-        met = zero_crossing(rendered.sdf, rendered.depths).isfinite()
-        colours.append(rendered.colour)
-        depths.append(torch.where(met, rendered.depth, 0))
-    shape = (camera.height, camera.width)
-    return RenderedImage(torch.cat(colours).view(*shape, 3), torch.cat(depths).view(shape))

@@ -5,6 +5,7 @@ where their cone ends.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.rendering import RenderedImage, world_rays
+from idfslam.mapping.rendering import world_rays
 
 # All of these were chosen by hand.
 LEAST_STEP = 0.1  # [tr] least step. Without it, steps vanish where a ray passes close to a surface. More: thin surfaces are missed
@@ -28,6 +29,14 @@ class Trace(Protocol):
     """`trace` through one field."""
 
     def __call__(self, origins: Tensor, directions: Tensor, *, near: float | Tensor, far: float, truncation: float) -> Tensor: ...
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """A rendered image of the map."""
+
+    colour: Tensor  # (H, W, 3) in [0, 1]
+    depth: Tensor  # (H, W) [m], 0 where the ray meets no surface
 
 
 @torch.no_grad()
