@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.poses import RIGID
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.rigid_transform import is_rigid
 
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
 _FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
@@ -114,10 +116,10 @@ def read_depth_camera(*folders: Path) -> DepthCamera | None:
         return None
     try:
         T = np.array(values["T_colour_depth"], np.float64)
-        rigid = T.shape == (4, 4) and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2) and np.linalg.det(T) > 0
+        rigid = T.shape == (4, 4) and bool(np.isfinite(T).all()) and bool(is_rigid(T[None], tolerance=RIGID)[0])
     except (KeyError, ValueError, TypeError):
         rigid = False
-    if not rigid or not np.array_equal(T[3], [0, 0, 0, 1]) or not np.isfinite(T).all():
+    if not rigid:
         raise RecordingError(f'{path}: expected "T_colour_depth" beside "depth_camera": a rigid 4x4 matrix, depth to colour camera, metres')
     return DepthCamera(_camera_of(values, "depth_camera", path), T)
 

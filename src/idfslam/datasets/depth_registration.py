@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import DepthCamera
 from idfslam.datasets.images import Depth, readings
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.projection import to_pixel
 
 _STEPS = 30  # to undo the distortion of all pixels at once
 _RESIDUAL = 0.01  # [px] where that ends
@@ -69,8 +70,7 @@ def _splat(depth, corners, z_ray, t, height, width, fx, fy, cx, cy):  # type: ig
                 if z_corner <= 0:
                     left, right = -np.inf, np.inf  # the pixel reaches behind the camera
                     break
-                x = (d * ray[0] + t[0]) / z_corner * fx + cx
-                y = (d * ray[1] + t[1]) / z_corner * fy + cy
+                x, y = to_pixel(d * ray[0] + t[0], d * ray[1] + t[1], z_corner, fx, fy, cx, cy)
                 left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
             if not (right > -1 and left < width and bottom > -1 and top < height and right - left < width):
                 continue

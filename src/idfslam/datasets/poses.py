@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idfslam.errors import RecordingError
+from idfslam.geometry.rigid_transform import is_rigid
 
-_RIGID = 1e-2  # published files round their numbers: R^T R may miss the identity by this much
-_UNIT = 1e-2  # the same for the length of a quaternion
+RIGID = 1e-2  # [1] largest entry of |R^T R - I| of a pose; raised, damaged rotations pass. Ten times that of our own files: published
+#    recordings round their numbers to three decimals
+_UNIT = 1e-2  # [1] difference of a quaternion's length from 1, likewise
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:
@@ -86,11 +88,9 @@ def checked(poses: NDArray[np.float64], *, count: int, source: Callable[[int], s
     poses[~known] = np.nan
     if not known.any():
         raise RecordingError(f"{source(0)}: none of the {count} poses is finite: remove them to run without ground truth")
-    R = poses[known, :3, :3]
-    residual = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max((1, 2))
-    bad = (residual > _RIGID) | (np.linalg.det(R) < 0) | (np.abs(poses[known, 3] - [0, 0, 0, 1]).max(1) > 1e-6)
-    if bad.any():
-        first = int(np.flatnonzero(known)[bad.argmax()])
+    rigid = is_rigid(poses[known], tolerance=RIGID)
+    if not rigid.all():
+        first = int(np.flatnonzero(known)[rigid.argmin()])
         raise RecordingError(
             f"{source(first)}: pose {first} is not a rigid transform, expected camera-to-world: correct or remove the poses"
         )

@@ -10,7 +10,7 @@ from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Ahead
 from idfslam.demo.compile_ahead import compiling_ahead
-from idfslam.evaluation.summary import Evaluation
+from idfslam.evaluation.evaluation import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures.image_files import View, draw_views
 from idfslam.pictures.mesh_renderer import draw_mesh

@@ -26,10 +26,6 @@ class Camera:
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
 
-    def cropped(self, border: int) -> "Camera":
-        """The same camera for the image without `border` pixels on each side."""
-        return Camera(self.width - 2 * border, self.height - 2 * border, self.fx, self.fy, self.cx - border, self.cy - border)
-
     def matrix(self) -> Tensor:
         """K (3, 3) float64."""
         return torch.tensor([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=torch.float64)

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.association import TOLERANCE, associate
 from idfslam.datasets.calibration import Calibration, DepthCamera
 from idfslam.datasets.images import Depth
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.resampling import moderate
 from idfslam.datasets.video import Contents, VideoTrack, read_contents
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE, associate
 
 _COLOUR, _DEPTH = "CALIBRATION_CameraLocationPV0", "CALIBRATION_CameraLocationD0"
 _DEPTH_MODES = {  # size of the images: size of the whole sensor as binned, the first column and row that the images show
@@ -37,8 +37,8 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
     """Colour and depth images within 20 ms of one another, but for the delay that the recording states, are pairs."""
     contents = read_contents(path)
     colour, depth = _tracks(path, contents)
-    pairs = associate(colour.times, depth.times - _delay(path, contents), TOLERANCE)
-    if not pairs:
+    pairs = associate(colour.times, depth.times - _delay(path, contents))
+    if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected both tracks of one recording")
     size = moderate(*colour.size)
     file = contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json")
@@ -50,14 +50,14 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
         raise RecordingError(f"{path}: {found}, expected the calibration as k4arecorder writes it: record again")
 
     def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
-        k, m = pairs[i]
+        k, m = pairs[i].tolist()
         return colour.colour(k, size if beside else None), depth.grey16(m)
 
     stated = override.over(stated)
     return Recording(
         path.stem,
         read,
-        timestamps=colour.times[[k for k, _ in pairs]],
+        timestamps=colour.times[pairs[:, 0]],
         ground_truth=None,
         calibration=(stated.resized(colour.size, size) if beside else stated).over(Calibration(depth_scale=1000)),
         depth_camera=beside,

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.association import TOLERANCE, associate
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE, associate
 
 # The published calibration of the three cameras, by the number in "freiburgN". Depth is registered to colour.
 FREIBURG = {
@@ -32,10 +32,10 @@ def open_tum(path: Path, override: Calibration) -> Recording:
             raise RecordingError(f"{path}: {name} is missing, expected rgb.txt and depth.txt")
     colour, depth = read_list(path / "rgb.txt"), read_list(path / "depth.txt")
     timestamps = np.array([stamp for stamp, _ in colour])
-    pairs = associate(timestamps, np.array([stamp for stamp, _ in depth]), TOLERANCE)
-    if not pairs:
+    pairs = associate(timestamps, [stamp for stamp, _ in depth])
+    if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
-    timestamps = timestamps[[i for i, _ in pairs]]
+    timestamps = timestamps[pairs[:, 0]]
     known = re.search(r"freiburg([123])", path.name)
     published = FREIBURG[known[1]] if known else Calibration()
     files = override.over(read_cam_params(path)).over(read_camera_file(path))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.association import TOLERANCE, associate
 from idfslam.datasets.calibration import Calibration, DepthCamera
 from idfslam.datasets.images import Depth
 from idfslam.datasets.recording import Reader, Recording
@@ -20,6 +19,7 @@ from idfslam.datasets.ros.topic_search import CAMERA_INFO, ImageTopic, find_came
 from idfslam.datasets.ros.transforms import StaticFrames, matrix
 from idfslam.datasets.topics import Topics
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE, associate
 
 log = logging.getLogger(__name__)
 
@@ -65,12 +65,12 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
     frames = StaticFrames((message for topic in static for message in bag.messages(topic)), f"{path}: /tf_static")
     index = bag.index(colour.name, depth.name)
     stamps = {name: np.array([entry.stamp for entry in index[name]]) for name in index}
-    pairs = associate(stamps[colour.name], stamps[depth.name], TOLERANCE)
-    if not pairs:
+    pairs = associate(stamps[colour.name], stamps[depth.name])
+    if not len(pairs):
         found = f"{len(stamps[colour.name])} images in {colour.name} and {len(stamps[depth.name])} in {depth.name}"
         raise RecordingError(f"{path}: {found}, none within {1000 * TOLERANCE:.0f} ms of another, expected stamps of one clock")
     log.info("%s: colour from %s, depth from %s", path, colour.name, depth.name)
-    timestamps = stamps[colour.name][[i for i, _ in pairs]]
+    timestamps = stamps[colour.name][pairs[:, 0]]
     scale = realsense_bag.units_per_metre(bag, depth.name) if realsense_bag.is_stream(depth.name) else units_per_metre(depth.message)
     return Recording(
         path.stem,
