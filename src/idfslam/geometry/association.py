@@ -3,9 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-TOLERANCE = (
-    0.02  # [s] between stamps that belong together; raised, moving cameras pair images of different places; the TUM benchmark's value
-)
+TOLERANCE = 0.02  # [s] between stamps that belong together, as in the TUM benchmark; raised, images of different moments become pairs
 
 
 def associate(a: ArrayLike, b: ArrayLike, *, tolerance: float = TOLERANCE) -> NDArray[np.int64]:
