@@ -27,7 +27,7 @@ from helpers.recordings import (
 from helpers.shared_data import shared_recording
 from idfslam.datasets import FORMATS, Prefetch, open_recording
 from idfslam.datasets.images import Undistortion
-from idfslam.datasets.recording import Selection, readers
+from idfslam.datasets.recording import Selection, reading_threads
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -366,7 +366,7 @@ def test_prefetch_yields_every_frame_in_order_and_bad_ones_as_errors(tmp_path: P
 class Slow:
     """A dataset whose frames wait for each other: frame 2k is there only once 2k + 1 has been asked for."""
 
-    readers = 2
+    reading_threads = 2
 
     def __init__(self, dataset: Selection) -> None:
         self.dataset, self.asked = dataset, [threading.Event() for _ in range(len(dataset))]
@@ -388,9 +388,9 @@ def test_a_slow_dataset_is_read_by_several_threads_in_order(tmp_path: Path) -> N
 
 def test_a_selection_has_as_many_readers_as_what_it_selects_from(tmp_path: Path) -> None:
     recording = open_recording(write_folder(tmp_path / "room", frames=4))
-    assert readers(recording) == 1
-    recording.readers = 2
-    assert readers(Selection(recording, stride=2)) == 2
+    assert reading_threads(recording) == 1
+    recording.reading_threads = 2
+    assert reading_threads(Selection(recording, stride=2)) == 2
 
 
 class Counting:

@@ -118,27 +118,27 @@ def mesh_error(
         sensor_range = None
     if sensor_range is not None:
         chosen = replace(chosen, rule=chosen.rule.limited_to(sensor_range))
-    known = poses[np.isfinite(poses).all((1, 2))]
-    if len(known) == 0:
+    valid_poses = poses[np.isfinite(poses).all((1, 2))]
+    if len(valid_poses) == 0:
         raise ResultError("no frame has a true pose; the mesh's error needs the true poses of the recorded frames to know what was seen")
     _check_mesh(reconstruction, "reconstruction")
     _check_mesh(truth, "true mesh")
     moved = reconstruction.copy().apply_transform(np.eye(4) if T_gt_est is None else T_gt_est)
     truth_caster, fine_truth, fine = RayCaster(truth), subdivided(truth), subdivided(moved)
-    kept_truth = _cull(fine_truth, truth_caster, truth_caster, known, camera, chosen, seed, "true mesh")
-    kept = submesh(fine, _cull(fine, RayCaster(moved), truth_caster, known, camera, chosen, seed, "reconstruction"))
+    kept_truth = _cull(fine_truth, truth_caster, truth_caster, valid_poses, camera, chosen, seed, "true mesh")
+    kept = submesh(fine, _cull(fine, RayCaster(moved), truth_caster, valid_poses, camera, chosen, seed, "reconstruction"))
     points, true_points = _sample(kept, samples, seed + 1), _sample(submesh(fine_truth, kept_truth), samples, seed)
     T = icp(points.points, true_points.points, threshold=_ICP_REACH) if chosen.icp else np.eye(4)
     points, kept = points.moved(T), kept.apply_transform(T)
     if chosen.point_to_surface:
-        seen = in_any_view(true_points.points, known[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
+        seen = in_any_view(true_points.points, valid_poses[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
         # Reconstructed surface that is true is no error, even if it was never seen: hence all of the truth
         accuracy = _to_triangles(points.points, _sample(fine_truth, samples, seed), fine_truth)
         completion = _to_triangles(true_points.points[seen], points, kept)
     else:
         accuracy = cKDTree(true_points.points).query(points.points, workers=-1)[0]
         completion = cKDTree(points.points).query(true_points.points, workers=-1)[0]
-    depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, known, views=views, seed=seed)
+    depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, valid_poses, views=views, seed=seed)
     return MeshError(
         protocol=chosen.name,
         near=chosen.rule.near,

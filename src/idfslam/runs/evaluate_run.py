@@ -11,7 +11,7 @@ from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol
 from idfslam.geometry.trajectory import Trajectory, load_tum
-from idfslam.live import is_live, replayed
+from idfslam.live import is_live, replayed_path
 from idfslam.runs import result_folder
 from idfslam.runs.source import open_source
 
@@ -60,7 +60,7 @@ def _recording(folder: Path) -> Dataset | None:
     """The recording of the run; None if the frames came from a camera or from a program."""
     _, source = result_folder.read_config(folder)
     if source is not None and is_live(source.path):
-        path = replayed(source.path)
+        path = replayed_path(source.path)
         source = None if path is None else replace(source, path=path, frames=None)
     return None if source is None else open_source(source)
 
