@@ -9,7 +9,7 @@ from pathlib import Path
 from rich import print
 
 from idfslam.evaluation.evaluate import evaluate_poses
-from idfslam.evaluation.summary import table
+from idfslam.evaluation.table import table
 from idfslam.evaluation.trajectory_error import matched_ground_truth
 from idfslam.geometry.trajectory import load_tum
 

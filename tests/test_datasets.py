@@ -8,8 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from helpers.recordings import (
     DEPTH,
@@ -28,9 +26,8 @@ from helpers.recordings import (
 )
 from helpers.shared_data import shared_recording
 from idfslam.datasets import FORMATS, Prefetch, open_recording
-from idfslam.datasets.association import associate
 from idfslam.datasets.images import Undistortion
-from idfslam.datasets.recording import Selection, readers
+from idfslam.datasets.recording import Selection, reading_threads
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -163,23 +160,6 @@ def test_frames_without_a_pose_are_nan(tmp_path: Path) -> None:
 
 
 # ----- TUM
-
-
-def test_association_takes_the_closest_first_and_each_image_once() -> None:
-    colour = np.array([0.000, 0.030, 0.060, 0.200])
-    depth = np.array([0.012, 0.028, 0.075, 0.221])
-    # 30-28 ms (2 ms) comes first; then 0-12 (12); then 60-75 (15); 200-221 is 21 ms apart: too far
-    assert associate(colour, depth, 0.02) == [(0, 0), (1, 1), (2, 2)]
-    # both colour images are within 20 ms of the one depth image: only the nearer gets it
-    assert associate(np.array([0.0, 0.010]), np.array([0.009]), 0.02) == [(1, 0)]
-
-
-@given(st.lists(st.floats(0, 1), max_size=20), st.lists(st.floats(0, 1), max_size=20))
-def test_association_is_one_to_one_within_the_tolerance(a: list[float], b: list[float]) -> None:
-    x, y = np.sort(np.array(a, float)), np.sort(np.array(b, float))
-    pairs = associate(x, y, 0.02)
-    assert len({i for i, _ in pairs}) == len({k for _, k in pairs}) == len(pairs)
-    assert all(abs(x[i] - y[k]) <= 0.02 for i, k in pairs)
 
 
 def test_tum_uses_colour_stamps_and_leaves_out_unpaired_images(tmp_path: Path) -> None:
@@ -386,7 +366,7 @@ def test_prefetch_yields_every_frame_in_order_and_bad_ones_as_errors(tmp_path: P
 class Slow:
     """A dataset whose frames wait for each other: frame 2k is there only once 2k + 1 has been asked for."""
 
-    readers = 2
+    reading_threads = 2
 
     def __init__(self, dataset: Selection) -> None:
         self.dataset, self.asked = dataset, [threading.Event() for _ in range(len(dataset))]
@@ -408,9 +388,9 @@ def test_a_slow_dataset_is_read_by_several_threads_in_order(tmp_path: Path) -> N
 
 def test_a_selection_has_as_many_readers_as_what_it_selects_from(tmp_path: Path) -> None:
     recording = open_recording(write_folder(tmp_path / "room", frames=4))
-    assert readers(recording) == 1
-    recording.readers = 2
-    assert readers(Selection(recording, stride=2)) == 2
+    assert reading_threads(recording) == 1
+    recording.reading_threads = 2
+    assert reading_threads(Selection(recording, stride=2)) == 2
 
 
 class Counting:

@@ -255,14 +255,14 @@ def test_a_transform_that_is_none(tmp_path: Path) -> None:
         open_recording(bag(tmp_path, [("/tf_static", 1.0, broken), *with_depth_beside(())]))
 
 
-def test_depth_that_nobody_knows_where_it_stands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_depth_whose_pose_is_unknown(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     depth = "/camera/depth/image_rect_raw"
     messages = with_depth_beside((("elsewhere", "depth", np.eye(4)),))
     with pytest.raises(RecordingError, match=f"{depth} in frame depth, {COLOUR} in colour, and no /tf_static between: record depth regis"):
         open_recording(bag(tmp_path / "a", messages))
     same = [entry for entry in messages if entry[0] != depth] + [(depth, 1.0, image(depth_image(1000), "16UC1", 1.0, "depth"))]
     recording = open_recording(bag(tmp_path / "b", same), topics={"depth": depth})
-    assert f"nothing says where {depth} stands; it is taken to be registered to {COLOUR}" in caplog.text
+    assert f"the pose of {depth} is unknown; it is assumed to be registered to {COLOUR}" in caplog.text
     check(recording[0], 0)
     known = (("link", "depth", np.eye(4)), ("link", "colour", np.eye(4)))
     with pytest.raises(RecordingError, match=f"no sensor_msgs/CameraInfo for {depth}"):

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from helpers.recordings import write_folder
 from idfslam.datasets import open_recording
-from idfslam.datasets.calibration import Calibration, DepthCamera
-from idfslam.datasets.depth_registration import Registration
+from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.errors import RecordingError
 from idfslam.geometry.camera import Camera
 
@@ -28,7 +28,7 @@ def translated(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 
 
 def register(raw: np.ndarray, T: np.ndarray, *, depth: Calibration = SAME, colour: Camera = COLOUR, scale: float = 1000) -> np.ndarray:
-    return Registration(DepthCamera(depth, T), (raw.shape[1], raw.shape[0]), colour, scale, "test")(raw)
+    return DepthRegistration(DepthCameraCalibration(depth, T), (raw.shape[1], raw.shape[0]), colour, scale, "test")(raw)
 
 
 def test_the_same_camera_at_the_same_place_changes_nothing() -> None:

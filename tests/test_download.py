@@ -19,7 +19,7 @@ from helpers.recordings import write_folder, write_seven_scenes
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.downloads import catalogue as module
-from idfslam.downloads.catalogue import Sequence, catalogue, named
+from idfslam.downloads.catalogue import Sequence, catalogue, find_sequence
 from idfslam.downloads.download import LEDGER, download
 from idfslam.downloads.fetch import fetch
 from idfslam.downloads.unpack import unpack
@@ -301,7 +301,7 @@ def test_the_catalogue() -> None:
     assert all(sequence.url.startswith("https://") and sequence.licence for sequence in known.values())
     assert "freiburg1" in known["tum-fr1-desk"].folder  # by which the reader knows the camera
     with pytest.raises(DownloadError, match="fr1: not a known sequence, expected one such as tum-fr1-desk"):
-        named("fr1")
+        find_sequence("fr1")
 
 
 def test_the_command(sequence: Sequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,10 +19,10 @@ from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
 from idfslam.evaluation.point_triangle import nearest_distance
-from idfslam.evaluation.summary import table
+from idfslam.evaluation.table import table
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.ray_casting import RayCaster, render_depth
+from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.pictures.mesh_renderer import Picture, draw_mesh, looking_at, overview_pose, up_direction
 from idfslam.runs import result_folder
@@ -134,8 +134,8 @@ def squares(*, far: float = 3.0) -> trimesh.Trimesh:
 
 
 def test_what_the_sensor_does_not_reach_is_not_seen() -> None:
-    def of(reconstruction: trimesh.Trimesh, protocol: str = "seen", readings: DepthRange | None = None) -> MeshError:
-        options = {**FEW, "protocol": protocol, "readings": readings}
+    def of(reconstruction: trimesh.Trimesh, protocol: str = "seen", sensor_range: DepthRange | None = None) -> MeshError:
+        options = {**FEW, "protocol": protocol, "sensor_range": sensor_range}
         return mesh_error(reconstruction, squares(), poses=np.eye(4)[None], camera=CAMERA, **options)  # type: ignore[arg-type]
 
     near = trimesh.Trimesh(squares().vertices, squares().faces[:2], process=False)
@@ -143,13 +143,13 @@ def test_what_the_sensor_does_not_reach_is_not_seen() -> None:
     # Half of the true surface in view is missing (a little less: at its rim are pixels whose middle shows nothing), but a sensor that
     # reads 0.5 to 2 m does not read that half
     assert of(near).completion_ratio == pytest.approx(0.5, abs=0.03)
-    narrowed = of(near, readings=reach)
+    narrowed = of(near, sensor_range=reach)
     assert narrowed.completion_ratio == 1 and (narrowed.near, narrowed.far, narrowed.range_from) == (0.5, 2.0, "recording")
     # The same rule for the reconstruction: half of it 0.2 m too far, but beyond the reach
     assert of(squares(far=3.2)).accuracy == pytest.approx(0.1, abs=0.005)
-    assert of(squares(far=3.2), readings=reach).accuracy < 1e-4
+    assert of(squares(far=3.2), sensor_range=reach).accuracy < 1e-4
     # Wider readings widen nothing, and the published protocols keep their range
-    wide = of(near, readings=DepthRange(0.02, 30.0))
+    wide = of(near, sensor_range=DepthRange(0.02, 30.0))
     assert (wide.near, wide.far) == (0.1, 10) and wide.completion_ratio == of(near).completion_ratio
     published = of(near, "neural-rgbd", reach)
     assert (published.near, published.far, published.range_from) == (0.01, 10, "protocol")
@@ -248,7 +248,8 @@ def test_rendered_depth_and_colour_by_hand() -> None:
     # Wall at 2 m: z-depth 2 over the whole image but the last rows (1.25 m / 2 m * 40 = 25 px > 24: all rows) and columns (30 px of 32)
     assert depth[:, 2:-2] == pytest.approx(2.0, abs=1e-5)
     assert (rgb == [200, 100, 50]).all()
-    assert render_depth(RayCaster(mesh), T_wc, CAMERA) == pytest.approx(depth)
+    cast = RayCaster(mesh).cast(T_wc[:3, 3].astype(np.float32), pixel_rays(CAMERA, T_wc)).distance
+    assert cast.reshape(depth.shape) == pytest.approx(depth)
     T_away = looking_at(np.array([100.0, 0, 0]), np.array([50.0, 0, 0]), -DOWN)
     empty_rgb, empty_depth = picture.draw(T_away, CAMERA), picture.depth(T_away, CAMERA)
     assert (empty_depth == 0).all() and (empty_rgb == 0).all()

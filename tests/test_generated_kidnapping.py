@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
-from idfslam.datasets.generated import kind_of, located
+from idfslam.datasets.generated import absolute_path, kind_of
 from idfslam.datasets.generated.kidnapped import BLACK, Kidnapped, kidnapped_order
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
@@ -142,8 +142,8 @@ def test_run_and_evaluation_by_name(box_recording: Path, tmp_path: Path, monkeyp
 
 def test_names(box_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(box_recording.parent)
-    assert located("kidnap:synthetic:0") == "kidnap:synthetic:0"
-    assert located(box_recording.name) == str(box_recording)
+    assert absolute_path("kidnap:synthetic:0") == "kidnap:synthetic:0"
+    assert absolute_path(box_recording.name) == str(box_recording)
     assert [kind_of(name) for name in ("corridor", "corridor:3", "corridor:3:kinect:5laps", "corridor:1lap")] == ["corridor"] * 4
     assert [kind_of(name) for name in ("corridor:fine", "corridors", "synthetic:5laps")] == [None] * 3
     first, second = parse_recordings(["kidnap:synthetic:3@50", f"kidnap:{box_recording.name}"])

@@ -22,7 +22,7 @@ from idfslam.datasets import open_recording
 from idfslam.errors import CameraError, ConfigError, FrameError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
-from idfslam.live import Capture, LiveStream, is_live, located, open_live
+from idfslam.live import Capture, LiveStream, absolute_path, is_live, open_live
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.runner import Run, run
@@ -115,7 +115,7 @@ def test_a_camera_that_gives_nothing_is_an_error() -> None:
     with pytest.raises(CameraError, match="it is gone"):
         list(LiveStream(device))
     with pytest.raises(CameraError, match=r"no images for 0\.05 s"):
-        list(LiveStream(HandFed(), patience=0.05))
+        list(LiveStream(HandFed(), timeout=0.05))
 
 
 def test_an_error_of_the_program_is_not_taken_for_the_end() -> None:
@@ -194,7 +194,7 @@ def test_a_camera_that_is_pulled_out_leaves_results(box_recording: Path, tmp_pat
     done = run(stream, FAST, tmp_path, make_slam=SeeingSlam)
     assert 4 <= len(done.trajectory) <= 5  # one may have been overtaken
     assert metrics_of(tmp_path)["camera_lost"] is True
-    assert "the cable is out; the camera is taken as gone after" in caplog.text
+    assert "the cable is out; the camera counts as disconnected after" in caplog.text
     assert (tmp_path / result_folder.MESH).is_file()
 
 
@@ -255,10 +255,10 @@ def test_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "realsense").mkdir()
     assert not is_live("realsense")  # a folder of that name
     (tmp_path / "a").mkdir()
-    assert located("replay@2:a") == f"replay@2:{tmp_path / 'a'}"
-    assert located("a") == str(tmp_path / "a")
-    assert located("replay:synthetic") == "replay:synthetic"
-    assert located("openni") == "openni"
+    assert absolute_path("replay@2:a") == f"replay@2:{tmp_path / 'a'}"
+    assert absolute_path("a") == str(tmp_path / "a")
+    assert absolute_path("replay:synthetic") == "replay:synthetic"
+    assert absolute_path("openni") == "openni"
 
 
 @pytest.mark.parametrize(

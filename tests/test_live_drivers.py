@@ -133,7 +133,7 @@ def test_a_pair_that_ends_is_a_camera_that_is_gone(tmp_path: Path, caplog: pytes
     frames = frames_of(stream)
     assert frames[-1].depth[0, 0] == pytest.approx(1503 / 500)  # the last one is not lost
     assert "no more images: is it still plugged in?" in str(stream.failure)
-    assert "taken as gone" in caplog.text
+    assert "counts as disconnected" in caplog.text
 
 
 @pytest.mark.usefixtures("images_as_devices")

@@ -1,4 +1,4 @@
-"""Frames made while something else is waited for."""
+"""Frames rendered in the background."""
 
 import threading
 from functools import cache
@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from idfslam.datasets.generated.prerendered import Ahead
+from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.datasets.generated.room import SyntheticRoom
-from idfslam.datasets.recording import readers
+from idfslam.datasets.recording import reading_threads
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 
@@ -35,33 +35,33 @@ class Counted(SyntheticRoom):
         return super().__getitem__(index)
 
 
-def test_frames_are_made_meanwhile_and_once() -> None:
+def test_frames_are_rendered_in_the_background_and_once() -> None:
     counted = Counted(3)
-    with Ahead(counted, most=3) as ahead:
+    with Prerendered(counted, most=3) as prerendered:
         assert counted.reached.wait(60)
-    assert (ahead.name, len(ahead), readers(ahead)) == (counted.name, 6, 2)
+    assert (prerendered.name, len(prerendered), reading_threads(prerendered)) == (counted.name, 6, 2)
     again = room()
     for i in range(6):
-        assert np.array_equal(ahead[i].colour, again[i].colour)
+        assert np.array_equal(prerendered[i].colour, again[i].colour)
     assert counted.asked == [0, 1, 2, 3, 4, 5]
-    assert np.array_equal(ahead[0].depth, again[0].depth)  # asked for again it is made again
+    assert np.array_equal(prerendered[0].depth, again[0].depth)  # read again, it is rendered again
     assert counted.asked[-1] == 0
 
 
-def test_a_frame_that_cannot_be_made_is_left_to_whoever_asks() -> None:
+def test_reading_a_frame_that_cannot_be_rendered_raises_its_error() -> None:
     counted = Counted(2, bad=1)
-    with Ahead(counted, most=6) as ahead:
+    with Prerendered(counted, most=6) as prerendered:
         assert counted.reached.wait(60)
     assert counted.asked == [0, 1]
     with pytest.raises(FrameError, match="frame 1 is torn"):
-        ahead[1]
+        prerendered[1]
 
 
 def test_it_ends_with_the_context() -> None:
     counted = Counted(1)
-    with Ahead(counted, most=6) as ahead:
+    with Prerendered(counted, most=6) as prerendered:
         assert counted.reached.wait(60)
-    made = len(counted.asked)
-    assert all(thread.name != "ahead" for thread in threading.enumerate())
-    assert len(counted.asked) == made
-    assert ahead.surface() is not None
+    rendered = len(counted.asked)
+    assert all(thread.name != "prerender" for thread in threading.enumerate())
+    assert len(counted.asked) == rendered
+    assert prerendered.surface() is not None

@@ -114,7 +114,7 @@ def test_stamps_of_other_forms(tmp_path: Path) -> None:
     assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.25]
     for text, message in (
         ("5.0\n5.5\n", "2 stamps for 3 images"),
-        ("0 5.0\n1\n2 6.0\n", "stands alone"),
+        ("0 5.0\n1\n2 6.0\n", "is alone"),
         ("0 5.0\n1 x\n", "line 2 is '1 x', expected a stamp"),
         ("0 5.0 rgb/0.png\n", "line 1 is"),
         ("0 5.0\n1 4.0\n2 6.0\n", "frame 1 is not later"),

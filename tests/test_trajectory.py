@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam.geometry.trajectory import Trajectory, TrajectoryError, align, associate, is_rotation_determined, load_tum, save_tum
+from idfslam.geometry.trajectory import Trajectory, TrajectoryError, align, is_rotation_determined, load_tum, save_tum
 
 
 def random_poses(count: int, seed: int) -> NDArray[np.float64]:
@@ -85,35 +85,6 @@ def test_of_known_leaves_out_frames_without_a_pose() -> None:
     poses = random_poses(4, 2)
     poses[[0, 2]] = np.nan
     assert Trajectory.of_known(np.arange(4), poses).timestamps.tolist() == [1, 3]
-
-
-def test_association_by_hand() -> None:
-    # 0.00 takes 0.001; 0.10 is 19 ms from 0.119, which 0.12 (1 ms) takes first, so 0.10 takes 0.085; 0.50 has nothing within 20 ms
-    pairs = associate([0.0, 0.10, 0.12, 0.5], [0.001, 0.085, 0.119, 0.53])
-    assert pairs.tolist() == [[0, 0], [1, 1], [2, 2]]
-
-
-def test_association_of_unsorted_stamps_and_of_none() -> None:
-    assert associate([2.0, 1.0], [1.001, 2.001]).tolist() == [[0, 1], [1, 0]]
-    assert associate([0.0], [1.0]).shape == (0, 2)
-    assert associate([], [1.0]).shape == (0, 2)
-
-
-@given(a=st.lists(st.floats(0, 1), max_size=30), b=st.lists(st.floats(0, 1), max_size=30), tolerance=st.floats(0.001, 0.2))
-@settings(max_examples=60, deadline=None, derandomize=True)
-def test_association_is_one_to_one_and_stable(a: list[float], b: list[float], tolerance: float) -> None:
-    pairs = associate(a, b, tolerance=tolerance)
-    i, j = pairs.T
-    assert len(set(i.tolist())) == len(i) and len(set(j.tolist())) == len(j)
-    assert all(abs(a[x] - b[y]) <= tolerance * (1 + 1e-9) for x, y in pairs)
-    # Greedy: no pair left out could be taken without giving up a nearer one
-    gap_a = {x: abs(a[x] - b[y]) for x, y in pairs.tolist()}
-    gap_b = {y: abs(a[x] - b[y]) for x, y in pairs.tolist()}
-    for x in range(len(a)):
-        for y in range(len(b)):
-            gap = abs(a[x] - b[y])
-            if gap < tolerance * (1 - 1e-9):
-                assert gap_a.get(x, np.inf) <= gap or gap_b.get(y, np.inf) <= gap
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(3, 40))

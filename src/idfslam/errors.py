@@ -1,8 +1,8 @@
-"""The user's mistakes: each says what was found, what was expected and what to do."""
+"""Errors that a user can correct. Each message says what was found, what was expected and what to do."""
 
 
 class IdfSlamError(Exception):
-    """Root of all errors that a user can mend; the command line prints the message and exits with 1."""
+    """Base of all errors that a user can correct; the command line prints the message and exits with status 1."""
 
 
 class RecordingError(IdfSlamError):
@@ -10,11 +10,11 @@ class RecordingError(IdfSlamError):
 
 
 class CameraError(IdfSlamError):
-    """A live camera that is not there, is not what it should be, or is gone."""
+    """A live camera that is not connected, does not give what is needed, or was disconnected."""
 
 
 class FrameError(IdfSlamError):
-    """One frame of a recording that cannot be read; the run goes on and treats the frame as lost."""
+    """One frame of a recording that cannot be read; the run continues and treats the frame as lost."""
 
 
 class ConfigError(IdfSlamError):
@@ -26,8 +26,8 @@ class ResultError(IdfSlamError):
 
 
 class DownloadError(IdfSlamError):
-    """A public sequence that cannot be had: unknown, not reachable, damaged, or in the way of something else."""
+    """A public sequence that cannot be downloaded: unknown, not reachable, damaged, or its folder exists already."""
 
 
 class DivergedError(IdfSlamError):
-    """A loss that is not finite; names the keyframe and the loss."""
+    """A loss that is not finite; the message names the keyframe and the loss."""

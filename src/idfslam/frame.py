@@ -1,4 +1,4 @@
-"""What a recording yields and what the system keeps of it."""
+"""Frames, the input of SLAM, and the result for each of them."""
 
 import zlib
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 
-_CHECKED_ROWS = 8  # every so many-th row of an image counts in its checksum
+_CHECKED_ROWS = 8  # every eighth row of an image enters its checksum; raised, checksums are faster and miss more. Chosen by hand
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D image, undistorted, depth registered to colour."""
+    """One RGB-D image without distortion; depth is registered to colour."""
 
     index: int
     timestamp: float  # [s]
@@ -24,12 +24,12 @@ class Frame:
 
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
-        """A frame that could not be read: black, without depth; the system treats it as lost."""
+        """A frame in place of one that could not be read: black, without depth. SLAM treats it as lost."""
         shape = (camera.height, camera.width)
         return Frame(index, timestamp, np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), camera)
 
     def checksum(self) -> int:
-        """Of some rows of its images, to tell whether a recording still holds the same."""
+        """CRC-32 of some rows of its images; a resumed run checks with it that the recording has not changed."""
         colour, depth = (image[::_CHECKED_ROWS].tobytes() for image in (self.colour, self.depth))
         return zlib.crc32(depth, zlib.crc32(colour))
 
@@ -38,14 +38,14 @@ class Status(str, Enum):
     """How a frame's pose was found."""
 
     OK = "ok"
-    DEGENERATE = "degenerate"  # the geometry leaves a direction free (a bare wall): tracker and colour decided
-    LOST = "lost"  # no evidence for any pose: the last motion was carried on
-    INTERPOLATED = "interpolated"  # was lost; the camera was found again later, and the pose lies between those known
+    DEGENERATE = "degenerate"  # depth does not constrain all directions (a bare wall); tracker and colour decided the rest
+    LOST = "lost"  # no pose was confirmed: the last motion was extrapolated
+    INTERPOLATED = "interpolated"  # was lost; after relocalisation the pose was interpolated between the confirmed ones before and after
 
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What `Slam.process` says of a frame."""
+    """The result of `Slam.process` for one frame."""
 
     index: int
     timestamp: float  # [s]

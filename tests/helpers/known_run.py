@@ -8,7 +8,7 @@ import torch
 from helpers.box_room import BOX_FRAMES, box_poses
 from idfslam.config import FAST, FieldConfig, MapperConfig
 from idfslam.datasets import open_recording
-from idfslam.evaluation.summary import plot_trajectory
+from idfslam.evaluation.plots import plot_trajectory
 from idfslam.frame import FrameResult, Status
 from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.trajectory import Trajectory, save_tum

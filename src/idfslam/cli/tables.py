@@ -10,7 +10,8 @@ from rich.text import Text
 from idfslam.batch.batch import REPORT, Row
 from idfslam.cli.doctor import GIB, Examination
 from idfslam.downloads.catalogue import Sequence
-from idfslam.evaluation.summary import Evaluation, table
+from idfslam.evaluation.evaluation import Evaluation
+from idfslam.evaluation.table import table
 from idfslam.runs import result_folder
 from idfslam.runs.metrics import ate_rmse
 from idfslam.runs.runner import Run

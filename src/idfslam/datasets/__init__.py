@@ -1,4 +1,4 @@
-"""Recordings in the layouts of the field, live frames' common interface, and generated recordings; opened by `open_recording`."""
+"""Recordings in common layouts and generated ones, opened by `open_recording`; the interface that live cameras share with them."""
 
 from idfslam.datasets.generated.kidnapped import Kidnapped
 from idfslam.datasets.opening import FORMATS, open_recording

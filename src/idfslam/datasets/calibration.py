@@ -1,4 +1,4 @@
-"""What is known of a recording's camera, by whom, and which statement wins."""
+"""The camera of a recording: values from the user, from files and from publications, and their order of precedence."""
 
 import json
 import math
@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.poses import RIGID
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.rigid_transform import is_rigid
 
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
 _FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
@@ -20,13 +22,13 @@ CAMERA_FILES = ("intrinsics.txt", "camera-intrinsics.txt", "calibration.txt", "c
 
 @dataclass(frozen=True)
 class Calibration:
-    """One statement about the camera: the user's, a file's or a publication's; None where it says nothing."""
+    """Values of a camera from one source (the user, a file, a publication); None where the source gives no value."""
 
     fx: float | None = None  # [px], like fy, cx, cy
     fy: float | None = None
     cx: float | None = None
     cy: float | None = None
-    width: int | None = None  # [px] of the images it holds for
+    width: int | None = None  # [px] of the images that it is valid for
     height: int | None = None
     distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
@@ -34,22 +36,22 @@ class Calibration:
 
     @property
     def complete(self) -> bool:
-        """Whether it states a whole pinhole camera."""
+        """Whether focal lengths and principal point are all given."""
         return None not in (self.fx, self.fy, self.cx, self.cy)
 
     def over(self, other: "Calibration") -> "Calibration":
-        """This statement, filled up from a weaker one.
+        """These values, with missing ones taken from `other`, a source of lower precedence.
 
-        A whole camera stands alone: it says nothing of distortion where there is none, and only the depth scale is filled up.
+        From a complete camera only the depth scale may be missing: without distortion, it means a camera without distortion.
         """
         scale = other.depth_scale if self.depth_scale is None else self.depth_scale
         if self.complete:
             return replace(self, depth_scale=scale)
-        said = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source" and getattr(self, f.name) is not None}
-        return replace(other, **said)
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source" and getattr(self, f.name) is not None}
+        return replace(other, **values)
 
     def resized(self, size: tuple[int, int], to: tuple[int, int]) -> "Calibration":
-        """The same statement for images that were scaled from one size to another (width, height) [px], where it states a whole camera."""
+        """The calibration after images of one size (width, height) [px] were scaled to another; unchanged if it is not complete."""
         if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
             return self
         camera = Camera(*size, self.fx, self.fy, self.cx, self.cy).resized(*to)
@@ -58,7 +60,7 @@ class Calibration:
     def camera(self, width: int, height: int, recording: str) -> Camera:
         """The camera of images `width` x `height` [px].
 
-        Raises RecordingError where the camera is unknown, stated for another image size, or impossible.
+        Raises RecordingError if the camera is unknown, valid for another image size only, or impossible.
         """
         if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
             missing = ", ".join(name for name in ("fx", "fy", "cx", "cy") if getattr(self, name) is None)
@@ -76,7 +78,7 @@ class Calibration:
         return Camera(width, height, float(self.fx), float(self.fy), float(self.cx), float(self.cy))
 
     def scale(self, recording: str) -> float:
-        """Units of the depth images per metre; raises RecordingError where unknown or not positive."""
+        """Units of the depth images per metre; raises RecordingError if unknown or not positive."""
         if self.depth_scale is None or not (math.isfinite(self.depth_scale) and self.depth_scale > 0):
             found = f"the depth scale is {self.depth_scale}"
             raise RecordingError(f"{recording}: {found}, expected units per metre above 0: give --camera.depth-scale")
@@ -84,42 +86,42 @@ class Calibration:
 
 
 def override(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
-    """The user's own statement: any of fx, fy, cx, cy, depth_scale; None where not given. Raises ConfigError for other keys."""
-    given = {key: value for key, value in (camera or {}).items() if value is not None}
+    """The user's values: any of fx, fy, cx, cy, depth_scale; None counts as not given. Raises ConfigError for other keys."""
+    values = {key: value for key, value in (camera or {}).items() if value is not None}
     allowed = ("fx", "fy", "cx", "cy", "depth_scale")
-    if unknown := [key for key in given if key not in allowed]:
+    if unknown := [key for key in values if key not in allowed]:
         raise ConfigError(f"camera: unknown value '{unknown[0]}', expected any of {', '.join(allowed)}")
-    scale = given.get("depth_scale") if depth_scale is None else depth_scale
-    return Calibration(given.get("fx"), given.get("fy"), given.get("cx"), given.get("cy"), depth_scale=scale)
+    scale = values.get("depth_scale") if depth_scale is None else depth_scale
+    return Calibration(values.get("fx"), values.get("fy"), values.get("cx"), values.get("cy"), depth_scale=scale)
 
 
 @dataclass(frozen=True)
-class DepthCamera:
-    """A depth camera that stands beside the colour camera."""
+class DepthCameraCalibration:
+    """The calibration of a depth camera whose images are not registered to the colour camera."""
 
     calibration: Calibration
-    T_colour_depth: NDArray[np.float64]  # (4, 4) [m]
+    T_colour_depth: NDArray[np.float64]  # (4, 4) [m] depth camera to colour camera
 
 
 def read_cam_params(*folders: Path) -> Calibration:
-    """cam_params.json of the first of the folders that has one: {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}."""
+    """Reads cam_params.json, {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}, from the first folder that has one."""
     path = _cam_params(folders)
     return Calibration() if path is None else _camera_of(_json(path), "camera", path)
 
 
-def read_depth_camera(*folders: Path) -> DepthCamera | None:
-    """The depth camera in cam_params.json, {"depth_camera": as "camera", "T_colour_depth": 4x4}; None: depth is registered to colour."""
+def read_depth_camera(*folders: Path) -> DepthCameraCalibration | None:
+    """Reads the depth camera from cam_params.json, {"depth_camera": like "camera", "T_colour_depth": 4x4}; None: depth is registered."""
     path = _cam_params(folders)
     if path is None or "depth_camera" not in (values := _json(path)):
         return None
     try:
         T = np.array(values["T_colour_depth"], np.float64)
-        rigid = T.shape == (4, 4) and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2) and np.linalg.det(T) > 0
+        rigid = T.shape == (4, 4) and bool(np.isfinite(T).all()) and bool(is_rigid(T[None], tolerance=RIGID)[0])
     except (KeyError, ValueError, TypeError):
         rigid = False
-    if not rigid or not np.array_equal(T[3], [0, 0, 0, 1]) or not np.isfinite(T).all():
+    if not rigid:
         raise RecordingError(f'{path}: expected "T_colour_depth" beside "depth_camera": a rigid 4x4 matrix, depth to colour camera, metres')
-    return DepthCamera(_camera_of(values, "depth_camera", path), T)
+    return DepthCameraCalibration(_camera_of(values, "depth_camera", path), T)
 
 
 def _cam_params(folders: tuple[Path, ...]) -> Path | None:
@@ -151,7 +153,10 @@ def _camera_of(values: dict[str, Any], key: str, path: Path) -> Calibration:
 
 
 def read_camera_file(folder: Path, names: tuple[str, ...] = CAMERA_FILES) -> Calibration:
-    """The first of the named text files: a 3x3 or 4x4 matrix K, or one line `fx fy cx cy [k1 k2 p1 p2 [k3]]`; # starts a comment."""
+    """Reads the first of the text files that exists: a 3x3 or 4x4 matrix K, or one line `fx fy cx cy [k1 k2 p1 p2 [k3]]`.
+
+    `#` starts a comment.
+    """
     path = next((folder / name for name in names if (folder / name).is_file()), None)
     if path is None:
         return Calibration()

@@ -1,6 +1,7 @@
-"""Depth of one camera registered to another: each reading is carried over to where the colour camera sees it, the nearest wins.
+"""Registers depth images to the colour camera: each reading moves to the pixels where the colour camera sees it; the nearest reading wins.
 
-A reading covers its whole pixel, so that depth stays closed where the colour image has more pixels than it; nothing is interpolated.
+A reading covers its whole pixel, so that a surface has no gaps where the colour image has more pixels than the depth image. Nothing is
+interpolated.
 """
 
 import cv2
@@ -8,19 +9,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import DepthCamera
+from idfslam.datasets.calibration import DepthCameraCalibration
 from idfslam.datasets.images import Depth, readings
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.projection import to_pixel
 
-_STEPS = 30  # to undo the distortion of all pixels at once
-_RESIDUAL = 0.01  # [px] where that ends
+_STEPS = 30  # most iterations of undistortion; raised, very wide lenses converge too. Chosen by hand
+_RESIDUAL = 0.01  # [px] at which undistortion ends; raised, rays are less exact. Chosen by hand
 
 
-class Registration:
-    """Called with a depth image (h, w) in the depth camera's pixels: z-depth (H, W) float32 in the colour camera's, in the same units."""
+class DepthRegistration:
+    """Called with a depth image (h, w) of the depth camera; returns z-depth (H, W) float32 of the colour camera, in the same units."""
 
-    def __init__(self, depth: DepthCamera, size: tuple[int, int], colour: Camera, scale: float, name: str) -> None:
-        """size: (w, h) [px] of the depth images. colour: pinhole, without distortion. scale: units a metre. name: of the recording."""
+    def __init__(self, depth: DepthCameraCalibration, size: tuple[int, int], colour: Camera, scale: float, name: str) -> None:
+        """size: (w, h) [px] of the depth images. colour: without distortion. scale: depth units per metre. name: the recording's."""
         camera = depth.calibration.camera(*size, name)
         R, t = depth.T_colour_depth[:3, :3], depth.T_colour_depth[:3, 3]
         corners = _rays(camera, depth.calibration.distortion, offset=-0.5, grow=1) @ R.T
@@ -39,13 +41,15 @@ class Registration:
 
 
 def _rays(camera: Camera, distortion: tuple[float, ...] | None, *, offset: float, grow: int) -> NDArray[np.float64]:
-    """(h + grow, w + grow, 3) directions with z = 1 through the pixels' coordinates shifted by the offset."""
+    """(h + grow, w + grow, 3) ray directions with z = 1 through pixel coordinates plus `offset` [px]; distortion is undone."""
     v, u = np.mgrid[: camera.height + grow, : camera.width + grow].astype(np.float64) + offset
     pixels, f = np.stack([u, v], -1).reshape(-1, 2), np.array([camera.fx, camera.fy])
     xy = (pixels - [camera.cx, camera.cy]) / f
-    for _ in range(_STEPS if distortion else 0):  # cv2.undistortPoints stops after five steps: half a pixel short in a wide lens
-        seen, _ = cv2.projectPoints(np.c_[xy, np.ones(len(xy))], np.zeros(3), np.zeros(3), camera.matrix().numpy(), np.array(distortion))
-        residual = pixels - seen.reshape(-1, 2)
+    for _ in range(_STEPS if distortion else 0):  # cv2.undistortPoints stops after five, half a pixel off in a wide lens
+        distorted, _ = cv2.projectPoints(
+            np.c_[xy, np.ones(len(xy))], np.zeros(3), np.zeros(3), camera.matrix().numpy(), np.array(distortion)
+        )
+        residual = pixels - distorted.reshape(-1, 2)
         xy += residual / f
         if np.abs(residual).max() < _RESIDUAL:
             break
@@ -54,7 +58,7 @@ def _rays(camera: Camera, distortion: tuple[float, ...] | None, *, offset: float
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _splat(depth, corners, z_ray, t, height, width, fx, fy, cx, cy):  # type: ignore[no-untyped-def]
-    """The pixels of the colour image whose centres lie in a depth pixel's footprint take its z, where none nearer is there."""
+    """Gives each pixel of the colour image the smallest z of all depth pixels whose footprints contain its centre."""
     out = np.zeros((height, width), np.float32)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -69,8 +73,7 @@ def _splat(depth, corners, z_ray, t, height, width, fx, fy, cx, cy):  # type: ig
                 if z_corner <= 0:
                     left, right = -np.inf, np.inf  # the pixel reaches behind the camera
                     break
-                x = (d * ray[0] + t[0]) / z_corner * fx + cx
-                y = (d * ray[1] + t[1]) / z_corner * fy + cy
+                x, y = to_pixel(d * ray[0] + t[0], d * ray[1] + t[1], z_corner, fx, fy, cx, cy)
                 left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
             if not (right > -1 and left < width and bottom > -1 and top < height and right - left < width):
                 continue

@@ -1,4 +1,4 @@
-"""Colour and depth images: read, validated and converted. Everything wrong with one image is a FrameError of one line."""
+"""Reads, validates and converts colour and depth images. Whatever is wrong with one image is a FrameError of one line."""
 
 import re
 from dataclasses import dataclass
@@ -13,28 +13,28 @@ from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
 Depth = NDArray[np.uint16] | NDArray[np.float32]
-"""(H, W) as stored: whole numbers, of which 0 and 65535 are no reading, or fractions, of which 0 and what is not finite are none."""
+"""A depth image (H, W) as stored. uint16: 0 and 65535 mean no reading; float32: 0, negative and non-finite values mean no reading."""
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"})
-SATURATED = 65535  # "invalid" in 7-Scenes, the end of the range elsewhere: no reading
+SATURATED = 65535  # no reading: "invalid" in 7-Scenes, the end of the range elsewhere
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """Called with i: colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of pair i."""
+    """Reads images from files. Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of pair i."""
 
     pairs: list[tuple[Path, Path]]
 
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         colour, depth = self.pairs[i]
-        raw = read_depth(depth)  # first: it tells swapped folders apart
+        raw = read_depth(depth)  # first, because it detects swapped folders
         return decode_colour(_read(colour), str(colour)), raw
 
 
 def read_depth(path: Path) -> NDArray[np.uint16]:
-    """(H, W) as stored; raises FrameError."""
+    """Reads a depth image (H, W) as stored; raises FrameError."""
     return decode_depth(_read(path), str(path))
 
 
@@ -46,7 +46,7 @@ def _read(path: Path) -> bytes:
 
 
 def decode_colour(data: bytes, source: str) -> NDArray[np.uint8]:
-    """Encoded image -> (H, W, 3) uint8 BGR as stored (EXIF rotation would part it from the depth); `source` names it in messages."""
+    """Decodes a colour image: (H, W, 3) uint8 BGR, not rotated by EXIF, as depth is not; `source` names the image in messages."""
     if data.startswith(_PNG) and data[24:26] == b"\x10\x00":  # bit depth 16, grey
         raise FrameError(f"{source}: a 16-bit grey image, expected colour: are the colour and depth images swapped?")
     image = _decode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source)
@@ -54,7 +54,7 @@ def decode_colour(data: bytes, source: str) -> NDArray[np.uint8]:
 
 
 def decode_depth(data: bytes, source: str) -> NDArray[np.uint16]:
-    """Encoded image -> (H, W) uint16 as stored; `source` names it in messages."""
+    """Decodes a depth image: (H, W) uint16 as stored; `source` names the image in messages."""
     image = _decode(data, cv2.IMREAD_UNCHANGED, source)
     if image.ndim != 2 and image.dtype == np.uint8:
         raise FrameError(f"{source}: a colour image, expected 16-bit depth: are the colour and depth images swapped?")
@@ -65,11 +65,11 @@ def decode_depth(data: bytes, source: str) -> NDArray[np.uint16]:
 
 
 def _decode(data: bytes, flags: int, source: str) -> NDArray[np.generic]:
-    # OpenCV fills up the rest of a file that was cut off and reports success, so the end marks are looked for here.
+    # OpenCV fills the missing rest of a truncated file and reports success. The end markers tell whether a file is complete
     cut = (data.startswith(_PNG) and b"IEND" not in data[-64:]) or (data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:])
     try:
         image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:  # a header that asks for an absurd size
+    except cv2.error:  # a damaged header with an absurd size
         image = None
     if image is None:
         what = "empty" if not data else "cut off" if cut else "not a readable image"
@@ -91,17 +91,17 @@ def metres(raw: Depth, scale: float) -> NDArray[np.float32]:
 
 
 def readings(raw: Depth) -> NDArray[np.bool_]:
-    """(H, W): where a depth image as stored holds a reading."""
+    """(H, W) whether each pixel of a depth image as stored has a reading."""
     return (raw != 0) & (raw != SATURATED) if raw.dtype == np.uint16 else np.isfinite(raw) & (raw > 0)
 
 
 def has_readings(raw: Depth) -> bool:
-    """Whether any pixel of a depth image (H, W) as stored holds a reading."""
+    """Whether any pixel of a depth image (H, W) as stored has a reading."""
     return bool(readings(raw).any())
 
 
 class Undistortion:
-    """Colour (linear) and depth (nearest: depths of two surfaces must not mix) resampled to the pinhole camera without distortion."""
+    """Resamples images to the pinhole camera without distortion: colour linearly, depth by the nearest pixel, which mixes no surfaces."""
 
     def __init__(self, camera: Camera, distortion: tuple[float, ...]) -> None:
         K, size = camera.matrix().numpy(), (camera.width, camera.height)
@@ -117,24 +117,24 @@ class Undistortion:
 
 
 def numbered(folder: Path, pattern: str = "*", *, suffixes: frozenset[str] = SUFFIXES) -> dict[float, Path]:
-    """The files (images, unless told otherwise) of a folder by the last number in their names, in its order."""
-    found: dict[float, Path] = {}
+    """The files of a folder with these suffixes (default: images) by the last number in their names, sorted by it."""
+    files: dict[float, Path] = {}
     for path in folder.glob(pattern):
-        hidden = path.name.startswith(".")  # half-written, or of a file manager
+        hidden = path.name.startswith(".")  # half-written, or made by a file manager
         if not hidden and path.suffix.lower() in suffixes and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
             number = float(numbers[-1])
-            if number in found:
-                raise RecordingError(f"{folder}: {found[number].name} and {path.name} have the same number: remove one")
-            found[number] = path
-    return dict(sorted(found.items()))
+            if number in files:
+                raise RecordingError(f"{folder}: {files[number].name} and {path.name} have the same number: remove one")
+            files[number] = path
+    return dict(sorted(files.items()))
 
 
 def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> list[tuple[Path, Path]]:
-    """Colour and depth images with equal numbers; raises RecordingError where one lacks the other or there are none."""
+    """Pairs of colour and depth images with equal numbers; raises RecordingError if an image has no partner or there are no images."""
     if not colour and not depth:
         raise RecordingError(f"{folder}: no numbered images, expected colour and 16-bit depth images")
-    if alone := sorted(colour.keys() ^ depth.keys()):
-        path = colour.get(alone[0]) or depth[alone[0]]
+    if unpaired := sorted(colour.keys() ^ depth.keys()):
+        path = colour.get(unpaired[0]) or depth[unpaired[0]]
         counts = f"{len(colour)} colour and {len(depth)} depth images"
         raise RecordingError(f"{folder}: {counts}, {path.parent.name}/{path.name} has no partner: expected pairs of equal numbers")
     return [(colour[number], depth[number]) for number in colour]

@@ -1,4 +1,4 @@
-"""Recordings in the layouts of the field, opened lazily. A layout is one file beside this one and one line in READERS."""
+"""Opens recordings in common layouts. Each layout is one file in `readers/` (or `ros/`) and one line in READERS."""
 
 import os
 from collections.abc import Mapping
@@ -51,20 +51,20 @@ def open_recording(
     frames: int | None = None,
     stride: int = 1,
 ) -> Dataset:
-    """Opens a recording, recognised by what lies in it, or generates one: `synthetic[:SEED][:kinect]`, `corridor[:SEED][:kinect][:Nlaps]`.
+    """Opens a recording in a common layout, recognised from its files, or a generated recording. Images are read on request.
 
-    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), the name of a generated recording, or `kidnap:` and one of these (see
-        `kidnapped`).
-    format: one of FORMATS, where the layout is not recognised or is mistaken for another.
-    camera: any of fx, fy, cx, cy [px] (and depth_scale), over what the recording says. All four together state the pinhole
-        camera of the images as they are, without distortion.
-    depth_scale: units of the depth images per metre, over what the recording says.
-    topics: any of colour, depth, camera_info, poses: the topics of a ROS recording, where they are not found by themselves.
-    start, frames, stride: every stride-th frame from `start`, `frames` of them (all that there are if None), numbered from 0.
+    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), the name of a generated recording (`synthetic[:SEED][:kinect]`,
+        `corridor[:SEED][:kinect][:Nlaps]`), or `kidnap:` followed by one of these (see `generated.kidnapped`).
+    format: one of FORMATS, if the layout is not recognised correctly.
+    camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
+        pinhole camera without distortion.
+    depth_scale: units of the depth images per metre; overrides the recording's own value.
+    topics: any of colour, depth, camera_info, poses: topics of a ROS recording; the others are detected.
+    start, frames, stride: every stride-th frame from `start`, at most `frames` of them (None: all), numbered from 0.
 
-    Raises RecordingError where the recording as a whole cannot be used, ConfigError where an argument is out of range.
+    Raises RecordingError if the recording as a whole cannot be used, ConfigError if an argument is out of range.
     """
-    given, named = override(camera, depth_scale), Topics.of(topics)
+    user_calibration, user_topics = override(camera, depth_scale), Topics.of(topics)
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
     inner = generated.kidnapped_path(str(path))
@@ -73,22 +73,24 @@ def open_recording(
     if inner is not None:
         dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics))
     elif kind is not None:
-        dataset = generated.open_generated(str(path), kind, given, length=0 if frames is None else start + (frames - 1) * stride + 1)
+        dataset = generated.open_generated(
+            str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
+        )
     else:
-        place = Path(os.path.abspath(Path(path).expanduser()))  # a name even for "."
+        file = Path(os.path.abspath(Path(path).expanduser()))  # absolute, so that even "." has a name
         try:
-            dataset = _open(_reader(place, format), place, given, named)
+            dataset = _open(_reader(file, format), file, user_calibration, user_topics)
         except OSError as error:
-            raise RecordingError(f"{error.filename or place}: {error.strerror}, expected a readable recording") from error
+            raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
     return Selection(dataset, start=start, frames=frames, stride=stride)
 
 
-def _open(reader: Reader, path: Path, given: Calibration, named: Topics) -> Dataset:
-    if named == Topics():
-        return reader.open(path, given)
+def _open(reader: Reader, path: Path, calibration: Calibration, topics: Topics) -> Dataset:
+    if topics == Topics():
+        return reader.open(path, calibration)
     if reader.open_topics is None:
         raise ConfigError(f"{path}: topics are named, but a recording of layout {reader.name} has none: leave --topics out")
-    return reader.open_topics(path, given, named)
+    return reader.open_topics(path, calibration, topics)
 
 
 def _reader(path: Path, format: str | None) -> Reader:

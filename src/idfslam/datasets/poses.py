@@ -1,4 +1,4 @@
-"""Reference poses from text files: camera-to-world, metres; a matrix of NaN where a frame has none."""
+"""Ground-truth poses from text files: camera-to-world, in metres; a matrix of NaN stands for a missing pose."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from idfslam.errors import RecordingError
+from idfslam.geometry.rigid_transform import is_rigid
 
-_RIGID = 1e-2  # published files round their numbers: R^T R may miss the identity by this much
-_UNIT = 1e-2  # the same for the length of a quaternion
+RIGID = 1e-2  # [1] largest entry of |R^T R - I| of a pose; raised, damaged rotations pass. Ten times that of our own files: published
+#    recordings round their numbers to three decimals
+_UNIT = 1e-2  # [1] difference of a quaternion's length from 1, likewise
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:
-    """One pose (4, 4) from a file of 16 numbers; inf and nan are allowed (no pose)."""
+    """Reads one pose (4, 4) from a file of 16 numbers; inf and nan are allowed and mean no pose."""
     rows = _rows(path)
     numbers = [number for row in rows for number in row]
     if len(numbers) != 16:
@@ -23,7 +25,7 @@ def read_matrix(path: Path) -> NDArray[np.float64]:
 
 
 def read_matrices(path: Path) -> NDArray[np.float64]:
-    """Poses (N, 4, 4), one in each line of 16 numbers."""
+    """Reads poses (N, 4, 4) from lines of 16 numbers."""
     rows = _rows(path)
     for line, row in enumerate(rows, 1):
         if len(row) != 16:
@@ -32,7 +34,7 @@ def read_matrices(path: Path) -> NDArray[np.float64]:
 
 
 def read_freiburg(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Stamps (N,) [s] and poses (N, 4, 4) from TUM's lines `stamp tx ty tz qx qy qz qw`, sorted by stamp."""
+    """Reads stamps (N,) [s] and poses (N, 4, 4) from lines `stamp tx ty tz qx qy qz qw` (TUM), sorted by stamp."""
     rows = _rows(path)
     for line, row in enumerate(rows, 1):
         if len(row) != 8:
@@ -48,49 +50,50 @@ def read_freiburg(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 def from_quaternions(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Poses (N, 4, 4) from positions (N, 3) [m] and quaternions (N, 4) x y z w; NaN where a row is not finite.
 
-    Raises ValueError where a quaternion is not of length 1.
+    Raises ValueError if a quaternion is not of length 1.
     """
     poses = np.full((len(positions), 4, 4), np.nan)
-    known = np.isfinite(positions).all(1) & np.isfinite(quaternions).all(1)
-    lengths = np.linalg.norm(quaternions[known], axis=1)
+    finite = np.isfinite(positions).all(1) & np.isfinite(quaternions).all(1)
+    lengths = np.linalg.norm(quaternions[finite], axis=1)
     if np.any(np.abs(lengths - 1) > _UNIT):
         raise ValueError(f"a quaternion has length {lengths[np.abs(lengths - 1).argmax()]:.3g}, expected 1")
-    poses[known] = np.eye(4)
-    poses[known, :3, :3] = Rotation.from_quat(quaternions[known]).as_matrix()
-    poses[known, :3, 3] = positions[known]
+    poses[finite] = np.eye(4)
+    poses[finite, :3, :3] = Rotation.from_quat(quaternions[finite]).as_matrix()
+    poses[finite, :3, 3] = positions[finite]
     return poses
 
 
 def at_stamps(
     stamps: NDArray[np.float64], poses: NDArray[np.float64], wanted: NDArray[np.float64], tolerance: float
 ) -> NDArray[np.float64]:
-    """The pose nearest in time to each of the wanted stamps (N,) [s]: (N, 4, 4), NaN where none lies within the tolerance [s]."""
+    """(N, 4, 4) the pose nearest in time to each of the `wanted` stamps (N,) [s], NaN if none lies within `tolerance` [s].
+
+    stamps: (M,) [s], sorted, of the poses (M, 4, 4).
+    """
     right = np.searchsorted(stamps, wanted).clip(1, max(len(stamps) - 1, 1))
     left = right - 1
     right = np.minimum(right, len(stamps) - 1)
     nearest = np.where(np.abs(stamps[left] - wanted) <= np.abs(stamps[right] - wanted), left, right)
-    found: NDArray[np.float64] = poses[nearest].copy()
-    found[np.abs(stamps[nearest] - wanted) > tolerance] = np.nan
-    return found
+    selected: NDArray[np.float64] = poses[nearest].copy()
+    selected[np.abs(stamps[nearest] - wanted) > tolerance] = np.nan
+    return selected
 
 
 def checked(poses: NDArray[np.float64], *, count: int, source: Callable[[int], str]) -> NDArray[np.float64]:
-    """Poses (N, 4, 4) with every matrix that is not finite made NaN throughout; `source(i)` names pose i in messages.
+    """Validated poses (N, 4, 4); a matrix with any entry that is not finite becomes all NaN. `source(i)` names pose i in messages.
 
-    Raises RecordingError where there are not `count` poses, a pose is not rigid, or no pose at all is finite.
+    Raises RecordingError if there are not `count` poses, if a pose is not rigid, or if no pose is finite.
     """
     if len(poses) != count:
         raise RecordingError(f"{source(0)}: {len(poses)} poses for {count} frames, expected one for each: complete or remove them")
     poses = poses.copy()
-    known = np.isfinite(poses).all((1, 2))
-    poses[~known] = np.nan
-    if not known.any():
+    finite = np.isfinite(poses).all((1, 2))
+    poses[~finite] = np.nan
+    if not finite.any():
         raise RecordingError(f"{source(0)}: none of the {count} poses is finite: remove them to run without ground truth")
-    R = poses[known, :3, :3]
-    residual = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max((1, 2))
-    bad = (residual > _RIGID) | (np.linalg.det(R) < 0) | (np.abs(poses[known, 3] - [0, 0, 0, 1]).max(1) > 1e-6)
-    if bad.any():
-        first = int(np.flatnonzero(known)[bad.argmax()])
+    rigid = is_rigid(poses[finite], tolerance=RIGID)
+    if not rigid.all():
+        first = int(np.flatnonzero(finite)[rigid.argmin()])
         raise RecordingError(
             f"{source(first)}: pose {first} is not a rigid transform, expected camera-to-world: correct or remove the poses"
         )

@@ -1,10 +1,10 @@
-"""Frames decoded ahead of their use, in the background: by one thread, or several of a dataset that is slow (`readers`)."""
+"""Reads frames ahead of their use in background threads: one, or several for a slow dataset (`reading_threads`)."""
 
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from idfslam.datasets.recording import Dataset, readers
+from idfslam.datasets.recording import Dataset, reading_threads
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 
@@ -12,7 +12,7 @@ from idfslam.frame import Frame
 class Prefetch:
     """Iterates over (index, Frame), or (index, FrameError) for a bad frame, from `first` on, with up to `depth` frames read ahead.
 
-    The threads end with the iteration: also on break, on an error and on Ctrl-C. Any other error of the dataset reaches the caller.
+    The threads end with the iteration, also after break, an error and Ctrl-C. Errors other than FrameError are raised to the caller.
     """
 
     def __init__(self, dataset: Dataset, *, depth: int = 4, first: int = 0) -> None:
@@ -23,7 +23,7 @@ class Prefetch:
 
     def __iter__(self) -> Iterator[tuple[int, Frame | FrameError]]:
         pending: deque[Future[Frame | FrameError]] = deque()
-        with ThreadPoolExecutor(readers(self._dataset), thread_name_prefix="prefetch") as pool:
+        with ThreadPoolExecutor(reading_threads(self._dataset), thread_name_prefix="prefetch") as pool:
             try:
                 end = len(self._dataset)
                 for i in range(self._first, end):

@@ -1,4 +1,4 @@
-"""What every reader yields: a recording opened lazily, and a selection of its frames."""
+"""The interface of all datasets; a recording whose images are read on request; a selection of its frames."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCamera
-from idfslam.datasets.depth_registration import Registration
+from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -19,14 +19,14 @@ from idfslam.geometry.camera import Camera
 if TYPE_CHECKING:
     import trimesh
 
-FPS = 30.0  # of recordings without stamps
-_PROBES = 5  # a recording is unusable if none of so many frames spread over it can be read
+FPS = 30.0  # [Hz] assumed for recordings without time stamps
+_PROBES = 5  # frames, spread over a recording, of which one must be readable; raised, recordings with more damage open. Chosen by hand
 
 ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth]]  # i -> colour (H, W, 3) BGR, depth (H, W)
 
 
 class FrameSource(Protocol):
-    """What is known of where frames come from: of all N frames of a recording, or of the N that a live camera has given so far."""
+    """A source of frames: a recording with all its N frames, or a live camera with the N frames so far."""
 
     @property
     def name(self) -> str: ...
@@ -38,39 +38,41 @@ class FrameSource(Protocol):
     def timestamps(self) -> NDArray[np.float64]: ...  # (N,) [s]
 
     @property
-    def ground_truth(self) -> NDArray[np.float64] | None: ...  # (N, 4, 4) camera-to-world, NaN where a frame has none
+    def ground_truth(self) -> NDArray[np.float64] | None: ...  # (N, 4, 4) camera-to-world, NaN: no pose
 
 
 class Dataset(FrameSource, Protocol):
-    """N frames in the order of time; `dataset[i]` raises FrameError for one bad frame."""
+    """N frames in the order of time; `dataset[i]` raises FrameError if this one frame cannot be read."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, i: int) -> Frame: ...
 
-    def surface(self) -> "trimesh.Trimesh | None": ...  # the true surface in the frame of ground_truth, where it is known
+    def surface(self) -> "trimesh.Trimesh | None": ...  # the true surface in the frame of ground_truth, if known
 
 
-def readers(dataset: Dataset) -> int:
-    """How many threads may read its frames at once: what its attribute `readers` says, or one."""
-    return int(getattr(dataset, "readers", 1))
+def reading_threads(dataset: Dataset) -> int:
+    """How many threads should read its frames at once: its attribute `reading_threads`, by default one."""
+    return int(getattr(dataset, "reading_threads", 1))
 
 
 @dataclass(frozen=True)
 class Reader:
-    """One layout: its name for --format, what it looks like, whether a path has it, and how to open it."""
+    """One layout of recordings: its name for --format, its files in words, and functions that recognise and open it."""
 
     name: str
     layout: str
     recognises: Callable[[Path], bool]
-    open: Callable[[Path, Calibration], Dataset]  # the calibration is the user's override
-    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = None  # of layouts that have topics, which the user may name
+    open: Callable[[Path, Calibration], Dataset]  # the calibration holds the user's values
+    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = (
+        None  # with the topics that the user names; None: the layout has no topics
+    )
 
 
 class Recording:
-    """A recording whose images are decoded when asked for; one frame is read at opening to see that it can be used.
+    """A recording whose images are read on request. One frame is read at once, to check that the recording can be used.
 
-    Raises RecordingError where the camera is unknown or does not fit, or no frame can be read.
+    Raises RecordingError if the camera is unknown or does not fit the images, or if no frame can be read.
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class Recording:
         timestamps: NDArray[np.float64],  # (N,) [s]
         ground_truth: NDArray[np.float64] | None,  # (N, 4, 4) camera-to-world
         calibration: Calibration,
-        depth_camera: DepthCamera | None = None,  # None: depth is registered to colour
+        depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
     ) -> None:
         self.name, self.timestamps, self.ground_truth = name, timestamps, ground_truth
         self._read, self._registered = read, depth_camera is None
@@ -89,7 +91,7 @@ class Recording:
         self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
         self._size = depth  # width, height [px] of the depth images
-        self._register = None if depth_camera is None else Registration(depth_camera, depth, self.camera, self._scale, name)
+        self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         distorted = calibration.distortion is not None and any(calibration.distortion)
         self._undistort = Undistortion(self.camera, calibration.distortion or ()) if distorted else None
 
@@ -97,7 +99,7 @@ class Recording:
         return len(self.timestamps)
 
     def __getitem__(self, i: int) -> Frame:
-        """Frame i, from -N to N-1; raises FrameError where its images are missing, damaged or without depth."""
+        """Frame i, from -N to N-1; raises FrameError if its images are missing, damaged or without depth."""
         i = range(len(self))[i]
         bgr, raw = self._checked(i)
         for kind, found, expected in (("", _size(bgr), (self.camera.width, self.camera.height)), ("'s depth", _size(raw), self._size)):
@@ -112,7 +114,7 @@ class Recording:
         return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera)
 
     def surface(self) -> None:
-        """Unknown: files hold no surface."""
+        """None: files hold no surface."""
 
     def _checked(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
@@ -124,18 +126,18 @@ class Recording:
         return bgr, raw
 
     def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Width and height [px] of colour and depth by the first of a few frames that can be read."""
+        """Width and height [px] of colour and of depth, from the first readable of a few frames."""
         if not len(self):
             raise RecordingError(f"{self.name}: no frames")
-        first: FrameError | None = None
+        first_error: FrameError | None = None
         for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
             try:
                 bgr, raw = self._checked(int(i))
             except FrameError as error:
-                first = first or error
+                first_error = first_error or error
             else:
                 return _size(bgr), _size(raw)
-        raise RecordingError(str(first)) from first
+        raise RecordingError(str(first_error)) from first_error
 
 
 def _size(image: NDArray[Any]) -> tuple[int, int]:
@@ -144,9 +146,9 @@ def _size(image: NDArray[Any]) -> tuple[int, int]:
 
 
 class Selection:
-    """Every `stride`-th frame of a dataset from `start`, at most to `frames` of them, numbered from 0.
+    """Every `stride`-th frame of a dataset from `start`, `frames` of them (None: all), numbered from 0.
 
-    Raises ConfigError where it reaches beyond the dataset.
+    Raises ConfigError if it reaches beyond the dataset.
     """
 
     def __init__(self, dataset: Dataset, *, start: int = 0, frames: int | None = None, stride: int = 1) -> None:
@@ -160,7 +162,7 @@ class Selection:
             found = f"frames {frames} from start {start} with stride {stride}"
             raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")
         self._dataset, self._indices = dataset, indices[:frames]
-        self.name, self.camera, self.readers = dataset.name, dataset.camera, readers(dataset)
+        self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
         self.timestamps = dataset.timestamps[self._indices]
         truth = dataset.ground_truth
         self.ground_truth = None if truth is None else truth[self._indices]
@@ -173,10 +175,10 @@ class Selection:
         return replace(self._dataset[int(self._indices[i])], index=i)
 
     def surface(self) -> "trimesh.Trimesh | None":
-        """The whole dataset's true surface, where it is known."""
+        """The whole dataset's true surface, if known."""
         return self._dataset.surface()
 
 
 def regular_stamps(count: int) -> NDArray[np.float64]:
-    """(N,) [s]: index / 30 Hz, for recordings without stamps."""
+    """(N,) stamps [s] at 30 Hz, for recordings without stamps."""
     return np.arange(count) / FPS

@@ -1,4 +1,4 @@
-"""timestamps.txt of a plain folder: lines of `number stamp` [s], the number being the images'; or a stamp a line, in their order."""
+"""Reads timestamps.txt of a plain folder: lines `number stamp` [s] with the images' numbers, or one stamp a line in the images' order."""
 
 from pathlib import Path
 
@@ -10,10 +10,10 @@ STAMPS = "timestamps.txt"
 
 
 def read_stamps(path: Path, numbers: list[float]) -> dict[float, float] | None:
-    """Number of a frame -> stamp [s], in the numbers' order; None without the file.
+    """The stamps [s] by frame number, sorted by number; None without the file. `numbers`: those of the images, in order.
 
-    A pair at the end without its end of line was cut off: it is left out.
-    numbers: of the images, in order. Raises RecordingError where a line is neither, and where stamps do not grow.
+    A last line `number stamp` without a line break was cut off while it was written: it is left out.
+    Raises RecordingError if a line has another form, and if stamps do not increase.
     """
     if not path.is_file():
         return None
@@ -28,7 +28,7 @@ def read_stamps(path: Path, numbers: list[float]) -> dict[float, float] | None:
             )
         rows = [(number, *row) for number, row in zip(numbers, rows)]
     if short := [row for row in rows if len(row) == 1]:
-        raise RecordingError(f"{path}: '{short[0][0]}' stands alone in its line, expected the number of a frame and its stamp")
+        raise RecordingError(f"{path}: '{short[0][0]}' is alone in its line, expected the number of a frame and its stamp")
     stamps = dict(sorted((row[0], row[1]) for row in rows))
     late = np.diff(list(stamps.values())) <= 0
     if late.any():
@@ -39,13 +39,13 @@ def read_stamps(path: Path, numbers: list[float]) -> dict[float, float] | None:
     return stamps
 
 
-def _row(text: str, place: str) -> tuple[float, ...]:
-    """The numbers of a line, one or two; none of an empty one or a comment."""
+def _row(text: str, source: str) -> tuple[float, ...]:
+    """The one or two numbers of a line; empty for an empty line and a comment."""
     words = text.split("#")[0].split()
     try:
         row = tuple(map(float, words))
     except ValueError:
         row = (np.nan,)
     if len(row) > 2 or not np.isfinite(row).all():
-        raise RecordingError(f"{place} is '{text.strip()}', expected a stamp in seconds, or the number of a frame and its stamp")
+        raise RecordingError(f"{source} is '{text.strip()}', expected a stamp in seconds, or the number of a frame and its stamp")
     return row

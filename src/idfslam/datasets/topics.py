@@ -1,4 +1,4 @@
-"""Which topics of a recording hold what, as the user names them."""
+"""The topics of a ROS recording that the user names."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -8,7 +8,7 @@ from idfslam.errors import ConfigError
 
 @dataclass(frozen=True)
 class Topics:
-    """None: found by what the recording holds; poses are read only where they are named."""
+    """Names of topics. None: the topic is detected; poses are read only if named."""
 
     colour: str | None = None
     depth: str | None = None
@@ -17,7 +17,7 @@ class Topics:
 
     @classmethod
     def of(cls, names: Mapping[str, str | None] | None) -> "Topics":
-        """Raises ConfigError for other keys."""
+        """From a mapping; raises ConfigError for other keys."""
         allowed = [field.name for field in fields(cls)]
         if unknown := [key for key in names or {} if key not in allowed]:
             raise ConfigError(f"topics: {', '.join(unknown)} unknown, expected {', '.join(allowed)}")
@@ -25,5 +25,5 @@ class Topics:
 
 
 def _normal(name: str) -> str:
-    """As bags list it: with the leading slash."""
+    """The name with a leading slash, as bags list it."""
     return "/" + name.strip("/")

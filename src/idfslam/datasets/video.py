@@ -1,4 +1,4 @@
-"""A track of a video file, frame by frame: decoded forward where frames are asked for in order, from the key frame before elsewhere."""
+"""Random access to the frames of a video track. Frames in order are decoded one after the other, others from the key frame before them."""
 
 import threading
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm"})
 
 
 def pyav() -> ModuleType:
-    """PyAV; raises ConfigError where it is not installed."""
+    """The module PyAV; raises ConfigError if it is not installed."""
     try:
         import av
     except ImportError as error:
@@ -25,41 +25,41 @@ def pyav() -> ModuleType:
 
 
 @dataclass(frozen=True)
-class Contents:
-    """What a video file holds beside its frames."""
+class VideoContents:
+    """The metadata of a video file."""
 
     titles: list[str]  # of the video tracks; "" where one has none
-    formats: list[str]  # of their pixels, in ffmpeg's names
+    formats: list[str]  # pixel formats of the video tracks, in ffmpeg's names
     tags: dict[str, str]
     attachments: dict[str, bytes]  # by file name
 
 
-def read_contents(path: Path) -> Contents:
-    """Raises RecordingError where the file is no video."""
+def read_contents(path: Path) -> VideoContents:
+    """Reads a video file's metadata; raises RecordingError if the file is no video."""
     av = pyav()
     try:
         with av.open(str(path)) as container:
             tracks = container.streams.video
             files = {stream.metadata.get("filename", ""): bytes(stream.data) for stream in container.streams.attachments}
             titles, formats = [track.metadata.get("title", "") for track in tracks], [str(track.pix_fmt) for track in tracks]
-            return Contents(titles, formats, dict(container.metadata), files)
+            return VideoContents(titles, formats, dict(container.metadata), files)
     except av.FFmpegError as error:
         raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
 
 
 class VideoTrack:
-    """Frames 0 to N - 1 of a video track in the order in which they are shown, not rotated; from any thread, one at a time.
+    """Frames 0 to N - 1 of a video track in the order of display, not rotated. Threads may share it; they are served one at a time.
 
-    Opening reads the stamps of all frames and decodes none. Raises RecordingError where the file holds no such track.
+    Opening reads the stamps of all frames and decodes none. Raises RecordingError if the file has no such track.
     """
 
     def __init__(self, path: Path, track: int = 0) -> None:
-        """track: which of the file's video tracks."""
+        """track: the number of the track among the file's video tracks."""
         self.path, self._track = path, track
         self._lock = threading.Lock()
         av = pyav()
         self._error: type[Exception] = av.FFmpegError
-        stamps: dict[int, bool] = {}  # stamp in the track's time base -> is it a key frame
+        stamps: dict[int, bool] = {}  # stamp in the track's time base -> whether it is a key frame
         try:
             self._container = av.open(str(path))
             if track >= len(self._container.streams.video):
@@ -77,13 +77,13 @@ class VideoTrack:
         self.times = np.array(self._stamps * float(self._stream.time_base), np.float64)  # (N,) [s]
         self.size: tuple[int, int] = (self._stream.width, self._stream.height)  # [px]
         self._frames: Iterator[Any] = iter(())
-        self._next = len(self)  # the frame that comes next from the decoder
+        self._next = len(self)  # the frame that the decoder returns next
 
     def __len__(self) -> int:
         return len(self._stamps)
 
     def colour(self, i: int, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-        """Frame i (H, W, 3) BGR, reduced to size (width, height) by the mean over areas; raises FrameError."""
+        """Frame i (H, W, 3) BGR, scaled to `size` (width, height) by means over areas (None: not scaled); raises FrameError."""
         width, height = size or self.size
         return np.asarray(self._decoded(i).to_ndarray(format="bgr24", width=width, height=height, interpolation="AREA"), np.uint8)
 
@@ -109,12 +109,12 @@ class VideoTrack:
                 reason = "it cannot be decoded"
             except self._error as error:
                 reason = _reason(error)
-            self._next = len(self)  # the decoder may have lost its place
+            self._next = len(self)  # the decoder's position is unknown now
             raise FrameError(f"{self.path}: frame {i} of video track {self._track}: {reason}: copy the recording again")
 
     def _key_before(self, i: int) -> int:
-        place = np.searchsorted(self._keys, i, side="right") - 1
-        return int(self._keys[place]) if place >= 0 else 0
+        k = np.searchsorted(self._keys, i, side="right") - 1
+        return int(self._keys[k]) if k >= 0 else 0
 
     def _seek(self, i: int) -> None:
         self._container.seek(int(self._stamps[self._key_before(i)]), stream=self._stream, backward=True)
@@ -122,5 +122,5 @@ class VideoTrack:
 
 
 def _reason(error: Exception) -> str:
-    """ffmpeg's words without the file's name and the log."""
+    """ffmpeg's message without the file's name and the log."""
     return str(getattr(error, "strerror", None) or error).splitlines()[0]

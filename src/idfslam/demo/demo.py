@@ -8,9 +8,9 @@ from rich.console import Console
 
 from idfslam.config import Config
 from idfslam.datasets import Dataset
-from idfslam.datasets.generated.prerendered import Ahead
+from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.demo.compile_ahead import compiling_ahead
-from idfslam.evaluation.summary import Evaluation
+from idfslam.evaluation.evaluation import Evaluation
 from idfslam.mapping.saved_map import load_map
 from idfslam.pictures.image_files import View, draw_views
 from idfslam.pictures.mesh_renderer import draw_mesh
@@ -39,9 +39,9 @@ def demo(
     with compiling_ahead(config) as wait_until_compiled:
         recording = open_source(source)
         recording[0]  # compiles what renders it
-        with Ahead(recording, most=_AHEAD) as begun:
+        with Prerendered(recording, most=_AHEAD) as prerendered:
             wait_until_compiled()
-        done = run(begun, config, folder, source=source, console=console)
+        done = run(prerendered, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     if report:
         write_report(folder, recording=recording)

@@ -1,1 +1,1 @@
-"""Public sequences fetched for the user: what there is, over HTTP with resuming, unpacked safely."""
+"""Downloads of public sequences: their catalogue, resumable HTTP, safe unpacking."""

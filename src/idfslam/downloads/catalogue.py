@@ -1,4 +1,4 @@
-"""The public sequences that can be downloaded; catalogue.yaml beside this file names them."""
+"""The public sequences that can be downloaded, read from catalogue.yaml in this folder."""
 
 from dataclasses import dataclass
 from importlib.resources import files
@@ -10,33 +10,33 @@ from idfslam.errors import DownloadError
 
 @dataclass(frozen=True)
 class Sequence:
-    """One archive of recordings."""
+    """An archive with one or more recordings."""
 
     name: str
     url: str
-    folder: str  # what it becomes in the folder of downloads
+    folder: str  # its folder in the folder of downloads
     licence: str
-    size_mb: int | None = None  # of the archive, roughly
-    sha256: str | None = None  # of the archive, where its authors state it
-    run: tuple[str, ...] = (".",)  # the recordings in it
+    size_mb: int | None = None  # approximate size of the archive
+    sha256: str | None = None  # of the archive, if its authors publish it
+    run: tuple[str, ...] = (".",)  # paths of the recordings in the folder
 
 
 def catalogue() -> dict[str, Sequence]:
-    """All sequences by their names."""
+    """All sequences by name."""
     values = yaml.safe_load(files("idfslam.downloads").joinpath("catalogue.yaml").read_text(encoding="utf-8"))
-    found = {}
+    sequences = {}
     for name, entry in values["sequences"].items():
         licence, run = values["licences"][entry["licence"]], tuple(entry.get("run", (".",)))
-        found[name] = Sequence(name, **{**entry, "licence": licence, "run": run})
-    return found
+        sequences[name] = Sequence(name, **{**entry, "licence": licence, "run": run})
+    return sequences
 
 
-def named(name: str) -> Sequence:
-    """One of them. Raises DownloadError for another name."""
-    known = catalogue()
-    if name not in known:
-        near = [other for other in known if name.lower() in other] or list(known)
+def find_sequence(name: str) -> Sequence:
+    """The sequence of this name. Raises DownloadError, which suggests names, if there is none."""
+    sequences = catalogue()
+    if name not in sequences:
+        near = [other for other in sequences if name.lower() in other] or list(sequences)
         raise DownloadError(
             f"{name}: not a known sequence, expected one such as {', '.join(near[:4])}; `idf-slam download --list` shows all"
         )
-    return known[name]
+    return sequences[name]

@@ -1,4 +1,4 @@
-"""A public sequence into a folder of downloads: fetched, held to its hash, unpacked beside its place, and then moved there."""
+"""Downloads a public sequence: the archive is fetched, checked by its hash, unpacked into a temporary folder and moved into place."""
 
 import hashlib
 import json
@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from idfslam.downloads.catalogue import Sequence
-from idfslam.downloads.fetch import Report, fetch, forget
+from idfslam.downloads.fetch import Report, discard, fetch
 from idfslam.downloads.unpack import unpack
 from idfslam.errors import DownloadError
 from idfslam.storage import atomic_files
 
-LEDGER = "downloads.json"  # in the folder of downloads: what was fetched when, and the hash of its archive
+LEDGER = "downloads.json"  # in the folder of downloads: when each sequence was downloaded, and the hash of its archive
 
 
 def download(sequence: Sequence, out: Path, *, report: Report = lambda done, total: None) -> Path:
-    """The sequence's folder in `out`, fetched unless it is there already from an earlier call.
+    """Downloads a sequence into a folder in `out`, unless an earlier call did; returns the folder.
 
-    Without a published hash the archive is held to the hash of its first download. Raises DownloadError; what was fetched so far of a
-    download that was cut off is gone on with by the next call.
+    The archive must have the published hash or, without one, the hash of its first download. Raises DownloadError; the next call resumes an
+    interrupted download.
     """
     folder, ledger = out / sequence.folder, read_ledger(out)
     if folder.exists():
@@ -49,16 +49,16 @@ def download(sequence: Sequence, out: Path, *, report: Report = lambda done, tot
         os.replace(_root(staging), folder)
     except DownloadError as error:
         if "damaged" in str(error):
-            forget(archive)
+            discard(archive)
         raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    forget(archive)
+    discard(archive)
     return folder
 
 
 def read_ledger(out: Path) -> dict[str, Any]:
-    """What was downloaded into the folder so far, by name. Raises DownloadError for a damaged file."""
+    """The records of earlier downloads into the folder, by name. Raises DownloadError if the file is damaged."""
     path = out / LEDGER
     if not path.is_file():
         return {}
@@ -71,18 +71,18 @@ def read_ledger(out: Path) -> dict[str, Any]:
 
 
 def _check(sequence: Sequence, digest: str, ledger: dict[str, Any], archive: Path, out: Path) -> None:
-    """Raises DownloadError, and throws the archive away, where its hash is not the one it should have."""
+    """Deletes the archive and raises DownloadError if its hash is not the expected one."""
     expected = sequence.sha256 or ledger.get(sequence.name, {}).get("sha256", digest)
     if digest == expected:
         return
-    forget(archive)
-    whose = "published" if sequence.sha256 else "of the first download"
+    discard(archive)
+    origin = "published" if sequence.sha256 else "of the first download"
     advice = "try again" if sequence.sha256 else f"if it was published anew, remove it from {out / LEDGER} and try again"
-    raise DownloadError(f"{sequence.url}: sha256 {digest}, expected {expected} ({whose}): {advice}")
+    raise DownloadError(f"{sequence.url}: sha256 {digest}, expected {expected} ({origin}): {advice}")
 
 
 def _root(staging: Path) -> Path:
-    """The one folder that the archive holds, or all of it."""
+    """The only folder of the archive, or the whole archive if it has other entries."""
     entries = list(staging.iterdir())
     return entries[0] if len(entries) == 1 and entries[0].is_dir() else staging
 

@@ -1,4 +1,4 @@
-"""A file over HTTP that goes on where it was cut off (RFC 9110, Sec. 14: Range, If-Range)."""
+"""Downloads of files over HTTP that resume after an interruption (RFC 9110, Sec. 14: Range, If-Range)."""
 
 import http.client
 import json
@@ -17,25 +17,25 @@ from idfslam.errors import DownloadError
 
 log = logging.getLogger(__name__)
 
-Report = Callable[[int, int | None], None]  # bytes so far, bytes in all where they are known
+Report = Callable[[int, int | None], None]  # bytes so far, total bytes if known
 
-_TIMEOUT = 30.0  # [s] without a byte
-_FRUITLESS = 3  # tries in a row that brought nothing, after which it is given up
-_PAUSE = 1.0  # [s] before the next try, growing with each
-_BLOCK = 1 << 18  # [bytes]
+_TIMEOUT = 30.0  # [s] without data before a connection counts as lost; raised, slow servers are tolerated. Chosen by hand
+_ATTEMPTS = 3  # attempts in a row without new data, after which the download fails. Chosen by hand
+_PAUSE = 1.0  # [s] before the next attempt, multiplied by their number; raised, outages may last longer. Chosen by hand
+_BLOCK = 1 << 18  # [bytes] read at once; raised, progress is reported less often
 
 
 def fetch(url: str, path: Path, *, report: Report = lambda done, total: None, pause: float = _PAUSE) -> None:
-    """The file at `url` into `path`, which may hold the beginning of it from an earlier call; `path`.json says which file that was.
+    """Downloads the file at `url` to `path`, which may hold the beginning of it from an earlier call; `path`.json identifies that file.
 
-    A connection that is cut off is taken up again. Raises DownloadError where the server refuses, nothing comes any more or the disk is
-    full: then `path` keeps what there is, and the next call goes on from it.
+    A lost connection is resumed. Raises DownloadError if the server refuses, no more data comes or the disk is full; `path` then keeps the
+    data so far and the next call resumes it.
     """
-    fruitless = 0
+    failures = 0
     while True:
         before = _size(path)
         try:
-            _continue(url, path, report)
+            _attempt(url, path, report)
         except HTTPError as error:
             if error.code < 500:
                 raise DownloadError(f"{url}: the server says {error.code} {error.reason}: has it moved?") from error
@@ -48,21 +48,21 @@ def fetch(url: str, path: Path, *, report: Report = lambda done, total: None, pa
             ) from error
         else:
             return
-        fruitless = 0 if _size(path) > before else fruitless + 1
-        if fruitless == _FRUITLESS:
+        failures = 0 if _size(path) > before else failures + 1
+        if failures == _ATTEMPTS:
             raise DownloadError(f"{url}: {why}; what was fetched so far is kept, the same command goes on from there")
         log.warning("%s: %s; trying again", url, why)
-        time.sleep(pause * (fruitless + 1))
+        time.sleep(pause * (failures + 1))
 
 
-def forget(path: Path) -> None:
-    """Removes what `fetch` keeps."""
+def discard(path: Path) -> None:
+    """Removes the files of an unfinished `fetch`."""
     path.unlink(missing_ok=True)
     _state_file(path).unlink(missing_ok=True)
 
 
-def _continue(url: str, path: Path, report: Report) -> None:
-    """One try. Raises ConnectionError where fewer bytes came than were promised."""
+def _attempt(url: str, path: Path, report: Report) -> None:
+    """Requests the missing bytes once. Raises ConnectionError if fewer bytes come than the server announced."""
     state, start = _read_state(path, url), _size(path)
     if start and start == state.get("total"):
         return
@@ -72,11 +72,11 @@ def _continue(url: str, path: Path, report: Report) -> None:
     with urlopen(Request(url, headers=headers), timeout=_TIMEOUT) as response:
         resumed = response.status == 206 and (response.headers["Content-Range"] or "").startswith(f"bytes {start}-")
         if response.status == 206 and not resumed:
-            forget(path)
+            discard(path)
             raise ConnectionError(f"asked for bytes from {start} on, got {response.headers['Content-Range']}")
         done, total = (start if resumed else 0), _total(response, resumed)
         if not resumed:
-            path.unlink(missing_ok=True)  # before its state changes: bytes of two versions must never meet
+            path.unlink(missing_ok=True)  # before its state changes, so that bytes of two versions are never joined
             _state_file(path).write_text(json.dumps({"url": url, "version": _version(response), "total": total}), encoding="utf-8")
         with path.open("ab") as file:
             while block := response.read(_BLOCK):
@@ -88,17 +88,17 @@ def _continue(url: str, path: Path, report: Report) -> None:
 
 
 def _total(response: Any, resumed: bool) -> int | None:
-    """Bytes of the whole file, where the server says."""
-    said = (
+    """The size of the whole file [bytes], if the server gives it."""
+    size = (
         re.search(r"/(\d+)$", response.headers["Content-Range"])
         if resumed
         else re.fullmatch(r"(\d+)", response.headers["Content-Length"] or "")
     )
-    return int(said[1]) if said else None
+    return int(size[1]) if size else None
 
 
 def _version(response: Any) -> str | None:
-    """What tells one version of the file from another: a strong ETag, or else the date."""
+    """An identifier of the file's version: a strong ETag, else the date."""
     tag: str | None = response.headers["ETag"]
     return tag if tag and not tag.startswith("W/") else response.headers["Last-Modified"]
 

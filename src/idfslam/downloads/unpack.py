@@ -1,4 +1,4 @@
-"""Archives of others (zip, tar) unpacked so that nothing lands outside the folder: regular files and folders, and nothing else."""
+"""Unpacks untrusted archives (zip, tar): only regular files and folders, and nothing outside the target folder."""
 
 import logging
 import shutil
@@ -15,17 +15,17 @@ from idfslam.errors import DownloadError
 
 log = logging.getLogger(__name__)
 
-Member = tuple[str, str, Callable[[], IO[bytes]]]  # name; file, folder, link or device; how it is opened
+Member = tuple[str, str, Callable[[], IO[bytes]]]  # name; "file", "folder", "link" or "device"; a function that opens it
 
-_JUNK = ("Thumbs.db", ".DS_Store", "__MACOSX")  # those in 7-Scenes are damaged
+_JUNK = ("Thumbs.db", ".DS_Store", "__MACOSX")  # not unpacked: those in 7-Scenes are damaged
 _DAMAGED = (tarfile.TarError, zipfile.BadZipFile, zlib.error, EOFError)
 
 
 def unpack(archive: Path, folder: Path) -> None:
-    """Everything in `archive` into `folder`, and the zip files that are in there into where they lie (7-Scenes has one a sequence).
+    """Unpacks `archive` into `folder`, and each zip file inside it into that file's folder (7-Scenes has one a sequence).
 
-    Links are left out, with a warning. Raises DownloadError for a damaged archive, for one that holds devices or wants to write elsewhere
-    than into `folder`, and where the disk is full.
+    Links are left out with a warning. Raises DownloadError if the archive is damaged, holds devices or paths outside `folder`, or if the
+    disk is full.
     """
     try:
         _unpack(archive, folder)
@@ -39,7 +39,7 @@ def unpack(archive: Path, folder: Path) -> None:
 
 
 def _unpack(archive: Path, folder: Path) -> None:
-    for name, kind, opened in _zip_members(archive) if _is_zip(archive) else _tar_members(archive):
+    for name, kind, open_member in _zip_members(archive) if _is_zip(archive) else _tar_members(archive):
         if any(part in _JUNK for part in Path(name).parts):
             continue
         target = (folder / name).resolve()
@@ -51,7 +51,7 @@ def _unpack(archive: Path, folder: Path) -> None:
             target.mkdir(parents=True, exist_ok=True)
         else:
             target.parent.mkdir(parents=True, exist_ok=True)
-            with opened() as source, target.open("wb") as copy:
+            with open_member() as source, target.open("wb") as copy:
                 shutil.copyfileobj(source, copy, 1 << 20)
 
 
@@ -61,22 +61,22 @@ def _is_zip(archive: Path) -> bool:
 
 
 def _zip_members(archive: Path) -> Iterator[Member]:
-    with zipfile.ZipFile(archive) as opened:
-        for info in opened.infolist():
-            mode = info.external_attr >> 16  # of Unix; 0 from elsewhere
+    with zipfile.ZipFile(archive) as archive_file:
+        for info in archive_file.infolist():
+            mode = info.external_attr >> 16  # Unix mode; 0 if the archive was made on another system
             special = stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR)
             kind = "link" if stat.S_ISLNK(mode) else "device" if special else "folder" if info.is_dir() else "file"
-            yield info.filename, kind, partial(opened.open, info)
+            yield info.filename, kind, partial(archive_file.open, info)
 
 
 def _tar_members(archive: Path) -> Iterator[Member]:
-    with tarfile.open(archive) as opened:
-        for info in opened:
+    with tarfile.open(archive) as archive_file:
+        for info in archive_file:
             kind = "file" if info.isreg() else "folder" if info.isdir() else "link" if info.issym() or info.islnk() else "device"
-            yield info.name, kind, partial(_extracted, opened, info)
+            yield info.name, kind, partial(_open_tar_member, archive_file, info)
 
 
-def _extracted(opened: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
-    file = opened.extractfile(info)
+def _open_tar_member(archive_file: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
+    file = archive_file.extractfile(info)
     assert file is not None  # a regular file
     return file

@@ -1,1 +1,1 @@
-"""Errors of trajectories and meshes against ground truth, under named protocols, and pictures of them."""
+"""Errors of trajectories and meshes against ground truth, under named protocols; plots of them."""

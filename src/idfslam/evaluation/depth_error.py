@@ -1,9 +1,9 @@
 """Depth L1: depth images of the reconstruction against those of the true surface, from views within the room.
 
-After NICE-SLAM: 500 x 500 pixels, f = 300, random directions, depth up to 20 m, the mean over views of the mean over pixels that show
-true surface. Two things differ, so that any recording works without files made for it by hand: views stand up to 0.5 m from the recorded
-camera centres (NICE-SLAM draws in a box tuned to Replica), and pixels that show true surface culled by the protocol are left out
-(NICE-SLAM draws views until none shows any). Every tenth pixel is cast, both ways: 2500 a view.
+As in NICE-SLAM: 500 x 500 pixels, f = 300, random directions, depth up to 20 m; the error is the mean over views of the mean over pixels
+that show true surface. Two things differ, so that any recording can be evaluated without files made by hand. Views are up to 0.5 m from the
+recorded camera centres (NICE-SLAM draws them in a box chosen for Replica). Pixels that show true surface culled by the protocol are left
+out (NICE-SLAM draws new views until none shows any). Every tenth row and column is cast: 2500 pixels a view.
 """
 
 from dataclasses import dataclass
@@ -16,26 +16,29 @@ from idfslam.evaluation.culling import free_positions
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
-_CAMERA = Camera(50, 50, 30.0, 30.0, 24.5, 24.5)  # 500 x 500, f = 300 at a tenth of the resolution
-_FAR = 20.0  # [m]
-_REACH = 0.5  # [m] of a view from a recorded camera centre
-_FEWEST = 0.01  # share of a view's pixels that must show true surface
+_CAMERA = Camera(50, 50, 30.0, 30.0, 24.5, 24.5)  # NICE-SLAM's 500 x 500 pixels, f = 300, at a tenth of the resolution
+_FAR = 20.0  # [m] beyond which surface does not count; raised, far surface weighs more. NICE-SLAM's value
+_REACH = 0.5  # [m] of a view from a recorded camera centre; raised, views show more surface that was seldom seen. Chosen by hand
+_MIN_SHARE = 0.01  # [1] share of a view's pixels that must show true surface; raised, fewer views count. Chosen by hand
 
 
 @dataclass(frozen=True)
 class DepthError:
-    """Over the pixels that show true surface."""
+    """Depth errors over the pixels that show true surface."""
 
-    l1: float  # [m], where the reconstruction has a surface
-    l1_with_missing: float  # [m], pixels without reconstruction counting with depth 0, as NICE-SLAM's renderer gives them
+    l1: float  # [m] over pixels where the reconstruction has a surface; NaN if there are none
+    l1_with_missing: float  # [m] over all of them; a pixel without reconstruction has depth 0, as in NICE-SLAM's renderer
     missing: float  # share of pixels where the reconstruction has no surface
-    views: int  # that showed true surface
+    views: int  # the number of views that showed true surface
 
 
 def depth_error(
     reconstruction: RayCaster, truth: RayCaster, truth_kept: NDArray[np.bool_], poses: NDArray[np.float64], *, views: int, seed: int
 ) -> DepthError | None:
-    """Of `views` random views around poses (N, 4, 4); `truth_kept` (F,) marks the truth's faces that count. None if no view shows any."""
+    """Depth errors over `views` random views around poses (N, 4, 4); None if no view shows true surface.
+
+    truth_kept: (F,) which faces of the true mesh count.
+    """
     T_wv = np.tile(np.eye(4), (views, 1, 1))
     T_wv[:, :3, 3] = free_positions(truth, poses, count=views, reach=_REACH, seed=seed)
     T_wv[:, :3, :3] = Rotation.random(views, random_state=np.random.default_rng(seed + 1)).as_matrix() if views else T_wv[:, :3, :3]
@@ -54,10 +57,10 @@ def _view_error(
     origin, rays = T_wv[:3, 3].astype(np.float32), pixel_rays(_CAMERA, T_wv)
     true = truth.cast(origin, rays)
     counted = (true.face >= 0) & truth_kept[true.face] & (true.distance < _FAR)
-    if counted.mean() < _FEWEST:
+    if counted.mean() < _MIN_SHARE:
         return None
     depth = reconstruction.cast(origin, rays[counted]).distance
-    found = depth < _FAR
+    reconstructed = depth < _FAR
     expected = true.distance[counted]
-    error = np.abs(np.where(found, depth, 0) - expected)
-    return float(error[found].mean()) if found.any() else float("nan"), float(error.mean()), float(1 - found.mean())
+    error = np.abs(np.where(reconstructed, depth, 0) - expected)
+    return float(error[reconstructed].mean()) if reconstructed.any() else float("nan"), float(error.mean()), float(1 - reconstructed.mean())

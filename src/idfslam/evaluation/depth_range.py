@@ -1,7 +1,7 @@
-"""The depth range of a recording: from how near to how far its depth images hold readings.
+"""The depth range of a recording: the nearest and the farthest depth that its sensor read.
 
-A sensor reads nothing outside its range, so what lies there is in view and yet not in the recording. The range is taken from the readings
-themselves, since recordings seldom say what camera made them.
+A sensor has no readings outside its range: surface there is in view and yet not in the recording. The range is measured from the readings,
+since recordings seldom name their camera.
 """
 
 from collections.abc import Iterator
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from idfslam.datasets.recording import Dataset
 from idfslam.errors import FrameError
 
-_FRAMES = 20  # spread evenly over the recording
-_WILD = 1e-3  # share of readings at either end that does not count: reflections, mixed pixels
+_FRAMES = 20  # that are read, spread evenly over the recording; raised, the range is more exact and takes longer. Chosen by hand
+_OUTLIERS = 1e-3  # [1] share of readings left out at either end (reflections, mixed pixels); raised, the range shrinks. Chosen by hand
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class DepthRange:
 
 
 def depth_range(recording: Dataset) -> DepthRange | None:
-    """Of the readings of 20 frames, but for a thousandth of them at either end; None where none of these frames holds a reading."""
+    """The range of the readings of 20 frames without the nearest and the farthest thousandth; None if these frames hold no readings."""
     readings = np.concatenate([np.zeros(0, np.float32), *_readings(recording)])
     if len(readings) == 0:
         return None
-    near, far = np.quantile(readings, [_WILD, 1 - _WILD], method="nearest")
+    near, far = np.quantile(readings, [_OUTLIERS, 1 - _OUTLIERS], method="nearest")
     return DepthRange(float(near), float(far))
 
 

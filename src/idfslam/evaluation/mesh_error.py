@@ -1,23 +1,24 @@
 """Errors of a reconstructed surface: accuracy, completion, completion ratio and depth L1, under named protocols.
 
-What counts as surface differs between publications and moves the numbers by centimetres, so every number carries its protocol's name:
+Publications differ in what counts as surface, and this moves the numbers by centimetres. Every number therefore carries the name of its
+protocol:
 
-- `seen` (ours, the default): what the recording shows. Reconstruction: faces in a frustum and unoccluded (its own depth, margin 3 cm).
-  Completion: true points that are seen by the same rule. All evaluated frames. Depth range 0.1 to 10 m, and of that no more than the
-  recording's own readings span (`depth_range`: all but a thousandth of them at either end): surface in view that the sensor does not
-  reach is not in the recording. Where the recording is not at hand, 0.1 to 10 m. Distances are to the surface,
-  for the accuracy to all of the true one, not to sampled points, so that a perfect reconstruction has accuracy 0 (between two sets of
-  200 000 points on 150 m^2 it is 1.4 cm). Depth L1 over pixels where both have a surface, the share of the rest beside it.
+- `seen` (ours, the default): the surface that the recording shows. Reconstruction: faces in a frustum that the reconstruction itself does
+  not hide (margin 3 cm). Completion: true points that are seen by the same rule. All evaluated frames. The depth range is 0.1 to 10 m,
+  limited to the depths that the sensor read (`depth_range`: all readings but a thousandth at either end), because surface beyond the reach
+  of the sensor is not in the recording; without the recording it is 0.1 to 10 m. Distances are to the surface, not to sampled points: a
+  perfect reconstruction has accuracy 0 (between two sets of 200 000 points on 150 m^2 it is 1.4 cm). Accuracy is measured to all of the
+  true surface. Depth L1 is taken over pixels where both have a surface; the share of the other pixels is given separately.
 - `nice` (NICE-SLAM): faces in a frustum, no occlusion test; then ICP, point to point, 0.1 m. All frames, no far plane.
 - `neural-rgbd` (Neural RGB-D, GO-Surf): faces in a frustum and unoccluded by the mesh itself, margin 3 cm, 0.01 to 10 m, every second
   frame.
-- `coslam` (Co-SLAM): as neural-rgbd, but what only virtual views find unoccluded is kept too, where it lies in a recorded frustum. The
-  published views were placed by hand, scene by scene; here 20 free positions within 1 m of the recorded ones look in six directions.
+- `coslam` (Co-SLAM): as neural-rgbd, and surface in a recorded frustum is kept too if a virtual view sees it unoccluded. The published
+  views were placed by hand, scene by scene; here cameras at 20 free positions within 1 m of the recorded ones look in six directions.
 - `eslam` (ESLAM): both meshes by frustum and occlusion against the true depth, margin 6 cm (ESLAM's truncation), all frames. ESLAM's
   re-meshing of the truth at 1 cm is left out.
 
-In all of them the same rule culls both meshes, 200 000 points are sampled uniformly by area on each, and a mesh is first subdivided to
-edges of at most 10 cm, since the rules look at vertices.
+In all protocols the same rule culls both meshes, and 200 000 points are sampled on each, uniformly by area. The rules test vertices;
+a mesh is therefore first subdivided to edges of at most 10 cm.
 """
 
 from dataclasses import dataclass, replace
@@ -37,35 +38,38 @@ from idfslam.geometry.ray_casting import RayCaster
 from idfslam.geometry.trajectory import align
 
 Floats = NDArray[np.float64]
-SAMPLES = 200_000  # points on each surface
-VIEWS = 1000  # of depth L1
-_WITHIN = 0.05  # [m] distance up to which a true point counts as found
-_CANDIDATES = 8  # triangles near a point to which its distance is measured
+SAMPLES = 200_000  # points on each surface, as in the published protocols; raised, the errors scatter less and take longer
+VIEWS = 1000  # for depth L1, as in NICE-SLAM; raised, depth L1 scatters less and takes longer
+_FOUND = 0.05  # [m] distance up to which the reconstruction contains a true point (completion ratio < 5 cm, as published)
+_CANDIDATES = 8  # triangles to which a point's distance is measured; raised, the nearest one is missed less often. Chosen by hand
+_ICP_REACH = 0.1  # [m] largest distance of points that ICP pairs; raised, ICP corrects larger misalignments. NICE-SLAM's value
+_VIRTUAL_REACH = 1.0  # [m] of virtual views from recorded camera centres; raised, more hidden surface counts. Chosen by hand
+_VIRTUAL_CAMERA = Camera(480, 480, 240.0, 240.0, 239.5, 239.5)  # 90 degrees wide: six of them see all directions
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """What counts as surface."""
+    """The rules by which a publication measures a mesh."""
 
     name: str
     rule: Visibility
     occlusion: bool  # whether hidden surface is removed
-    occluder: str = "itself"  # the mesh whose depth hides: "itself" or "truth"
-    stride: int = 1  # of the recorded frames
-    virtual: int = 0  # positions of virtual views
-    icp: bool = False
-    measured: bool = False  # whether the depth range is narrowed to the recording's readings
-    exact: bool = False  # distances to the surface, not to points on it; a true point must itself be seen, not only a vertex of its face
-    missing_is_zero: bool = True  # depth L1 counts pixels without reconstruction with depth 0
+    occluder: str = "itself"  # the mesh that hides surface: "itself" or "truth"
+    stride: int = 1  # every so many-th recorded frame is used
+    virtual_positions: int = 0  # of virtual views; 0: there are none
+    icp: bool = False  # whether ICP aligns the reconstruction to the truth first
+    sensor_limited: bool = False  # whether the depth range is limited to the depths that the sensor read
+    point_to_surface: bool = False  # distances to the surface, not to points on it; a true point must be seen itself, not only its face
+    missing_is_zero: bool = True  # whether a pixel without reconstruction has depth 0 in depth L1
 
 
 PROTOCOLS = {
     p.name: p
     for p in (
-        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, measured=True, exact=True, missing_is_zero=False),
+        Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, sensor_limited=True, point_to_surface=True, missing_is_zero=False),
         Protocol("nice", Visibility(0.0, np.inf, 0.0), occlusion=False, icp=True),
         Protocol("neural-rgbd", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2),
-        Protocol("coslam", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2, virtual=20),
+        Protocol("coslam", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2, virtual_positions=20),
         Protocol("eslam", Visibility(0.0, np.inf, 0.06), occlusion=True, occluder="truth"),
     )
 }
@@ -73,19 +77,19 @@ PROTOCOLS = {
 
 @dataclass(frozen=True)
 class MeshError:
-    """Of a reconstruction, under a protocol."""
+    """Errors of a reconstruction under a protocol."""
 
     protocol: str
     near: float  # [m] the depth range in which surface counts as in view
     far: float  # [m]
-    range_from: str  # "recording": its readings, "protocol": the rule alone
+    range_from: str  # the source of near and far: "recording" (its readings) or "protocol"
     accuracy: float  # [m] mean distance from points of the reconstruction to the true points
     completion: float  # [m] mean distance from the true points to points of the reconstruction
     completion_ratio: float  # share of true points with reconstruction within 5 cm
-    depth_l1: float | None  # [m]; None where it was not asked for, or no view shows true surface
+    depth_l1: float | None  # [m]; None: no view was requested, or none shows true surface
     depth_missing: float | None  # share of pixels that show true surface but no reconstruction
-    samples: int  # points asked for on each surface
-    views: int  # views of depth L1
+    samples: int  # points on each surface
+    views: int  # views that depth L1 was measured in
     icp_shift: float  # [m] by which ICP moved the reconstruction's centre; 0 without ICP
 
 
@@ -97,51 +101,52 @@ def mesh_error(
     camera: Camera,
     protocol: str = "seen",
     T_gt_est: Floats | None = None,
-    readings: DepthRange | None = None,
+    sensor_range: DepthRange | None = None,
     samples: int = SAMPLES,
     views: int = VIEWS,
     seed: int = 0,
 ) -> MeshError:
-    """Errors of a reconstruction [m] against the truth, seen from poses (N, 4, 4) in the TRUTH's frame (frames with NaN are left out).
+    """Errors of a reconstruction [m] against the true mesh [m], both seen from the true poses of the recorded frames.
 
-    `T_gt_est` (4, 4) moves the reconstruction into that frame. `readings`: the depths that the recording holds, which narrow the rule of a
-    protocol that asks for it. Raises `ConfigError` for an unknown protocol, `ResultError` where a mesh is
-    empty or nothing of it is left by the protocol.
+    poses: (N, 4, 4) camera-to-world in the frame of the truth; those with NaN are left out. T_gt_est: (4, 4), moves the reconstruction into
+    the frame of the truth. sensor_range: the depths that the sensor read; used by protocols with `sensor_limited`.
+
+    Raises `ConfigError` for an unknown protocol, `ResultError` if a mesh is empty or the protocol leaves nothing of it.
     """
-    chosen = protocol_named(protocol)
-    if not chosen.measured:
-        readings = None
-    if readings is not None:
-        chosen = replace(chosen, rule=chosen.rule.within(readings))
-    known = poses[np.isfinite(poses).all((1, 2))]
-    if len(known) == 0:
-        raise ResultError("no frame has a true pose; the mesh's error needs the true poses of the recorded frames to tell what was seen")
+    chosen = find_protocol(protocol)
+    if not chosen.sensor_limited:
+        sensor_range = None
+    if sensor_range is not None:
+        chosen = replace(chosen, rule=chosen.rule.limited_to(sensor_range))
+    valid_poses = poses[np.isfinite(poses).all((1, 2))]
+    if len(valid_poses) == 0:
+        raise ResultError("no frame has a true pose; the mesh's error needs the true poses of the recorded frames to know what was seen")
     _check_mesh(reconstruction, "reconstruction")
     _check_mesh(truth, "true mesh")
     moved = reconstruction.copy().apply_transform(np.eye(4) if T_gt_est is None else T_gt_est)
     truth_caster, fine_truth, fine = RayCaster(truth), subdivided(truth), subdivided(moved)
-    kept_truth = _cull(fine_truth, truth_caster, truth_caster, known, camera, chosen, seed, "true mesh")
-    kept = submesh(fine, _cull(fine, RayCaster(moved), truth_caster, known, camera, chosen, seed, "reconstruction"))
+    kept_truth = _cull(fine_truth, truth_caster, truth_caster, valid_poses, camera, chosen, seed, "true mesh")
+    kept = submesh(fine, _cull(fine, RayCaster(moved), truth_caster, valid_poses, camera, chosen, seed, "reconstruction"))
     points, true_points = _sample(kept, samples, seed + 1), _sample(submesh(fine_truth, kept_truth), samples, seed)
-    T = icp(points.points, true_points.points, threshold=0.1) if chosen.icp else np.eye(4)
+    T = icp(points.points, true_points.points, threshold=_ICP_REACH) if chosen.icp else np.eye(4)
     points, kept = points.moved(T), kept.apply_transform(T)
-    if chosen.exact:
-        seen = in_any_view(true_points.points, known[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
-        # Surface that is true is no error, seen or not
+    if chosen.point_to_surface:
+        seen = in_any_view(true_points.points, valid_poses[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
+        # Reconstructed surface that is true is no error, even if it was never seen: hence all of the truth
         accuracy = _to_triangles(points.points, _sample(fine_truth, samples, seed), fine_truth)
         completion = _to_triangles(true_points.points[seen], points, kept)
     else:
         accuracy = cKDTree(true_points.points).query(points.points, workers=-1)[0]
         completion = cKDTree(points.points).query(true_points.points, workers=-1)[0]
-    depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, known, views=views, seed=seed)
+    depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, valid_poses, views=views, seed=seed)
     return MeshError(
         protocol=chosen.name,
         near=chosen.rule.near,
         far=chosen.rule.far,
-        range_from="protocol" if readings is None else "recording",
+        range_from="protocol" if sensor_range is None else "recording",
         accuracy=float(accuracy.mean()),
         completion=float(completion.mean()),
-        completion_ratio=float((completion < _WITHIN).mean()),
+        completion_ratio=float((completion < _FOUND).mean()),
         depth_l1=None if depth is None else depth.l1_with_missing if chosen.missing_is_zero else depth.l1,
         depth_missing=None if depth is None else depth.missing,
         samples=samples,
@@ -150,8 +155,8 @@ def mesh_error(
     )
 
 
-def protocol_named(name: str) -> Protocol:
-    """Raises `ConfigError` naming the known ones."""
+def find_protocol(name: str) -> Protocol:
+    """The protocol of this name. Raises `ConfigError`, which lists all names, if there is none."""
     if name not in PROTOCOLS:
         raise ConfigError(f"unknown protocol '{name}'; expected one of {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
@@ -171,11 +176,10 @@ def _cull(
     occluder = {"itself": own, "truth": truth}[protocol.occluder] if protocol.occlusion else None
     chosen = poses[:: protocol.stride]
     kept = faces_kept(mesh, in_any_view(mesh.vertices, chosen, camera, protocol.rule, occluder=occluder))
-    if protocol.virtual:
+    if protocol.virtual_positions:
         in_frustum = faces_kept(mesh, in_any_view(mesh.vertices, chosen, camera, protocol.rule))
-        views = virtual_views(truth, chosen, positions=protocol.virtual, reach=1.0, seed=seed)
-        wide = Camera(480, 480, 240.0, 240.0, 239.5, 239.5)
-        kept |= in_frustum & faces_kept(mesh, in_any_view(mesh.vertices, views, wide, protocol.rule, occluder=occluder))
+        views = virtual_views(truth, chosen, positions=protocol.virtual_positions, reach=_VIRTUAL_REACH, seed=seed)
+        kept |= in_frustum & faces_kept(mesh, in_any_view(mesh.vertices, views, _VIRTUAL_CAMERA, protocol.rule, occluder=occluder))
     if not kept.any():
         raise ResultError(
             f"nothing of the {name} is visible in the {len(chosen)} true poses under the protocol '{protocol.name}'; "
@@ -197,26 +201,27 @@ class _Samples:
 
 
 def _sample(mesh: trimesh.Trimesh, count: int, seed: int) -> _Samples:
-    """Uniform by area."""
+    """Points sampled uniformly by area."""
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
     return _Samples(np.asarray(points), np.asarray(mesh.triangles[faces]))
 
 
 def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Floats:
-    """(N,) distances [m] from points (N, 3) to the nearest triangle of the mesh, of which `target` are samples.
+    """(N,) distances [m] from points (N, 3) to the nearest triangle of a mesh; `target` are samples of its surface.
 
-    Looked for among the triangles of the nearest samples (which find large ones) and of the nearest centres (which find small ones).
+    The candidates are the triangles of the nearest samples, which cover large triangles, and those with the nearest centres, which cover
+    small ones.
     """
-    every = np.asarray(mesh.triangles)
-    triangles = np.concatenate([target.triangles, every])
-    tree = cKDTree(np.concatenate([target.points, every.mean(1)]))
+    all_triangles = np.asarray(mesh.triangles)
+    triangles = np.concatenate([target.triangles, all_triangles])
+    tree = cKDTree(np.concatenate([target.points, all_triangles.mean(1)]))
     return nearest_distance(points, triangles, tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1])
 
 
 def icp(source: Floats, target: Floats, *, threshold: float, iterations: int = 30) -> Floats:
-    """T_target_source (4, 4) by point-to-point ICP from the identity; pairs farther apart than `threshold` [m] take no part.
+    """T_target_source (4, 4) by point-to-point ICP from the identity; points farther apart than `threshold` [m] are not paired.
 
-    Besl and McKay, PAMI 1992. Returns the identity where no pair is that near.
+    Besl and McKay, "A method for registration of 3-D shapes", PAMI 1992. Ends with the transform so far if fewer than three pairs are left.
     """
     tree, T = cKDTree(target), np.eye(4)
     chosen = source[:: max(1, len(source) // 50_000)]

@@ -11,7 +11,10 @@ _compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 @_compiled
 def nearest_distance(points: Floats, triangles: Floats, candidates: NDArray[np.int64]) -> Floats:
-    """(N,) distances [m] from points (N, 3) to the nearest of each one's candidates (N, K) among the triangles (T, 3, 3)."""
+    """(N,) distances [m] from points (N, 3) to the nearest of their candidate triangles.
+
+    candidates: (N, K) indices into triangles (T, 3, 3) [m].
+    """
     result = np.empty(len(points))
     for i in range(len(points)):
         best = np.inf
@@ -23,7 +26,7 @@ def nearest_distance(points: Floats, triangles: Floats, candidates: NDArray[np.i
 
 @_compiled
 def _to_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> float:
-    """Squared: to the nearest edge, or to the face where p lies above it; a triangle without area has its edges alone."""
+    """Squared distance from p to a triangle: to its face if the foot of p lies inside it, else to the nearest edge."""
     nearest = min(_to_edge(p, a, b), _to_edge(p, b, c), _to_edge(p, c, a))
     d1, d2 = _dot(a, b, a, p), _dot(a, c, a, p)
     d3, d4 = _dot(a, b, b, p), _dot(a, c, b, p)

@@ -1,6 +1,6 @@
-"""Errors of a trajectory: absolute (ATE) and relative (RPE), as defined by Sturm et al., IROS 2012.
+"""Errors of a trajectory: absolute trajectory error (ATE) and relative pose error (RPE), as defined by Sturm et al., IROS 2012.
 
-Poses are camera-to-world (N, 4, 4); a frame without ground truth has NaN there and takes no part.
+Poses are camera-to-world (N, 4, 4); a frame without ground truth has NaN there and is left out.
 """
 
 from dataclasses import dataclass
@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam.geometry.trajectory import Trajectory, TrajectoryError, align, associate
+from idfslam.geometry.association import TOLERANCE, associate
+from idfslam.geometry.trajectory import Trajectory, TrajectoryError, align
 
 Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the errors of all frames or pairs, in their unit."""
+    """Statistics of the errors of all frames or pairs of frames, in the unit of the errors."""
 
     rmse: float
     mean: float
@@ -26,7 +27,7 @@ class Statistics:
 
     @staticmethod
     def of(errors: NDArray[np.float64]) -> "Statistics":
-        """Of errors (M,), M >= 1."""
+        """The statistics of errors (M,), M >= 1."""
         rmse = float(np.sqrt(np.mean(errors**2)))
         return Statistics(rmse, float(errors.mean()), float(np.median(errors)), float(errors.max()), float(errors.std()))
 
@@ -36,7 +37,7 @@ class AbsoluteTrajectoryError:
     """Distances between camera centres after rigid alignment."""
 
     translation: Statistics  # [m]
-    frames: NDArray[np.int64]  # (M,) the frames that have ground truth
+    frames: NDArray[np.int64]  # (M,) indices of the frames that have ground truth
     errors: NDArray[np.float64]  # (M,) [m]
     T_gt_est: NDArray[np.float64]  # (4, 4) the alignment
 
@@ -48,13 +49,13 @@ class RelativePoseError:
     delta: int  # [frames]
     translation: Statistics  # [m]
     rotation: Statistics  # [degrees]
-    frames: NDArray[np.int64]  # (M,) the first frame of each pair
+    frames: NDArray[np.int64]  # (M,) index of the first frame of each pair
 
 
-def matched_ground_truth(estimate: Trajectory, truth: Trajectory, *, tolerance: float = 0.02) -> Poses:
-    """(N, 4, 4) the true pose of every frame of the estimate, NaN where none lies within `tolerance` [s].
+def matched_ground_truth(estimate: Trajectory, truth: Trajectory, *, tolerance: float = TOLERANCE) -> Poses:
+    """(N, 4, 4) the true pose of every frame of the estimate, NaN if no stamp of the truth lies within `tolerance` [s].
 
-    Raises `TrajectoryError` where no stamp matches.
+    Raises `TrajectoryError` if no stamp matches.
     """
     pairs = associate(estimate.timestamps, truth.timestamps, tolerance=tolerance)
     if len(pairs) == 0:
@@ -74,9 +75,9 @@ def _span(trajectory: Trajectory) -> str:
 def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajectoryError:
     """ATE of poses (N, 4, 4) against (N, 4, 4), aligned over all frames that have ground truth, without scale.
 
-    Raises `TrajectoryError` where the shapes differ or no frame has ground truth.
+    Raises `TrajectoryError` if the shapes differ or no frame has ground truth.
     """
-    frames = np.nonzero(_known(estimate, truth))[0]
+    frames = np.nonzero(_has_truth(estimate, truth))[0]
     if len(frames) == 0:
         raise TrajectoryError("no frame has ground truth; the trajectory's error needs at least one")
     x, y = estimate[frames, :3, 3], truth[frames, :3, 3]
@@ -87,8 +88,8 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajecto
 
 def relative_pose_error(estimate: Poses, truth: Poses, *, delta: int = 1) -> RelativePoseError | None:
     """RPE of poses (N, 4, 4) against (N, 4, 4) over all pairs of frames i, i + delta that have ground truth; None if there is none."""
-    known = _known(estimate, truth)
-    i = np.nonzero(known[:-delta] & known[delta:])[0]
+    valid = _has_truth(estimate, truth)
+    i = np.nonzero(valid[:-delta] & valid[delta:])[0]
     if len(i) == 0:
         return None
     motion_estimate = np.linalg.inv(estimate[i]) @ estimate[i + delta]
@@ -99,7 +100,7 @@ def relative_pose_error(estimate: Poses, truth: Poses, *, delta: int = 1) -> Rel
     return RelativePoseError(delta, Statistics.of(translation), Statistics.of(rotation), i)
 
 
-def _known(estimate: Poses, truth: Poses) -> NDArray[np.bool_]:
+def _has_truth(estimate: Poses, truth: Poses) -> NDArray[np.bool_]:
     if estimate.shape != truth.shape or estimate.shape[1:] != (4, 4):
         raise TrajectoryError(f"the estimate has poses {estimate.shape}, the ground truth {truth.shape}; expected (N, 4, 4) both")
     return np.asarray(np.isfinite(truth).all((1, 2)) & np.isfinite(estimate).all((1, 2)))

@@ -1,6 +1,6 @@
 """The pinhole camera: axes x right, y down, z forward; pixel centres at integer coordinates; depth is z-depth [m].
 
-Rays have z = 1, so that the parameter along a ray IS depth.
+Rays have z = 1, so that the parameter along a ray is the depth.
 """
 
 from collections.abc import Sequence
@@ -26,16 +26,12 @@ class Camera:
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
 
-    def cropped(self, border: int) -> "Camera":
-        """The same camera for the image without `border` pixels on each side."""
-        return Camera(self.width - 2 * border, self.height - 2 * border, self.fx, self.fy, self.cx - border, self.cy - border)
-
     def matrix(self) -> Tensor:
         """K (3, 3) float64."""
         return torch.tensor([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=torch.float64)
 
     def pixels(self, device: torch.device | str = "cpu") -> Tensor:
-        """(H, W, 2) the coordinates (u, v) of all pixel centres."""
+        """The coordinates (u, v) of all pixel centres, (H, W, 2) float32."""
         v, u = torch.meshgrid(
             torch.arange(self.height, dtype=torch.float32, device=device),
             torch.arange(self.width, dtype=torch.float32, device=device),
@@ -44,23 +40,23 @@ class Camera:
         return torch.stack([u, v], -1)
 
     def rays(self, uv: Tensor) -> Tensor:
-        """(..., 2) pixels -> (..., 3) directions with z = 1."""
+        """Ray directions (..., 3) with z = 1 through pixels (..., 2)."""
         u, v = uv.unbind(-1)
         return torch.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, torch.ones_like(u)], -1)
 
     def backproject(self, depth: Tensor) -> Tensor:
-        """Depth image (H, W) [m] -> points (H, W, 3) [m] in the camera's frame; zeros where there is no depth."""
+        """The points (H, W, 3) [m] in the camera's frame of a depth image (H, W) [m]; zeros where there is no depth."""
         pixels = self.pixels(depth.device)
         return self.rays(pixels.to(torch.promote_types(pixels.dtype, depth.dtype))).to(depth.dtype) * depth[..., None]
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Points (..., 3) [m] -> pixels (..., 2) and z (...) [m]; meaningful where z > 0."""
+        """Projects points (..., 3) [m] in the camera's frame to pixels (..., 2) and z (...) [m]; meaningful where z > 0."""
         x, y, z = points.unbind(-1)
         safe = torch.where(z.abs() < 1e-9, torch.full_like(z, 1e-9), z)
         return torch.stack([x / safe * self.fx + self.cx, y / safe * self.fy + self.cy], -1), z
 
     def inside(self, uv: Tensor, z: Tensor) -> Tensor:
-        """Whether projections (..., 2), (...) lie in front of the camera and within the image's outer edges."""
+        """Whether projections, pixels (..., 2) and z (...) [m], lie in front of the camera and within the image's outer edges."""
         u, v = uv.unbind(-1)
         return (z > 0) & (u >= -0.5) & (u < self.width - 0.5) & (v >= -0.5) & (v < self.height - 0.5)
 

@@ -1,4 +1,4 @@
-"""A posed depth image: what was observed from where, reduced to what coverage and meshing need."""
+"""A posed depth image, as coverage and meshing use it."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from idfslam.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class DepthView:
-    """What a camera measured from one pose: a depth image, its camera and the pose."""
+    """A depth image with its camera and pose."""
 
     T_wc: NDArray[np.float64]  # (4, 4)
     depth: NDArray[np.float32]  # (H, W) [m], 0 = no reading
@@ -18,7 +18,7 @@ class DepthView:
 
 
 def reduced_view(T_wc: NDArray[np.float64], depth: NDArray[np.float32], camera: Camera, height: int) -> DepthView:
-    """A view with every so many-th pixel of its depth, at least `height` rows of them."""
+    """A view with a regular subset of the pixels of `depth` (H, W) [m], at least `height` rows of them."""
     step = max(1, camera.height // height)
     first = step // 2
     small = np.ascontiguousarray(depth[first::step, first::step])

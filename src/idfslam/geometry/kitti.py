@@ -1,6 +1,6 @@
-"""Trajectories as KITTI's odometry benchmark has them: a pose a line, the upper three rows of T_wc, row by row; no time stamps.
+"""Trajectories in the format of KITTI's odometry benchmark: one pose a line, the upper three rows of T_wc; no time stamps.
 
-Its camera axes (x right, y down, z forward) and its world (the first camera) are this package's own.
+Its camera axes (x right, y down, z forward) and its world (the first camera) are the same as in this package.
 """
 
 from pathlib import Path
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
 
-_FPS = 30.0  # of poses without stamps
+_FPS = 30.0  # [Hz] assumed, since the format has no stamps
 
 
 def save_kitti(path: Path, poses: NDArray[np.float64]) -> None:
-    """Writes T_wc (N, 4, 4)."""
+    """Writes camera-to-world poses (N, 4, 4)."""
     path.write_text("".join(" ".join(f"{x:.9g}" for x in T[:3].ravel()) + "\n" for T in poses), encoding="utf-8")
 
 
 def load_kitti(path: Path) -> Trajectory:
-    """The poses, stamped at 30 Hz. Raises `TrajectoryError` naming file and line."""
+    """Reads poses, with stamps at 30 Hz. Raises `TrajectoryError`, which names file and line."""
     rows = []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         try:
             row = [float(word) for word in line.split()]
         except ValueError as error:
-            raise TrajectoryError(f"{path}:{number}: something is not a number; expected the 12 of a 3 x 4 pose") from error
+            raise TrajectoryError(f"{path}:{number}: a word is not a number; expected the 12 of a 3 x 4 pose") from error
         if len(row) not in (0, 12):
             raise TrajectoryError(f"{path}:{number}: {len(row)} values; expected the 12 of a 3 x 4 pose")
         rows += [row] if row else []

@@ -25,3 +25,9 @@ def project(T_cw, point, intrinsics):  # type: ignore[no-untyped-def]
     u = (T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3]) / z_c * fx + cx
     v = (T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3]) / z_c * fy + cy
     return u, v, z_c
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def to_pixel(x: float, y: float, z: float, fx: float, fy: float, cx: float, cy: float) -> tuple[float, float]:
+    """The pixel (u, v) of a point (x, y, z) [m] in the camera's frame; meaningful where z > 0. Sums keep the order of `Camera.project`."""
+    return x / z * fx + cx, y / z * fy + cy

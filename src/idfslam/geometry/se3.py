@@ -6,19 +6,19 @@
 import torch
 from torch import Tensor
 
-_SMALL = 0.03  # below this angle [rad] the closed forms (and worse, their gradients) lose digits in float32: Taylor series instead
-_NEAR_PI = -0.9  # below this cosine the axis comes from the symmetric part of R, since the skew part vanishes at pi
+_SMALL = 0.03  # [rad] below this angle Taylor series replace the closed forms, which (and worse, their gradients) lose digits in float32
+_NEAR_PI = -0.9  # below this cosine of the angle the axis comes from the symmetric part of R, since the skew part vanishes at pi
 
 
 def hat(omega: Tensor) -> Tensor:
-    """(..., 3) -> (..., 3, 3): the skew matrix with `hat(a) @ b = a x b`."""
+    """The skew-symmetric matrix (..., 3, 3) of a vector (..., 3): `hat(a) @ b = a x b`."""
     x, y, z = omega.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
 
 
 def _vee(R: Tensor) -> Tensor:
-    """(..., 3, 3) -> (..., 3): the vector of the skew part, a rotation's axis times its angle's sine."""
+    """The vector (..., 3) of the skew-symmetric part of (..., 3, 3); of a rotation, its axis times the sine of its angle."""
     return torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1) / 2
 
 
@@ -34,7 +34,7 @@ def _coefficients(theta2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def exp(xi: Tensor) -> Tensor:
-    """Increment (..., 6) -> transform (..., 4, 4); differentiable at zero."""
+    """The transform (..., 4, 4) of an increment (..., 6); differentiable at zero."""
     v, omega = xi[..., :3], xi[..., 3:]
     a, b, c = (k[..., None, None] for k in _coefficients((omega * omega).sum(-1)))
     W = hat(omega)
@@ -47,7 +47,7 @@ def exp(xi: Tensor) -> Tensor:
 
 
 def log(T: Tensor) -> Tensor:
-    """Transform (..., 4, 4) -> increment (..., 6), `exp(log(T)) = T`; rotation angle in [0, pi]."""
+    """The increment (..., 6) of a transform (..., 4, 4), `exp(log(T)) = T`; its rotation angle is in [0, pi]."""
     R, t = T[..., :3, :3], T[..., :3, 3]
     vee = _vee(R)
     sine = vee.norm(dim=-1)
@@ -76,14 +76,14 @@ def log(T: Tensor) -> Tensor:
 
 
 def inverse(T: Tensor) -> Tensor:
-    """(..., 4, 4): the closed form, `T_ab -> T_ba`."""
+    """The inverse (..., 4, 4) of rigid transforms in closed form, `T_ab -> T_ba`."""
     R_t = T[..., :3, :3].mT
     top = torch.cat([R_t, -R_t @ T[..., :3, 3:]], -1)
     return torch.cat([top, T[..., 3:, :]], -2)
 
 
 def transform(T_ab: Tensor, points_b: Tensor) -> Tensor:
-    """Points (..., N, 3) of frame b into frame a."""
+    """Transforms points (..., N, 3) from frame b to frame a."""
     return points_b @ T_ab[..., :3, :3].mT + T_ab[..., None, :3, 3]
 
 
@@ -95,7 +95,7 @@ def angle(T: Tensor) -> Tensor:
 
 
 def orthonormal(T: Tensor) -> Tensor:
-    """The nearest rigid transform: rounding that long products pile up is taken out of the rotation by SVD."""
+    """The nearest rigid transform, by SVD of the rotation: it removes rounding errors that accumulate in long products."""
     U, _, Vt = torch.linalg.svd(T[..., :3, :3].double())
     U = torch.cat([U[..., :2], U[..., 2:] * torch.det(U @ Vt)[..., None, None]], -1)  # det +1: never a reflection
     out = T.clone()

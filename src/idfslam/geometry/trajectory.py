@@ -1,4 +1,4 @@
-"""Trajectories: TUM files, association by time stamp, and rigid alignment (Horn 1987; Umeyama 1991)."""
+"""Trajectories: TUM files and rigid alignment (Horn 1987; Umeyama 1991)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,13 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from idfslam.errors import IdfSlamError
+from idfslam.geometry.rigid_transform import is_rigid, rotation_error
 
-_RIGID = 1e-3  # largest entry of R^T R - I that files written with few decimals may show
+_RIGID = 1e-3  # [1] largest entry of |R^T R - I| of a pose; raised, damaged rotations pass. Files with four decimals stay below it
+_UNIT = 0.01  # [1] difference of a quaternion's norm from 1 in a file; raised, lines with swapped columns pass. Chosen by hand
 _TUM_HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
 
 class TrajectoryError(IdfSlamError):
-    """A trajectory that cannot be used: a damaged file, poses that are no rigid transforms, nothing in common with another one."""
+    """A trajectory that cannot be used: damaged, not made of rigid transforms, or without a time stamp in common with another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,30 +44,29 @@ class Trajectory:
 
     @staticmethod
     def of_known(timestamps: ArrayLike, poses: ArrayLike) -> "Trajectory":
-        """The frames (N,), (N, 4, 4) that have a pose: those with NaN or infinite entries are left out."""
+        """The trajectory of those frames, of (N,) stamps [s] and (N, 4, 4) poses, that have a pose: NaN or infinity stands for none."""
         stamps, transforms = np.asarray(timestamps, np.float64), np.asarray(poses, np.float64)
-        known = np.isfinite(transforms).all((1, 2))
-        return Trajectory(stamps[known], transforms[known])
+        has_pose = np.isfinite(transforms).all((1, 2))
+        return Trajectory(stamps[has_pose], transforms[has_pose])
 
 
 def _check_poses(timestamps: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
-    R = poses[:, :3, :3]
     finite = np.isfinite(poses).all((1, 2)) & np.isfinite(timestamps)
     if not finite.all():
         i = int(np.argmin(finite))
         raise TrajectoryError(f"pose {i} (time {timestamps[i]}) is not finite; leave out frames without a pose")
-    skew = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max((1, 2)) if len(R) else np.zeros(0)
-    rigid = (skew < _RIGID) & (np.linalg.det(R) > 0) & (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(-1) < _RIGID)
+    rigid = is_rigid(poses, tolerance=_RIGID)
     if not rigid.all():
         i = int(np.argmin(rigid))
+        R, last_row = poses[i, :3, :3], poses[i, 3].tolist()
         raise TrajectoryError(
-            f"pose {i} (time {timestamps[i]}) is not a rigid transform: R^T R differs from I by {skew[i]:.3g}, "
-            f"det R = {np.linalg.det(R[i]):.3g}, last row {poses[i, 3].tolist()}; expected a camera-to-world rotation and translation"
+            f"pose {i} (time {timestamps[i]}) is not a rigid transform: R^T R differs from I by {rotation_error(poses[[i]])[0]:.3g}, "
+            f"det R = {np.linalg.det(R):.3g}, last row {last_row}; expected a camera-to-world rotation and translation"
         )
 
 
 def save_tum(path: Path, trajectory: Trajectory) -> None:
-    """Writes `t tx ty tz qx qy qz qw` a line [s, m], with qw >= 0."""
+    """Writes one line `t tx ty tz qx qy qz qw` [s, m] a pose, with qw >= 0."""
     quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat(canonical=True) if len(trajectory) else np.zeros((0, 4))
     rows = np.concatenate([trajectory.positions, quaternions], 1)
     lines = [f"{t:.6f} " + " ".join(f"{x:.9f}" for x in row) + "\n" for t, row in zip(trajectory.timestamps, rows)]
@@ -73,7 +74,10 @@ def save_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def load_tum(path: Path) -> Trajectory:
-    """Reads what `save_tum` writes; blank lines and `#` comments are skipped. Raises `TrajectoryError` naming file and line."""
+    """Reads a trajectory in TUM format, as `save_tum` writes it; blank lines and `#` comments are skipped.
+
+    Raises `TrajectoryError`, which names file and line.
+    """
     if not path.is_file():
         raise TrajectoryError(f"{path}: no such file; expected a trajectory in TUM format (t tx ty tz qx qy qz qw a line)")
     try:
@@ -92,52 +96,30 @@ def load_tum(path: Path) -> Trajectory:
     return Trajectory(values[:, 0], poses)
 
 
-def _tum_row(where: str, line: str) -> list[float]:
+def _tum_row(position: str, line: str) -> list[float]:
     words = line.split()
     if len(words) != 8:
-        raise TrajectoryError(f"{where}: {len(words)} values; expected 8: t tx ty tz qx qy qz qw")
+        raise TrajectoryError(f"{position}: {len(words)} values; expected 8: t tx ty tz qx qy qz qw")
     try:
         row = [float(word) for word in words]
     except ValueError as error:
         raise TrajectoryError(
-            f"{where}: '{line.strip()[:60]}' holds something that is not a number; expected t tx ty tz qx qy qz qw"
+            f"{position}: '{line.strip()[:60]}' holds a word that is not a number; expected t tx ty tz qx qy qz qw"
         ) from error
     if not np.isfinite(row).all():
-        raise TrajectoryError(f"{where}: a value is not finite; remove the line if that frame has no pose")
+        raise TrajectoryError(f"{position}: a value is not finite; remove the line if that frame has no pose")
     norm = float(np.linalg.norm(row[4:]))
-    if abs(norm - 1) > 0.01:
-        raise TrajectoryError(f"{where}: the quaternion's norm is {norm:.4g}; expected 1 (order qx qy qz qw)")
+    if abs(norm - 1) > _UNIT:
+        raise TrajectoryError(f"{position}: the quaternion's norm is {norm:.4g}; expected 1 (order qx qy qz qw)")
     return row
 
 
-def associate(a: ArrayLike, b: ArrayLike, *, tolerance: float = 0.02) -> NDArray[np.int64]:
-    """Pairs (M, 2) of indices into the stamps a (N,) and b (K,) [s], sorted by a's index; no stamp is used twice.
-
-    The closest pairs within `tolerance` are taken first, as in the TUM benchmark's own tool; of equally close ones, the earlier.
-    """
-    first, second = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    order = np.argsort(second, kind="stable")
-    low = np.searchsorted(second[order], first - tolerance, side="left")
-    high = np.searchsorted(second[order], first + tolerance, side="right")
-    count = high - low
-    i = np.repeat(np.arange(len(first)), count)
-    offset = np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
-    j = order[np.repeat(low, count) + offset]
-    used_a, used_b = np.zeros(len(first), bool), np.zeros(len(second), bool)
-    pairs = []
-    for k in np.argsort(np.abs(first[i] - second[j]), kind="stable"):
-        if not (used_a[i[k]] or used_b[j[k]]):
-            used_a[i[k]] = used_b[j[k]] = True
-            pairs.append((i[k], j[k]))
-    return np.array(sorted(pairs), np.int64).reshape(-1, 2)
-
-
 def align(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rigid T_target_source (4, 4), without scale, least squares between points (N, 3) and (N, 3) [m].
+    """The rigid T_target_source (4, 4), without scale, that brings points `source` (N, 3) closest to `target` (N, 3) [m] in least squares.
 
     Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991, with c = 1.
-    Raises `TrajectoryError` where the shapes differ or there is no point. Where the points lie on one line the rotation about
-    it is not determined; the result is then one of the minimisers.
+    Raises `TrajectoryError` where the shapes differ or there is no point. Where the points lie on one line, the rotation
+    about it is not determined and the result is one of the minimisers.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[-1] != 3 or len(source) == 0:
         raise TrajectoryError(f"cannot align points {source.shape} with {target.shape}; expected (N, 3) both, N >= 1")

@@ -1,6 +1,6 @@
-"""Poses and camera of a transforms.json, as nerfstudio, instant-ngp and most radiance-field programs write it.
+"""Reads poses and camera from a transforms.json of nerfstudio, instant-ngp and most other radiance-field programs.
 
-Its cameras look along -z with y up (OpenGL), and its pixel centres lie at half integers.
+Its cameras look along -z with y up (OpenGL), and its pixel centres are at half integers.
 """
 
 import json
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
 
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # T_wc times this is the pose of the same camera in the convention of OpenGL
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # T_wc @ OPENGL is the pose of the same camera with OpenGL's axes, and the other way round
 
 
 def read_transforms(path: Path) -> tuple[NDArray[np.float64], Camera | None]:
-    """T_wc (N, 4, 4) of its frames in the order of the file, and its camera where it has one for all frames; scale is taken as metres.
+    """T_wc (N, 4, 4) of the frames in the order of the file, and the camera if all frames share one; units are assumed to be metres.
 
-    Raises ResultError where the file is not of this kind.
+    Raises ResultError if the file has another form.
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))

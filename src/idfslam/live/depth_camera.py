@@ -1,4 +1,4 @@
-"""What every live camera gives: images that come when they come."""
+"""The interface of all live cameras."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from idfslam.geometry.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A colour and a depth image of one moment, not yet made into a frame: what costs is done for those alone that are used."""
+    """A colour and a depth image of one moment, not yet converted: the conversion is costly and done only for images that are used."""
 
-    timestamp: float  # [s], of the camera's own clock
-    retrieve: Callable[[int], Frame]  # index -> frame; raises FrameError where the images cannot be used
-    T_gt: NDArray[np.float64] | None = None  # (4, 4) true camera-to-world, where a recording is played
+    timestamp: float  # [s] by the camera's own clock
+    retrieve: Callable[[int], Frame]  # frame index -> frame; raises FrameError if the images cannot be used
+    T_gt: NDArray[np.float64] | None = None  # (4, 4) true camera-to-world pose; only a replayed recording has it
 
 
 class DepthCamera(Protocol):
-    """An opened camera. `grab` and `close` are called in one thread, `retrieve` of what was grabbed in another."""
+    """An opened camera. `grab` and `close` are called by one thread, `Capture.retrieve` by another."""
 
     @property
     def name(self) -> str: ...
@@ -30,6 +30,6 @@ class DepthCamera(Protocol):
     def camera(self) -> Camera: ...
 
     def grab(self) -> Capture | None:
-        """Waits for the next images; None where they end. Raises CameraError where the camera is gone."""
+        """Waits for the next images; None after the last ones. Raises CameraError if the camera was disconnected."""
 
     def close(self) -> None: ...

@@ -1,4 +1,4 @@
-"""Intel RealSense cameras and their recordings (.db3, .bag), through pyrealsense2: depth aligned to colour, intrinsics of the device."""
+"""Intel RealSense cameras and their recordings (.db3, .bag), through pyrealsense2: depth aligned to colour, intrinsics from the device."""
 
 from functools import partial
 from pathlib import Path
@@ -14,12 +14,12 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.live.depth_camera import Capture
 
-WIDTH, HEIGHT, RATE = 640, 480, 30  # [px], [Hz]: every model has them for colour and depth
-TIMEOUT = 4000  # [ms] for the next images
+WIDTH, HEIGHT, RATE = 640, 480, 30  # [px], [Hz] every model has this mode for colour and depth
+TIMEOUT = 4000  # [ms] of waiting for images; raised, a disconnected camera is noticed later. Chosen by hand
 
 
 class RealSense:
-    """One camera, by its serial number or the only one, or a file recorded from one. Raises CameraError where it is not there."""
+    """A camera by its serial number, any connected one, or a recorded file. Raises CameraError if there is none."""
 
     def __init__(self, which: str = "") -> None:
         self._rs = rs = _pyrealsense2()
@@ -64,14 +64,18 @@ class RealSense:
         colour = aligned.get_color_frame()
         bgr: NDArray[np.uint8] = np.asanyarray(colour.get_data())
         raw: NDArray[np.uint16] = np.asanyarray(aligned.get_depth_frame().get_data())
-        if colour.get_profile().format() == self._rs.format.rgb8:  # in a file
+        if colour.get_profile().format() == self._rs.format.rgb8:  # in recorded files
             bgr = bgr[..., ::-1]
         if self._undistort is not None:
             bgr, raw = self._undistort.colour(bgr), np.asarray(self._undistort.depth(raw), np.uint16)
         return Frame(index, colour.get_timestamp() / 1000, rgb(np.ascontiguousarray(bgr)), metres(raw, self._scale), self.camera)
 
     def _undistortion(self, intrinsics: Any) -> Undistortion | None:
-        """The D400 series calls its model inverse; like the ROS driver this takes it for OpenCV's, which at its size is the same."""
+        """Undistortion if the camera has distortion.
+
+        The D400 series calls its model inverse Brown-Conrady. Like the ROS driver, this uses it as OpenCV's: its coefficients are so small
+        that the two agree.
+        """
         if not any(intrinsics.coeffs):
             return None
         kinds = self._rs.distortion
@@ -80,15 +84,15 @@ class RealSense:
         return Undistortion(self.camera, tuple(intrinsics.coeffs))
 
     def _check_presence(self, which: str) -> None:
-        """Raises CameraError at once; librealsense would wait."""
+        """Raises CameraError if the camera or file is missing; librealsense would wait for it."""
         if self._file:
             if not Path(which).is_file():
                 raise CameraError(f"{which}: no such file, expected a recording of a RealSense camera")
             return
-        found = [device.get_info(self._rs.camera_info.serial_number) for device in self._rs.context().query_devices()]
-        if not found or (which and which not in found):
+        serial_numbers = [device.get_info(self._rs.camera_info.serial_number) for device in self._rs.context().query_devices()]
+        if not serial_numbers or (which and which not in serial_numbers):
             wanted = f"the one with serial number {which}" if which else "one that is plugged in"
-            raise CameraError(f"RealSense: found {', '.join(found) or 'no camera'}, expected {wanted}")
+            raise CameraError(f"RealSense: found {', '.join(serial_numbers) or 'no camera'}, expected {wanted}")
 
 
 def _pyrealsense2() -> ModuleType:

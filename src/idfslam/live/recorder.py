@@ -1,4 +1,4 @@
-"""A live camera into a recording: the plain folder of `datasets/folder.py`, readable at every moment up to the last whole frame."""
+"""Records a live camera into a plain folder (`datasets/readers/folder.py`), readable at any time up to the last complete frame."""
 
 import errno
 import logging
@@ -27,19 +27,19 @@ from idfslam.storage import atomic_files
 log = logging.getLogger(__name__)
 
 _COLOUR, _DEPTH = COLOUR_FOLDERS[0], "depth"
-_UNITS = 1000  # of depth per metre
-_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}  # 1: the quickest
-_WRITERS = 2  # threads
-_PENDING = 16  # frames that wait to be written; beyond them the camera's frames are dropped
+_UNITS = 1000  # units of depth per metre
+_ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}  # 1: fastest
+_WRITERS = 2  # threads that encode and write; raised, more frames a second are stored and more cores are used
+_PENDING = 16  # frames that may wait to be written before frames are dropped; raised, short delays of the disk cost none, but memory
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """What a recording came to."""
+class RecordingSummary:
+    """What was recorded."""
 
     folder: Path
     frames: int
-    dropped: int  # that came faster than they could be written
+    dropped: int  # frames that came faster than they could be written
     seconds: float
 
 
@@ -50,14 +50,15 @@ def record(
     seconds: float | None = None,
     png: bool = False,
     report: Callable[[int, int], None] = lambda stored, dropped: None,
-) -> Recorded:
-    """Every frame that there is time for, until the stream's end, `seconds` or Ctrl-C; `png` keeps colour exactly, in more room.
+) -> RecordingSummary:
+    """Records as many frames as can be written, until the stream ends, for `seconds` [s], or until Ctrl-C.
 
-    Raises ResultError where the folder holds a recording already or a frame cannot be written: what was stored until then can be read.
+    png: store colour without loss, in larger files. report: called with the numbers of stored and dropped frames after each frame.
+    Raises ResultError if the folder holds a recording already or a frame cannot be written; frames stored before remain readable.
     """
     _prepare(folder, stream)
     start = time.monotonic()
-    with stop_on_interrupt() as stop, Writer(folder, ".png" if png else ".jpg") as writer:
+    with stop_on_interrupt() as stop, FrameWriter(folder, ".png" if png else ".jpg") as writer:
         for _, frame in stream:
             if isinstance(frame, Frame):
                 writer.put(frame)
@@ -67,11 +68,11 @@ def record(
             if stop.is_set() or (seconds is not None and time.monotonic() - start >= seconds):
                 break
     report(writer.stored, stream.dropped)
-    return Recorded(folder, writer.stored, stream.dropped, time.monotonic() - start)
+    return RecordingSummary(folder, writer.stored, stream.dropped, time.monotonic() - start)
 
 
 def _prepare(folder: Path, stream: LiveStream) -> None:
-    """The folders, and the camera's file."""
+    """Makes the folders and writes the camera's file."""
     if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS) if (folder / name).exists()]:
         raise ResultError(f"{folder}: holds a recording already ({found[0]}); choose another folder with --out")
     atomic_files.prepare(folder)
@@ -81,10 +82,10 @@ def _prepare(folder: Path, stream: LiveStream) -> None:
         np.savetxt(part, stream.camera.matrix().numpy(), fmt="%.10g")
 
 
-class Writer:
-    """Stores frames in threads of its own. A frame is stored once its line stands in timestamps.txt; without it the reader passes it by.
+class FrameWriter:
+    """Stores frames in background threads. A frame counts as stored once timestamps.txt has its line; the reader ignores it before.
 
-    Raises ResultError where a frame cannot be written, from `put` or on leaving; all that was stored before stays.
+    Raises ResultError if a frame cannot be written, from `put` or when the context ends; frames stored before remain.
     """
 
     def __init__(self, folder: Path, colour_suffix: str) -> None:
@@ -95,23 +96,23 @@ class Writer:
         self._lock = threading.Lock()
         self._full = False
 
-    def __enter__(self) -> "Writer":
+    def __enter__(self) -> "FrameWriter":
         self._stamps = (self._folder / STAMPS).open("wb", buffering=0)
         return self
 
     def put(self, frame: Frame) -> None:
-        """Takes the frame; waits where too many are being written."""
+        """Hands a frame to the threads; waits while too many are pending."""
         self._pending.append(self._pool.submit(self._store, frame))
         while self._pending and (self._pending[0].done() or len(self._pending) > _PENDING):
-            self._settle(self._pending.popleft())
+            self._check_written(self._pending.popleft())
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         self._pool.shutdown(wait=True)
         self._stamps.close()
         while self._pending and kind is None:
-            self._settle(self._pending.popleft())
+            self._check_written(self._pending.popleft())
 
-    def _settle(self, future: Future[None]) -> None:
+    def _check_written(self, future: Future[None]) -> None:
         try:
             future.result()
         except OSError as error:
@@ -119,7 +120,7 @@ class Writer:
             raise ResultError(f"{self._folder}: a frame cannot be written ({error.strerror}); {kept}") from error
 
     def _store(self, frame: Frame) -> None:
-        """Colour, depth, and then the line that makes them count; the numbers are those of the frames."""
+        """Writes colour, depth, and last the line in timestamps.txt, all under the frame's index."""
         name = f"{frame.index:06d}"
         try:
             _write(self._folder / _COLOUR / f"{name}{self._suffix}", bgr(frame))
@@ -132,7 +133,7 @@ class Writer:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 self.stored += 1
         except OSError:
-            self._full = True  # nothing may follow half a line
+            self._full = True  # no line may follow an incomplete one
             raise
 
 
@@ -143,11 +144,11 @@ def _write(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
 
 
 def bgr(frame: Frame) -> NDArray[np.uint8]:
-    """Colour (H, W, 3) as images are stored; what came from 8 bits comes back exactly."""
+    """Colour (H, W, 3) uint8 for an image file; colour that came from 8 bits is restored exactly."""
     return np.asarray(cv2.cvtColor(np.rint(frame.colour * 255).astype(np.uint8), cv2.COLOR_RGB2BGR), np.uint8)
 
 
 def millimetres(frame: Frame) -> NDArray[np.uint16]:
-    """Depth (H, W) [mm], 0 where there is no reading or it is beyond 16 bits."""
+    """Depth (H, W) [mm], 0 where there is no reading or it exceeds 16 bits."""
     units = np.rint(frame.depth * _UNITS)
     return np.where(units < SATURATED, units, 0).astype(np.uint16)

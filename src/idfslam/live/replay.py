@@ -1,4 +1,4 @@
-"""A recording played at its own pace, as if it were a camera: for trying out, tests and demonstrations."""
+"""A recording that plays in real time like a live camera: for tests, demonstrations and use without a camera."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,7 +10,7 @@ from idfslam.live.depth_camera import Capture
 
 
 class Replay:
-    """Frame i comes (stamp i - stamp 0) / `speed` seconds after the first; it keeps its stamp and its true pose."""
+    """Frame i comes (stamp i - stamp 0) / `speed` seconds after the first and keeps its stamp and true pose."""
 
     def __init__(self, recording: Dataset, *, speed: float = 1.0) -> None:
         self.name, self.camera = recording.name, recording.camera
@@ -28,7 +28,7 @@ class Replay:
         return Capture(float(stamps[i]), partial(self._retrieve, i), None if truth is None else truth[i])
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Does nothing: no device is open."""
 
     def _retrieve(self, i: int, index: int) -> Frame:
         return replace(self._recording[i], index=index)

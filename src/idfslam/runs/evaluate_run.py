@@ -8,10 +8,10 @@ from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
-from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, protocol_named
-from idfslam.evaluation.summary import Evaluation
+from idfslam.evaluation.evaluation import Evaluation
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol
 from idfslam.geometry.trajectory import Trajectory, load_tum
-from idfslam.live import is_live, replayed
+from idfslam.live import is_live, replayed_path
 from idfslam.runs import result_folder
 from idfslam.runs.source import open_source
 
@@ -37,7 +37,7 @@ def evaluate_folder(
     Raises ResultError if results or ground truth are missing, RecordingError if the recording is missing and `gt` is not given.
     """
     result_folder.existing(folder, result_folder.TRAJECTORY)
-    rules = protocol_named(protocol)
+    rules = find_protocol(protocol)
     if recording is None and gt is None:
         recording = _recording(folder)
     trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
@@ -48,7 +48,7 @@ def evaluate_folder(
         gt_trajectory=trajectory,
         gt_mesh=surface,
         camera=record.camera,
-        readings=_readings(folder, recording) if surface is not None and rules.measured else None,
+        sensor_range=_readings(folder, recording) if surface is not None and rules.sensor_limited else None,
         protocol=protocol,
         keyframes=record.indices,
         samples=samples,
@@ -60,7 +60,7 @@ def _recording(folder: Path) -> Dataset | None:
     """The recording of the run; None if the frames came from a camera or from a program."""
     _, source = result_folder.read_config(folder)
     if source is not None and is_live(source.path):
-        path = replayed(source.path)
+        path = replayed_path(source.path)
         source = None if path is None else replace(source, path=path, frames=None)
     return None if source is None else open_source(source)
 

@@ -11,7 +11,7 @@ import numpy as np
 from idfslam.datasets import FrameSource
 from idfslam.errors import ResultError
 from idfslam.evaluation.evaluate import evaluate_poses
-from idfslam.evaluation.summary import Evaluation
+from idfslam.evaluation.evaluation import Evaluation
 from idfslam.frame import Status
 from idfslam.runs import result_folder
 from idfslam.runs.meter import Meter

@@ -9,7 +9,7 @@ import trimesh
 
 from idfslam.config import Config
 from idfslam.datasets import FrameSource
-from idfslam.evaluation.summary import plot_trajectory
+from idfslam.evaluation.plots import plot_trajectory
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog

@@ -1,4 +1,4 @@
-"""A finished scene: shapes with their light baked in, ready to be seen from any pose, and its true surface as triangles."""
+"""A finished scene: shapes with baked light, rendered from any pose, and its true surface as triangles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,31 +16,31 @@ from idfslam.scenes.shading import Rendering, render
 
 Array = NDArray[np.float64]
 
-_CHORD = 4e-4  # [m] largest distance between a round surface and its triangles
+_CHORD = 4e-4  # [m] largest distance between a round surface and its triangles; raised, the true mesh has fewer triangles. Chosen by hand
 
 
 @dataclass(frozen=True)
 class BakedScene:
-    """The world is the scene's own: the origin on the floor, z up."""
+    """A scene in its own world frame: the origin is on the floor, z points up."""
 
     shapes: Array
-    """(P, 17), see `ray_casting`."""
+    """(P, 17) as in `ray_casting`."""
     materials: Array
-    """(M, 14), see `procedural_textures`."""
+    """(M, 14) as in `procedural_textures`."""
     nodes: Array
-    """The bounding volumes of the shapes."""
+    """(2 P - 1, 8) the bounding volumes of the shapes, as `build_hierarchy` returns them."""
     lightmap: Lightmap
     exposure: float
-    """Scale from irradiance to film."""
+    """Scale from irradiance to the exposure of the film."""
     inner: Sequence[Sequence[int]]
-    """Of each of the first shapes (floors, walls, ceilings) the charts that face the inside."""
+    """The charts that face the inside, for each of the first shapes (floors, walls, ceilings)."""
 
     def render(self, camera: Camera, T_wc: Array) -> Rendering:
         """Exact colour, depth and normals from a camera-to-world pose (4, 4)."""
         return render(self.shapes, self.materials, self.nodes, self.lightmap, self.exposure, camera, T_wc)
 
     def surface(self) -> trimesh.Trimesh:
-        """All surfaces but the outer sides of floors, walls and ceilings, as triangles; round ones to within 0.5 mm."""
+        """All surfaces except the outer sides of floors, walls and ceilings, as triangles; round ones to within 0.5 mm."""
         parts = []
         for p, shape in enumerate(self.shapes):
             charts = self.inner[p] if p < len(self.inner) else range(6 if shape[0] == BOX else 1 if shape[0] == ELLIPSOID else 3)
@@ -52,7 +52,7 @@ class BakedScene:
 
 
 def bake(scene: Scene, inner: Sequence[Sequence[int]]) -> BakedScene:
-    """Light for a scene; the exposure brings the median light on floors, walls and ceilings, inside, to a middle brightness."""
+    """Bakes the light of a scene. The exposure gives the insides of floors, walls and ceilings a medium median brightness."""
     shapes, materials = np.array(scene.shapes), np.array(scene.materials)
     nodes = build_hierarchy(shapes)
     light = lightmap.bake(shapes, materials, nodes, np.array(scene.lights))
@@ -61,7 +61,7 @@ def bake(scene: Scene, inner: Sequence[Sequence[int]]) -> BakedScene:
 
 
 def _chart_mesh(shapes: Array, p: int, chart: int) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices and outward faces of one chart."""
+    """Vertices (V, 3) [m] and faces (F, 3), oriented outwards, of one chart."""
     shape = shapes[p]
     kind = int(shape[0])
     radius = max(shape[1:3].max(), shape[3] if kind == ELLIPSOID else 0)
@@ -79,6 +79,6 @@ def _chart_mesh(shapes: Array, p: int, chart: int) -> tuple[Array, NDArray[np.in
         corner = (j * (columns + 1) + i).ravel()
         up = corner + columns + 1
         faces = np.concatenate([np.stack([corner, corner + 1, up], 1), np.stack([corner + 1, up + 1, up], 1)])
-        if kind == BOX and chart in (0, 3, 4):  # s x t points inwards there
+        if kind == BOX and chart in (0, 3, 4):  # the normal s x t points inwards on these
             faces = faces[:, ::-1]
     return np.array([point_on(shapes, p, chart, s, t) for s, t in st]), faces

@@ -1,7 +1,7 @@
-"""A corridor round a block, drawn from a seed: four straight stretches, rooms and niches off them, doors that look alike.
+"""A random corridor around a block: four straight stretches with rooms and niches, and doors that look alike.
 
-The doors stand a fixed distance apart on all four sides and are one model in one material, so that places look alike; a few
-pictures, benches, plants, radiators and signs tell them apart. The origin is the middle of the block, on the floor.
+The doors have equal distances on all four sides, one shape and one material, so that many places look alike. A few pictures, benches,
+plants, radiators and signs distinguish them. The origin is the middle of the block, on the floor.
 """
 
 from dataclasses import dataclass, field
@@ -19,33 +19,33 @@ from idfslam.scenes.room import wall_frame
 
 Array = NDArray[np.float64]
 
-HEIGHT = 2.5  # [m]
-DOOR_SPACING = 2.4  # [m]
-_LONG, _SHORT = (-1.5, -0.5, 0.5, 1.5), (-1.0, 0.0, 1.0)  # where doors stand on outer walls, in spacings from the middle
-_THICK = 0.1  # [m] of walls
+HEIGHT = 2.5  # [m] of the ceiling
+DOOR_SPACING = 2.4  # [m] between the middles of doors
+_LONG, _SHORT = (-1.5, -0.5, 0.5, 1.5), (-1.0, 0.0, 1.0)  # positions of doors on long and short outer walls, in spacings from the middle
+_THICK = 0.1  # [m] thickness of walls
 _ROOM, _NICHE = (1.1, 2.1, 2.3, 2.0), (1.4, 2.2, 1.4, 0.45)  # width and height of the opening, width and depth behind it [m]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where things are, as seen from above."""
+    """The floor plan."""
 
     half: tuple[float, float]
     """Half the length and width of the rectangle along the middle of the corridor [m]."""
     width: float
-    """Of the corridor [m]."""
+    """Width of the corridor [m]."""
     doors: list[Array] = field(default_factory=list)
     """(4, 4) frames of the look-alike doors: x along the wall, y into the corridor."""
     openings: list[Array] = field(default_factory=list)
-    """(4, 4) frames of the openings to rooms and niches, likewise; one on each side."""
+    """(4, 4) frames of the openings to rooms and niches, with the same axes; one on each side."""
 
     def outer(self, k: int) -> tuple[Array, float]:
-        """Frame and length of the outer wall of side k."""
+        """Frame (4, 4) and length [m] of the outer wall of side k."""
         a, b = (h + self.width / 2 for h in self.half)
         return wall_frame(k, (a, b)), 2 * (a, b)[k % 2]
 
     def block(self, k: int) -> tuple[Array, float]:
-        """Frame and length of the block's wall on side k."""
+        """Frame (4, 4) and length [m] of the block's wall on side k."""
         a, b = (h - self.width / 2 for h in self.half)
         return wall_frame(k, (a, b)) @ place(0, 0, turn=180), 2 * (a, b)[k % 2]
 
@@ -59,26 +59,26 @@ class Corridor(BakedScene):
 
 @dataclass(frozen=True)
 class Building:
-    """A corridor in the dark: its shapes, and which faces of the first of them are seen."""
+    """A corridor without light: its shapes, and the visible charts of the slabs, which are the first shapes."""
 
     plan: Plan
     scene: Scene
     inner: list[tuple[int, ...]] = field(default_factory=list)
 
     def slab(self, T: Array, low: tuple[float, float, float], high: tuple[float, float, float], material: int, *inner: int) -> None:
-        """A piece of floor, wall or ceiling, of which the charts `inner` are seen."""
+        """Adds a part of a floor, wall or ceiling; `inner` are its visible charts."""
         self.scene.box(T, low, high, material)
         self.inner.append(inner)
 
 
 def build_corridor(seed: int) -> Corridor:
-    """The corridor of this seed: 25.6 to 30.8 m round along its middle, 1.7 to 2.1 m wide."""
+    """The corridor of this seed: 25.6 to 30.8 m around along its middle, 1.7 to 2.1 m wide."""
     building = draw_corridor(seed)
     return Corridor(**vars(bake(building.scene, building.inner)), plan=building.plan)
 
 
 def draw_corridor(seed: int) -> Building:
-    """All of it but the light, which takes most of the time."""
+    """The corridor of this seed without light; baking the light takes most of the time."""
     rng = np.random.default_rng([seed, 17])
     half = float(rng.uniform(3.7, 4.4)), float(rng.uniform(2.7, 3.3))
     building = Building(Plan(half, float(rng.uniform(1.7, 2.1))), Scene(rng))
@@ -95,13 +95,13 @@ def draw_corridor(seed: int) -> Building:
 
 
 def _draw_openings(rng: Generator) -> list[tuple[float, tuple[float, ...]]]:
-    """For each side the place of its opening, in door spacings, and what lies behind: two rooms, two niches."""
+    """For each side the position of its opening, in door spacings, and the kind of space behind it: two rooms, two niches."""
     kinds = [(_ROOM, _NICHE, _ROOM, _NICHE), (_NICHE, _ROOM, _NICHE, _ROOM), (_ROOM, _ROOM, _NICHE, _NICHE)][rng.integers(3)]
     return [(float(rng.choice(_SHORT if k % 2 else _LONG)), kind) for k, kind in enumerate(kinds)]
 
 
 def _wall_materials(scene: Scene) -> list[int]:
-    """Paint of the long sides, of the short ones, of what lies behind openings, and the pattern of one end of the block."""
+    """Materials: paint of the long sides, of the short sides, of rooms and niches, and a pattern for one end of the block."""
     rng = scene.rng
 
     def pale() -> Rgb:
@@ -170,7 +170,7 @@ def _behind(building: Building, k: int, x: float, kind: tuple[float, ...], paint
 
 
 def _furnish(building: Building, openings: list[tuple[float, tuple[float, ...]]]) -> None:
-    """Doors, lamps, skirting, what stands behind the openings, and what tells the places apart."""
+    """Adds doors, lamps, skirting boards, furniture in rooms and niches, and things that distinguish places."""
     scene, rng = building.scene, building.scene.rng
     timber = scene.material(pattern.WOOD, *furniture.WOODS[rng.integers(len(furniture.WOODS))], seed=1)
     white = scene.material(pattern.PAINT, (0.6, 0.58, 0.53), contrast=0.2)
@@ -215,13 +215,13 @@ def _furnish_niche(scene: Scene, T: Array, k: int) -> None:
 
 
 def _mark_places(building: Building, openings: list[tuple[float, tuple[float, ...]]]) -> None:
-    """Things between the doors, about a third of the gaps left bare; plants in two corners."""
+    """Adds things in two thirds of the gaps between doors, plants in two corners and an exit sign."""
     scene, rng = building.scene, building.scene.rng
     gaps = []
     for k, (slot, kind) in enumerate(openings):
         T, T_block, reach = building.plan.outer(k)[0], building.plan.block(k)[0], building.plan.block(k)[1] / 2
         middles = (-0.5, 0.5) if k % 2 else (-1.0, 0.0, 1.0)
-        free = 0.5 * DOOR_SPACING - 0.1 + kind[0] / 2  # so far from an opening that wide things fit
+        free = 0.5 * DOOR_SPACING - 0.1 + kind[0] / 2  # distance from an opening beyond which wide things fit
         gaps += [(T @ place(x * DOOR_SPACING, 0), 1.2 if abs(x - slot) * DOOR_SPACING > free else 0.7) for x in middles]
         gaps += [(T_block @ place(x, 0), 0.7) for x in ((-(reach + 0.5) / 2, (reach + 0.5) / 2) if k % 2 else (0.0,))]
     for i, gap in enumerate(rng.permutation(len(gaps))[: len(gaps) * 2 // 3]):

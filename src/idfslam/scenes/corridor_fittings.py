@@ -1,4 +1,4 @@
-"""What hangs and stands in a corridor; pieces in their own frame as in `furniture`: x along the wall, y out of it, z up [m]."""
+"""Fittings of a corridor, each built in its own frame as in `furniture`: x along the wall, y out of it, z up [m]."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,9 +92,9 @@ def _extinguisher(scene: Scene, T: Array, width: float) -> None:
 
 
 def _clock(scene: Scene, T: Array, width: float) -> None:
-    """A clock and a small shelf of books."""
+    """A clock with a bin below it."""
     furniture.clock(scene, T, 0, 1.85)
-    scene.add(FRUSTUM, T @ place(0, 0.11, 0.25), (0, 0, 0), (0.1, 0.11, 0.25), furniture.cloth(scene))  # a bin below it
+    scene.add(FRUSTUM, T @ place(0, 0.11, 0.25), (0, 0, 0), (0.1, 0.11, 0.25), furniture.cloth(scene))  # a bin below the clock
 
 
 def exit_sign(scene: Scene, T: Array, ceiling: float) -> None:
@@ -107,4 +107,4 @@ def exit_sign(scene: Scene, T: Array, ceiling: float) -> None:
 
 
 THINGS = (_picture, _resting_place, _radiator, _notice_board, _extinguisher, _row_of_pictures, _radiator, _clock, _picture)
-"""What tells places apart: each builds itself on a wall in a gap of so many metres."""
+"""The things that distinguish places; each function builds one on a wall, in a gap of the given width [m]."""

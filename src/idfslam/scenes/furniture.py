@@ -35,7 +35,7 @@ def tilt(axis: int, degrees: float) -> Array:
 
 @dataclass
 class Scene:
-    """Shapes, materials and lights under construction; `rng` draws the details."""
+    """A scene under construction: shapes, materials and lights; `rng` draws random details."""
 
     rng: Generator
     shapes: list[Array] = field(default_factory=list)
@@ -46,33 +46,33 @@ class Scene:
         self, kind: int, a: Rgb, b: Rgb | None = None, c: Rgb | None = None,
         *, scale: float = 0.1, contrast: float = 1.0, glow: float = 0.0, seed: int = -1,
     ) -> int:  # fmt: skip
-        """A new material of a pattern of `procedural_textures`, its colours in linear RGB; returns its number.
+        """Adds a material with a pattern of `procedural_textures` and colours in linear RGB; returns its number.
 
-        With a `seed` >= 0 every shape of it looks the same; without, each has a texture of its own.
+        With a `seed` >= 0 all shapes of this material have the same texture; without, each has its own.
         """
         self.materials.append(np.array([kind, scale, contrast, glow, *a, *(b or a), *(c or b or a), seed]))
         return len(self.materials) - 1
 
     def add(self, kind: int, T: Array, centre: tuple[float, float, float], sizes: tuple[float, float, float], material: int) -> None:
-        """A shape with its `centre` and axes in the frame T."""
+        """Adds a shape with its `centre` and axes in the frame T."""
         position = T[:3, :3] @ np.array(centre) + T[:3, 3]
         self.shapes.append(np.concatenate([[kind], sizes, position, T[:3, :3].ravel(), [material]]))
 
     def box(self, T: Array, low: tuple[float, float, float], high: tuple[float, float, float], material: int) -> None:
-        """A box between two corners."""
+        """Adds a box between two corners."""
         a, b = np.array(low), np.array(high)
         self.add(BOX, T, tuple((a + b) / 2), tuple((b - a) / 2), material)
 
     def tube(self, T: Array, base: tuple[float, float, float], height: float, radii: tuple[float, float], material: int) -> None:
-        """A cylinder or cone that stands on `base`."""
+        """Adds a cylinder or cone that stands on `base`."""
         self.add(FRUSTUM, T, (base[0], base[1], base[2] + height / 2), (radii[0], radii[1], height / 2), material)
 
     def ball(self, T: Array, centre: tuple[float, float, float], radii: tuple[float, float, float], material: int) -> None:
-        """An ellipsoid."""
+        """Adds an ellipsoid."""
         self.add(ELLIPSOID, T, centre, radii, material)
 
     def glowing_disc(self, T: Array, centre: tuple[float, float, float], radius: float, normal: float, power: Rgb, samples: int) -> None:
-        """A round area light facing up (`normal` 1) or down (-1); `power` is that of the whole."""
+        """Adds a round area light facing up (`normal` 1) or down (-1); `power` is the total of all samples."""
         for k in range(samples):
             r, phi = radius * np.sqrt((k + 0.5) / samples), k * 2.39996
             point = T @ np.array([centre[0] + r * np.cos(phi), centre[1] + r * np.sin(phi), centre[2], 1.0])
@@ -98,7 +98,7 @@ PIGMENTS: tuple[Rgb, ...] = (
 
 
 def vivid(rng: Generator, low: float = 0.05, high: float = 0.55) -> Rgb:
-    """One of the pigments, a little off its hue, its strongest part between `low` and `high`."""
+    """A random pigment with a slightly varied hue; its largest component lies between `low` and `high`."""
     colour = np.array(PIGMENTS[rng.integers(len(PIGMENTS))]) * rng.uniform(0.75, 1.3, 3)
     r, g, b = colour * np.clip(colour.max(), low, high) / colour.max()
     return float(r), float(g), float(b)
@@ -134,7 +134,7 @@ def cloth(scene: Scene, colour: Rgb | None = None) -> int:
 
 
 def vase(scene: Scene, T: Array, x: float, y: float, z: float, size: float) -> None:
-    """A glazed body with neck, `size` high; sometimes a plain ball."""
+    """A glazed vase with a neck, or sometimes a ball, `size` [m] high."""
     rng = scene.rng
     glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), vivid(rng, 0.4, 0.7), contrast=float(rng.integers(4)))
     r = 0.3 * size

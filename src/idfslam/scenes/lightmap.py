@@ -1,7 +1,7 @@
-"""Light baked once into textures (radiosity): soft shadows, and colour that surfaces throw onto each other.
+"""Light baked into textures (radiosity): soft shadows, and coloured light that surfaces reflect onto each other.
 
-Every surface is Lambertian, so what is baked holds for every view: irradiance at texels on the charts of the shapes,
-direct light from area lights given as point samples, then one bounce gathered over the hemisphere.
+Every surface is Lambertian, so that baked light is valid for every view. The textures hold irradiance at texels on the shapes' charts:
+direct light from area lights, given as point samples, and one bounce gathered over the hemisphere.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from idfslam.scenes.ray_casting import CHARTS, cast, chart_size, compiled, point
 
 Array = NDArray[np.float64]
 
-_TEXEL = 0.05  # [m]
-_OFFSET = 1e-4  # [m] by which rays start off the surface
-_RAYS = 36  # of the hemisphere
+_TEXEL = 0.05  # [m] side of a texel; raised, shadows are coarser and baking is faster. Chosen by hand
+_OFFSET = 1e-4  # [m] distance of a ray's start from the surface; raised, light leaks at contacts; lowered, surfaces shadow themselves
+_RAYS = 36  # rays of a bounce over the hemisphere; raised, bounced light has less noise and baking is slower. Chosen by hand
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class Lightmap:
     """Irradiance of all charts."""
 
     layout: NDArray[np.int64]
-    """(P, 6, 3) offset, columns and rows of a shape's chart in `light`."""
+    """(P, 6, 3) offset, columns and rows of each shape's charts in `light`."""
     light: NDArray[np.float32]
     """(T, 3) irradiance, row after row, chart after chart."""
 
 
 def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightmap:
-    """Light for the `shapes` (P, 17) from `lights` (L, 9): position [m], normal (zero: shines to all sides), power (RGB)."""
+    """Bakes the light of `lights` (L, 9) on `shapes` (P, 17). A light is position [m], normal (zero: shines to all sides), power (RGB)."""
     layout = _layout(shapes)
     direct = np.zeros((int(layout[-1, -1, 0] + layout[-1, -1, 1] * layout[-1, -1, 2]), 3))
     bounced = np.zeros_like(direct)
@@ -55,7 +55,7 @@ def _layout(shapes: Array) -> NDArray[np.int64]:
 
 
 def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -> Array:
-    """A 3 x 3 box filter within each chart takes the noise of the sampling out; texels inside a shape get what lies next to them."""
+    """Applies a 3 x 3 box filter within each chart against sampling noise; texels inside a shape get the light of their neighbours."""
     out = light.copy()
     for offset, columns, rows in layout.reshape(-1, 3).tolist():
         part = slice(offset, offset + columns * rows)
@@ -73,7 +73,7 @@ def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -
 
 @compiled
 def irradiance(layout: NDArray[np.int64], light: NDArray[np.float32], shape: int, chart: int, s: float, t: float) -> Colour:
-    """Bilinear look-up."""
+    """The irradiance (RGB) at (s, t) of a chart, by bilinear interpolation."""
     offset, columns, rows = layout[shape, chart]
     x, y = min(max(s * columns - 0.5, 0.0), columns - 1.0), min(max(t * rows - 0.5, 0.0), rows - 1.0)
     i, j = min(int(x), columns - 2), min(int(y), rows - 2)
@@ -88,7 +88,7 @@ def irradiance(layout: NDArray[np.int64], light: NDArray[np.float32], shape: int
 
 @compiled
 def _direct(shapes: Array, nodes: Array, lights: Array, p: Array, n: Array, out: Array) -> None:
-    """Adds what all light samples send to a point p with normal n."""
+    """Adds to `out` the light of all samples at a point p with normal n."""
     for k in range(lights.shape[0]):
         d = lights[k, :3] - p
         square = d @ d
@@ -108,7 +108,7 @@ def _direct(shapes: Array, nodes: Array, lights: Array, p: Array, n: Array, out:
 
 @compiled
 def _texel(shapes: Array, nodes: Array, layout: NDArray[np.int64], shape: int, chart: int, k: int, p: Array, n: Array) -> bool:
-    """A point and the normal there for texel k of a chart: its middle or, inside another shape, its quarters; False: all lie inside."""
+    """Sets point p and normal n for texel k of a chart: its middle, or near a corner if that is inside another shape; False: all are."""
     _, columns, rows = layout[shape, chart]
     for x, y in ((0.5, 0.5), (0.06, 0.06), (0.94, 0.06), (0.06, 0.94), (0.94, 0.94)):
         s, t = (k % columns + x) / columns, (k // columns + y) / rows
@@ -121,7 +121,7 @@ def _texel(shapes: Array, nodes: Array, layout: NDArray[np.int64], shape: int, c
 
 @compiled
 def _buried(shapes: Array, nodes: Array, p: Array, n: Array) -> bool:
-    """Whether a ray along the normal leaves a shape before it enters one."""
+    """Whether a point is inside another shape: a ray along the normal leaves a shape before it enters one."""
     q = p + _OFFSET * n
     length, hit = cast(shapes, nodes, q[0], q[1], q[2], n[0], n[1], n[2], 50.0, -1)
     if hit < 0:
@@ -133,7 +133,7 @@ def _buried(shapes: Array, nodes: Array, p: Array, n: Array) -> bool:
 
 @compiled
 def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights: Array, light: Array, seen: NDArray[np.bool_]) -> None:
-    """Direct light of all texels; `seen` says which of them are not inside another shape."""
+    """Bakes the direct light of all texels; sets in `seen` which of them are not inside another shape."""
     p, n = np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
         for chart in range(CHARTS):
@@ -146,7 +146,7 @@ def _bake_direct(shapes: Array, nodes: Array, layout: NDArray[np.int64], lights:
 
 @compiled
 def _gather(shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: NDArray[np.float32], light: Array) -> None:
-    """One bounce: cosine-weighted rays bring back what the surfaces that they hit reflect."""
+    """Adds one bounce: the light that surfaces reflect, gathered by cosine-weighted rays."""
     p, n, x, y = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for shape in range(shapes.shape[0]):
         for chart in range(CHARTS):
@@ -166,7 +166,7 @@ def _bounce(
     shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], direct: NDArray[np.float32],
     p: Array, n: Array, x: Array, y: Array, seed: int, out: Array,
 ) -> None:  # fmt: skip
-    """The mean over a stratified hemisphere of rays from p."""
+    """Adds to `out` the mean over a stratified hemisphere of rays from p."""
     shift, turn = random(seed, 1, 5), 2 * np.pi * random(seed, 2, 5)
     for i in range(_RAYS):
         square = (i + shift) / _RAYS

@@ -1,8 +1,8 @@
-"""Procedural textures, compiled with Numba: colour as a function of the place on a surface.
+"""Procedural textures, compiled with Numba: colour as a function of the position on a surface.
 
-A material is a row of 14 numbers: pattern, scale [m], contrast, glow, three colours A, B, C (linear RGB), and the seed of
-what is random in it (-1: every surface of every shape has its own). Every pattern is band-limited: `w` is the width [m] that
-a pixel covers, edges are that wide, and detail finer than it fades into its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
+A material is a row of 14 numbers: pattern, scale [m], contrast, glow, three colours A, B, C (linear RGB), and the seed of its random
+details (-1: every surface of every shape has its own). Every pattern is band-limited: `w` is the width [m] that a pixel covers; edges are
+that wide, and finer detail fades into its mean. `u`, `v` are metres on a chart of size `su` x `sv`.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ Colour = tuple[float, float, float]
 _A, _B, _C = 374761393, 668265263, 1274126177
 
 _of_numbers = njit("float64(float64, float64, float64)", **OPTIONS)
-"""Compiled once, for floats: without a signature every mix of integers and floats among the arguments would be a version of its own."""
+"""Compiled once, for floats: without a signature Numba compiles a version for every mix of integers and floats among the arguments."""
 
 
 @compiled
@@ -66,7 +66,7 @@ def noise(x: float, y: float, seed: float) -> float:
 
 @compiled
 def fade(period: float, w: float) -> float:
-    """How much of a detail of this period a pixel of width w can show: 1 up to a quarter of it, 0 from 0.6 of it."""
+    """The visible share of a detail with this period in a pixel of width w: 1 up to w = period / 4, 0 from w = 0.6 period."""
     return min(max((0.6 - w / period) / 0.35, 0.0), 1.0)
 
 
@@ -79,7 +79,7 @@ def grain(u: float, v: float, period: float, seed: float, w: float) -> float:
 
 @compiled
 def edge(x: float, w: float) -> float:
-    """0 left of zero, 1 right of it, a ramp as wide as the pixel between."""
+    """0 for x < 0, 1 for x > 0, with a ramp as wide as the pixel between."""
     return min(max(x / w + 0.5, 0.0), 1.0)
 
 
@@ -91,7 +91,7 @@ def band(x: float, low: float, high: float, w: float) -> float:
 
 @compiled
 def mix(a: Colour, b: Colour, t: float) -> Colour:
-    """Colour a where t = 0, b where t = 1."""
+    """Linear interpolation between the colours a (t = 0) and b (t = 1)."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
 
 
@@ -103,7 +103,7 @@ def scaled(a: Colour, k: float) -> Colour:
 
 @compiled
 def palette(i: float, seed: float) -> Colour:
-    """A colour by number: hue by hash, rather muted."""
+    """A muted colour by number; its hue is a hash."""
     h, k = 6.0 * random(i, 11, seed), 0.06 + 0.5 * random(i, 12, seed) ** 1.5
     low = k * (0.2 + 0.55 * random(i, 13, seed))
     r = min(max(abs(h - 3.0) - 1.0, 0.0), 1.0)

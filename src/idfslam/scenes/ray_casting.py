@@ -1,4 +1,4 @@
-"""Ray casting of boxes, frustums and ellipsoids, compiled with Numba.
+"""Ray casting against boxes, frustums and ellipsoids, compiled with Numba.
 
 A shape is a row of 17 numbers: kind, three sizes, centre (3) [m], rotation local-to-world (9, row-major), material.
 Its local z axis is its own "up". Sizes: box - half edges; frustum - bottom radius, top radius, half height;
@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"nsz"}}
-"""Without Python's check of every division. Sums in the order written: a room looks the same to the bit whichever process renders it."""
+"""Without Python's check of every division. Sums keep the written order, so that every process renders a room equal to the bit."""
 compiled = njit(**OPTIONS)
 
 Array = NDArray[np.float64]
@@ -21,12 +21,12 @@ Vector = tuple[float, float, float]
 Surface = tuple[int, float, float, float, float, float]  # chart, s, t, normal
 
 BOX, FRUSTUM, ELLIPSOID = 0, 1, 2
-CHARTS = 6  # the most that a shape has
-_EPSILON = 1e-6  # [m] a ray does not hit the surface that it starts on
+CHARTS = 6  # largest number of charts of a shape
+_EPSILON = 1e-6  # [1] smallest parameter of a hit along a ray, so that a ray does not hit the surface that it starts on
 
 
 def shape_bounds(shapes: Array) -> Array:
-    """(P, 17) shapes -> (P, 6) axis-aligned bounds [m]."""
+    """Axis-aligned bounds (P, 6) [m] of shapes (P, 17): lowest and highest corner."""
     kind, R = shapes[:, 0], shapes[:, 7:16].reshape(-1, 3, 3)
     half = shapes[:, 1:4].copy()
     frustum = kind == FRUSTUM
@@ -38,9 +38,9 @@ def shape_bounds(shapes: Array) -> Array:
 
 
 def build_hierarchy(shapes: Array) -> Array:
-    """Bounding volumes of the shapes: a binary tree, split by the surface area heuristic, in depth-first order.
+    """The bounding volume hierarchy of the shapes: a binary tree, split by the surface area heuristic, in depth-first order.
 
-    Each row (2 P - 1, 8) is a node: lowest and highest corner [m], the node that follows its subtree, its shape (-1: an inner node).
+    Each row of (2 P - 1, 8) is a node: lowest and highest corner [m], the node after its subtree, its shape (-1: an inner node).
     """
     bounds = shape_bounds(shapes)
     nodes: list[list[float]] = []
@@ -58,7 +58,7 @@ def build_hierarchy(shapes: Array) -> Array:
 
 
 def _split(members: NDArray[np.int64], bounds: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The two halves along an axis whose areas, times how many shapes they hold, sum to the least: few rays enter both."""
+    """Splits at the axis and position with the smallest sum of surface area times number of shapes: few rays then enter both parts."""
 
     def areas(ranked: Array) -> Array:
         x, y, z = (np.maximum.accumulate(ranked[:, 3:]) - np.minimum.accumulate(ranked[:, :3])).T
@@ -97,7 +97,7 @@ def to_world(shapes: Array, i: int, x: float, y: float, z: float) -> Vector:
 
 @compiled
 def _slab(o: float, inverse: float, low: float, high: float, near: float, far: float) -> tuple[float, float]:
-    """The part of a ray between two parallel planes."""
+    """The interval of the ray's parameter between two parallel planes, within [near, far]."""
     a, b = (low - o) * inverse, (high - o) * inverse
     return max(near, min(a, b)), min(far, max(a, b))
 
@@ -153,7 +153,7 @@ def _hit_frustum(r0: float, r1: float, h: float, ox: float, oy: float, oz: float
 
 @compiled
 def hit_shape(shapes: Array, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
-    """The ray's parameter at its first intersection with one shape; infinity: none."""
+    """The ray's parameter at its first hit of one shape; infinity: none."""
     px, py, pz = to_local(shapes, i, ox - shapes[i, 4], oy - shapes[i, 5], oz - shapes[i, 6])
     qx, qy, qz = to_local(shapes, i, dx, dy, dz)
     if shapes[i, 0] == BOX:
@@ -163,13 +163,15 @@ def hit_shape(shapes: Array, i: int, ox: float, oy: float, oz: float, dx: float,
     return _hit_ellipsoid(shapes[i, 1], shapes[i, 2], shapes[i, 3], px, py, pz, qx, qy, qz)
 
 
-@njit("Tuple((float64, int64))(float64[:, ::1], float64[:, ::1], " + "float64, " * 7 + "int64)", **OPTIONS)  # once, also for a literal hint
+@njit(
+    "Tuple((float64, int64))(float64[:, ::1], float64[:, ::1], " + "float64, " * 7 + "int64)", **OPTIONS
+)  # one version, also for a literal hint
 def cast(
     shapes: Array, nodes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, limit: float, hint: int
 ) -> tuple[float, int]:
-    """First hit before `limit` along a ray: (parameter, shape), or (`limit`, -1). `nodes` is the hierarchy.
+    """The first hit before `limit` along a ray: (parameter, shape), or (`limit`, -1). `nodes` is the hierarchy.
 
-    `hint` is a shape that is likely to be hit (a neighbour's; -1: none); tried first, it saves most of the search.
+    `hint` is a shape that is likely to be hit, such as that of the pixel beside (-1: none); testing it first saves most of the search.
     """
     ix = 1.0 / dx if dx != 0.0 else 1e30
     iy = 1.0 / dy if dy != 0.0 else 1e30
@@ -200,10 +202,10 @@ def cast(
 
 @compiled
 def prune(nodes: Array, T: Array, corners: Array, out: Array) -> int:
-    """The leaves of a hierarchy that rays from the camera `T` (4, 4) between four `corners` (4, 3) may meet; how many.
+    """Finds the leaves that rays from the camera `T` (4, 4) between four `corners` (4, 3) can hit; returns their number.
 
-    `corners` are directions in the world, clockwise as the camera sees them. The rows written to `out` (2 P - 1, 8) are a hierarchy again:
-    a flat one, short enough to stay in the nearest cache while a tile of the image is cast.
+    `corners` are directions in the world, clockwise as the camera sees them. The rows written to `out` (2 P - 1, 8) are a flat hierarchy,
+    small enough to stay in the first-level cache while a tile of the image is cast.
     """
     planes, count, node = np.empty((4, 3)), 0, 0
     for k in range(4):
@@ -224,7 +226,7 @@ def prune(nodes: Array, T: Array, corners: Array, out: Array) -> int:
 
 @compiled
 def _outside(box: Array, planes: Array, T: Array) -> bool:
-    """Whether a box lies wholly on the outer side of one of the planes (K, 3) through the camera's centre."""
+    """Whether a box lies completely on the outer side of one of the planes (K, 3) through the camera's centre."""
     for k in range(planes.shape[0]):
         reach = 0.0
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""A furnished room drawn from a seed: floor, walls, ceiling, and a different set of furniture along every wall."""
+"""A random furnished room: floor, walls, ceiling, and a different set of furniture at every wall."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ from idfslam.scenes.furniture import Rgb, Scene, place
 
 Array = NDArray[np.float64]
 
-BARE_WALL = 2  # the wall that stays bare on request: the one at y = +half_y
-_INNER_CHARTS = ((5,), (4,), (3,), (0,), (2,), (1,))  # of floor, ceiling and walls
+BARE_WALL = 2  # number of the wall that is bare on request, at y = +half_y
+_INNER_CHARTS = ((5,), (4,), (3,), (0,), (2,), (1,))  # charts of floor, ceiling and walls that face the inside
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Room(BakedScene):
     half: tuple[float, float]
     """Half the inner length and width [m]."""
     height: float
-    """[m]."""
+    """Height of the ceiling [m]."""
 
 
 def build_room(seed: int, *, bare_wall: bool = False) -> Room:
@@ -44,7 +44,7 @@ def build_room(seed: int, *, bare_wall: bool = False) -> Room:
 
 
 def wall_frame(k: int, half: tuple[float, float]) -> Array:
-    """(4, 4) the frame of wall k: origin at its foot in the middle, x along it, y into the room, z up."""
+    """(4, 4) the frame of wall k: its origin is at the foot of the wall's middle, x along the wall, y into the room, z up."""
     x, y = [(0, -half[1]), (half[0], 0), (0, half[1]), (-half[0], 0)][k]
     return place(x, y, turn=90 * k)
 
@@ -72,7 +72,7 @@ def _shell(scene: Scene, half: tuple[float, float], height: float, bare_wall: bo
 
 
 def _wall_materials(scene: Scene) -> list[int]:
-    """Two walls painted, one papered, one papered or of bricks."""
+    """Two painted walls, one with wallpaper, one with stripes or bricks."""
     rng = scene.rng
 
     def pale() -> Rgb:
@@ -122,7 +122,7 @@ def _pictures(scene: Scene, T: Array, centre: float, z: float, width: float) -> 
 
 
 def _bare_wall(scene: Scene, T: Array, length: float, height: float) -> None:
-    """Nothing but paint in the middle, where the tour looks at it."""
+    """A bare middle, which the tour faces, with shelves and pictures at the sides."""
     for side in (-1, 1):
         furniture.bookshelf(scene, T @ place(side * (length / 2 - 0.6), 0), 0.42, 1.4)
         furniture.picture(scene, T, side * 1.3, 1.5, 0.28, 0.5)

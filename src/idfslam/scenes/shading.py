@@ -1,4 +1,4 @@
-"""Images of a scene: exact z-depth and normals at the pixel centres, colour supersampled where surfaces meet."""
+"""Renders a scene: exact z-depth and normals at pixel centres; colour is supersampled at the borders between surfaces."""
 
 from dataclasses import dataclass
 
@@ -13,24 +13,24 @@ from idfslam.scenes.ray_casting import cast, chart_size, compiled, prune, surfac
 Array = NDArray[np.float64]
 Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy [px]
 
-_FAR = 1e3  # [m]
-_TILE = 16  # [px] side of the squares of an image that are cast together
+_FAR = 1e3  # [m] largest depth; far larger than any scene
+_TILE = 16  # [px] side of the squares that are cast together; raised, fewer hierarchies are pruned, but each is longer. Chosen by hand
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a camera sees of a scene."""
+    """The images of a scene from one pose."""
 
     colour: NDArray[np.float32]
     """(H, W, 3) RGB in [0, 1]."""
     depth: NDArray[np.float32]
-    """(H, W) z-depth [m]; 0: nothing there."""
+    """(H, W) z-depth [m]; 0: no surface."""
     normals: NDArray[np.float32]
     """(H, W, 3) outward unit normals in the camera's frame."""
 
 
 def render(shapes: Array, materials: Array, nodes: Array, lightmap: Lightmap, exposure: float, camera: Camera, T_wc: Array) -> Rendering:
-    """The scene from the pose `T_wc` (4, 4); every surface is Lambertian, so a point has one colour in all views."""
+    """Renders the scene from the pose `T_wc` (4, 4). Every surface is Lambertian, so that a point has the same colour in all views."""
     size = (camera.height, camera.width)
     colour, depth, normals = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.zeros((*size, 3), np.float32)
     labels = np.full(size, -1, np.int64)
@@ -44,13 +44,13 @@ def render(shapes: Array, materials: Array, nodes: Array, lightmap: Lightmap, ex
 
 @compiled
 def _tone(x: float) -> float:
-    """Film: exponential saturation, then gamma 2."""
+    """Tone mapping: exponential saturation, then gamma 2."""
     return np.sqrt(1.0 - np.exp(-max(x, 0.0)))
 
 
 @compiled
 def _ray(pinhole: Pinhole, T: Array, u: float, v: float) -> Colour:
-    """Direction in the world with z = 1 in the camera."""
+    """The ray direction in the world through a pixel; z = 1 in the camera's frame."""
     x, y = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
     return (
         T[0, 0] * x + T[0, 1] * y + T[0, 2],
@@ -61,7 +61,7 @@ def _ray(pinhole: Pinhole, T: Array, u: float, v: float) -> Colour:
 
 @compiled
 def _tiles(rows: int, columns: int) -> int:
-    """How many tiles cover the image."""
+    """The number of tiles that cover the image."""
     return -(-rows // _TILE) * -(-columns // _TILE)
 
 
@@ -74,7 +74,7 @@ def _corner(tile: int, columns: int) -> tuple[int, int]:
 
 @compiled
 def _prune(nodes: Array, pinhole: Pinhole, T: Array, left: int, top: int, leaves: Array) -> int:
-    """What rays through a tile's pixels may meet, to their outer edges: the first rows of `leaves`; how many."""
+    """Writes the leaves that rays through a tile, up to the outer edges of its pixels, can hit to `leaves`; returns their number."""
     corners = np.empty((4, 3))
     for k, (x, y) in enumerate(((0, 0), (_TILE, 0), (_TILE, _TILE), (0, _TILE))):
         corners[k, 0], corners[k, 1], corners[k, 2] = _ray(pinhole, T, left + x - 0.5, top + y - 0.5)
@@ -86,12 +86,12 @@ def _shade(
     shapes: Array, materials: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
     T: Array, d: Colour, t: float, shape: int, pixel: float,
 ) -> tuple[float, float, float, int, float, float, float]:  # fmt: skip
-    """Colour, chart and normal (world) where a ray meets a shape; `pixel` is a pixel's width at depth 1."""
+    """Colour, chart and normal (world) where a ray hits a shape; `pixel` is the width of a pixel at depth 1."""
     chart, s, r, nx, ny, nz = surface_at(shapes, shape, T[0, 3] + t * d[0], T[1, 3] + t * d[1], T[2, 3] + t * d[2])
     su, sv = chart_size(shapes, shape, chart)
     cosine = abs(nx * d[0] + ny * d[1] + nz * d[2]) / np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
     cosine = max(cosine, 0.1)
-    width = t * pixel / np.sqrt(cosine * np.sqrt(cosine))  # between the pixel's short and long side on the surface
+    width = t * pixel / np.sqrt(cosine * np.sqrt(cosine))  # between the short and the long side of the pixel's footprint on the surface
     m = int(shapes[shape, 16])
     seed = materials[m, 13] if materials[m, 13] >= 0 else 8.0 * shape + chart
     a = albedo(materials, m, chart, s, r, su, sv, seed, width)
@@ -133,7 +133,7 @@ def _smooth_edges(
     shapes: Array, materials: Array, nodes: Array, layout: NDArray[np.int64], light: NDArray[np.float32], exposure: float,
     pinhole: Pinhole, T: Array, labels: NDArray[np.int64], colour: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """Where a neighbour shows another surface, the mean of 2 x 2 rays stands for the pixel."""
+    """Replaces the colour of pixels whose neighbours show another surface by the mean of 2 x 2 rays."""
     rows, columns = labels.shape
     leaves = np.empty_like(nodes)
     for tile in range(_tiles(rows, columns)):

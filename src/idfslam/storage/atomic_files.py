@@ -1,4 +1,4 @@
-"""Files that a reader never meets half written: each is written beside its place and then moved there."""
+"""Atomic writing of files: each is written under a temporary name and then renamed, so that no reader sees a half-written file."""
 
 import json
 import math
@@ -12,17 +12,17 @@ import numpy as np
 
 from idfslam.errors import ResultError
 
-_PART = ".part-"  # begins the name of a file that is being written
+_PART = ".part-"  # prefix of the names of files that are being written
 
 
 def prepare(folder: Path) -> None:
-    """Makes the folder and tries to write into it, so that nothing is computed in vain; removes half-written files of a killed program.
+    """Makes the folder, checks that it is writable before anything is computed, and removes half-written files of a killed program.
 
-    Raises ResultError.
+    Raises ResultError if the folder cannot be made or written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{_PART}trial").touch()
+        (folder / f"{_PART}check").touch()
         for part in folder.glob(f"{_PART}*"):
             part.unlink()
     except OSError as error:
@@ -31,9 +31,9 @@ def prepare(folder: Path) -> None:
 
 @contextmanager
 def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
-    """A path beside `path` to write to; it takes the place of `path` once all is written, and is gone after an error.
+    """Yields a temporary path to write to. It replaces `path` when the context ends, and is deleted after an error.
 
-    durable: it is on the disk before it takes that place, so that a power failure does not leave less than there was.
+    durable: the data are on the disk before they replace `path`, so that a power failure leaves the old file or the new one.
     """
     part = path.with_name(f"{_PART}{path.name}")
     try:
@@ -41,7 +41,7 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
         if durable:
             _sync(part)
         os.replace(part, path)
-        if durable and os.name != "nt":  # Windows opens no folders
+        if durable and os.name != "nt":  # Windows cannot open folders
             _sync(path.parent)
     finally:
         part.unlink(missing_ok=True)
@@ -57,7 +57,7 @@ def _sync(path: Path) -> None:
 
 
 def write_json(path: Path, values: Any) -> None:
-    """Writes values as JSON. Numbers that JSON does not know (NaN, infinity) become null."""
+    """Writes values as JSON, atomically. NaN and infinity, which JSON does not have, become null."""
     with replacing(path) as part:
         part.write_text(json.dumps(_plain(values), indent=2) + "\n", encoding="utf-8")
 

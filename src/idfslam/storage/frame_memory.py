@@ -1,4 +1,4 @@
-"""What a part remembers of frames: it belongs to the part, dies with the frame, and is kept in a checkpoint by the frame's index."""
+"""Values that a part stores for frames. A value is deleted with its frame, and saved in a checkpoint under the frame's index."""
 
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
@@ -17,14 +17,14 @@ class Indexed(Protocol):
 
 
 class FrameMemory(Generic[Value]):
-    """One value a frame, worked out when it is first asked for."""
+    """One value for each frame, computed on first use."""
 
     def __init__(self) -> None:
         self._values: WeakKeyDictionary[Indexed, Value] = WeakKeyDictionary()
-        self._restored: dict[int, Value] = {}  # of a checkpoint, by index, until its frame asks
+        self._restored: dict[int, Value] = {}  # values from a checkpoint by index, until their frames are used
 
     def of(self, frame: Indexed, make: Callable[[], Value]) -> Value:
-        """The frame's value; `make` gives it where there is none yet."""
+        """The frame's value; `make` computes it if there is none yet."""
         if frame not in self._values:
             self._values[frame] = self._restored.pop(frame.index) if frame.index in self._restored else make()
         return self._values[frame]
@@ -38,16 +38,16 @@ class FrameMemory(Generic[Value]):
         self._values[frame] = value
 
     def forget(self, frame: Indexed) -> None:
-        """The frame's value is worked out anew when it is next asked for."""
+        """Deletes the frame's value; it is computed anew on next use."""
         self._values.pop(frame, None)
         self._restored.pop(frame.index, None)
 
     def state(self) -> State:
-        """The values by their frames' indices."""
+        """The values by frame index."""
         return {str(index): value for index, value in sorted(self._by_index().items())}
 
     def restore(self, state: State, load: Callable[[Value], Value] = lambda value: value) -> None:
-        """Takes the values of `state`, each through `load`, in place of its own."""
+        """Replaces all values by those of `state`, each converted by `load`."""
         self._values.clear()
         self._restored = {int(index): load(value) for index, value in state.items()}
 

@@ -19,7 +19,7 @@ class Stateful:
         return {}
 
     def restore(self, state: State) -> None:
-        """Takes over what `state` of such a part returned."""
+        """Takes over a state that `state` returned."""
 
 
 def parts_of(root: Any) -> dict[str, Stateful]:

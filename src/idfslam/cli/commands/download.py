@@ -27,7 +27,7 @@ class Download:
         from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
         from idfslam.cli.tables import print_catalogue
-        from idfslam.downloads.catalogue import catalogue, named
+        from idfslam.downloads.catalogue import catalogue, find_sequence
         from idfslam.downloads.download import download
         from idfslam.errors import ConfigError
 
@@ -36,7 +36,7 @@ class Download:
             return
         if not self.name:
             raise ConfigError("download: expected the name of a sequence; `idf-slam download --list` shows all")
-        sequence = named(self.name)
+        sequence = find_sequence(self.name)
         console.print(sequence.licence, highlight=False, soft_wrap=True, markup=False)
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console) as progress:

@@ -33,10 +33,10 @@ class Record:
     def __call__(self, console: "Console") -> None:
         from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
-        from idfslam.live import located, open_live
+        from idfslam.live import absolute_path, open_live
         from idfslam.live.recorder import record
 
-        stream = open_live(located(str(self.source)), camera=self.camera.given(), frames=self.frames)
+        stream = open_live(absolute_path(str(self.source)), camera=self.camera.given(), frames=self.frames)
         with Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console) as progress:
             task = progress.add_task("waiting for the camera")
 

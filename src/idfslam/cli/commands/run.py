@@ -130,7 +130,7 @@ class Run:
         values = check(self.values)
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
-        from idfslam.live import LiveStream, located
+        from idfslam.live import LiveStream, absolute_path
         from idfslam.report.writing import write_report
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
@@ -141,7 +141,9 @@ class Run:
         scale = camera.pop("depth_scale", None)
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
         part = self.recording
-        source = Source(located(str(self.path)), part.format, camera or None, scale, topics or None, part.start, part.frames, part.stride)
+        source = Source(
+            absolute_path(str(self.path)), part.format, camera or None, scale, topics or None, part.start, part.frames, part.stride
+        )
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
         folder = self.output.out or Path("results") / recording.name

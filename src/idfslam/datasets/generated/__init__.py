@@ -1,4 +1,4 @@
-"""Recordings that have a name instead of files: generated rooms and corridors, and kidnappings of any recording."""
+"""Recordings that are opened by a name instead of a path: generated rooms and corridors, and `kidnap:` before any recording."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from idfslam.errors import ConfigError, RecordingError
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
 NAMES = {SYNTHETIC: "synthetic[:SEED][:kinect]", CORRIDOR: "corridor[:SEED][:kinect][:Nlaps]"}
 FORMS = f"{NAMES[SYNTHETIC]}, {NAMES[CORRIDOR]} or kidnap:RECORDING"
-"""What to write, for messages and help."""
+"""The names, for messages and help."""
 KIDNAP = "kidnap:"
 
 _PATTERNS = {
@@ -20,34 +20,34 @@ _PATTERNS = {
 
 
 def kind_of(path: str) -> str | None:
-    """SYNTHETIC or CORRIDOR where this is such a name and no file of that name lies there."""
+    """SYNTHETIC or CORRIDOR if the path is such a name and no file has it; else None."""
     return next((kind for kind, pattern in _PATTERNS.items() if pattern.fullmatch(path) and not Path(path).exists()), None)
 
 
 def kidnapped_path(path: str) -> str | None:
-    """RECORDING of kidnap:RECORDING; None for any other path, and where a file has that very name."""
+    """RECORDING of kidnap:RECORDING; None for any other path, and if a file has that name."""
     return path[len(KIDNAP) :] if path.startswith(KIDNAP) and path != KIDNAP and not Path(path).exists() else None
 
 
-def located(path: str) -> str:
-    """The path of a recording as it is found from any folder: absolute, or a name, or kidnap: before one of these."""
+def absolute_path(path: str) -> str:
+    """The path of a recording made absolute, so that it is valid in any folder; names of generated recordings stay as they are."""
     inner = kidnapped_path(path)
     if inner is not None:
-        return KIDNAP + located(inner)
+        return KIDNAP + absolute_path(inner)
     return str(Path(path).absolute()) if Path(path).exists() else path
 
 
-def open_generated(path: str, kind: str, given: Calibration, length: int) -> Dataset:
-    """The recording of that name: one tour or the laps asked for, or `length` frames where that is more."""
+def open_generated(path: str, kind: str, calibration: Calibration, length: int) -> Dataset:
+    """The generated recording of this name. It has one tour (room) or the named laps (corridor), or `length` frames if these are more."""
     name = _PATTERNS[kind].fullmatch(path)
     if name is None:
         raise RecordingError(f"{path}: not a {kind} {'room' if kind == SYNTHETIC else 'recording'}, expected {NAMES[kind]}")
-    if given != Calibration():
+    if calibration != Calibration():
         what = f"a {kind} {'room' if kind == SYNTHETIC else 'recording'}"
         raise ConfigError(f"{path}: {what} has its own camera and depth, expected no override: leave the camera's values out")
     seed, noise = int(name["seed"] or 0), name["noise"] is not None
     if kind == SYNTHETIC:
-        from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # compiles its ray caster: only where it is asked for
+        from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster
 
         return SyntheticRoom(seed=seed, frames=max(TOUR, length), noise=noise)
     from idfslam.datasets.generated.corridor import SyntheticCorridor

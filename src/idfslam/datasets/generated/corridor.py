@@ -1,6 +1,6 @@
-"""A recording of a walk round a generated corridor: for closing loops, for finding a place again among like ones, for long runs.
+"""A recording of a walk around a generated corridor, for loop closing, relocalisation among look-alike places, and long runs.
 
-One lap and 2.5 m of the next take 1200 to 1700 frames; the places seen at its end are those of its beginning.
+One lap and 2.5 m of the next take 1200 to 1700 frames; the end shows the same places as the beginning.
 """
 
 from idfslam.datasets.generated.corridor_walk import lap_frames, walk
@@ -10,9 +10,10 @@ from idfslam.scenes.corridor import build_corridor
 
 
 class SyntheticCorridor(RenderedRecording):
-    """`seed` draws building and walk; `laps` rounds, each with its own sway, or `frames` where that is more.
+    """A recording in a corridor; `seed` determines building and walk.
 
-    `noise` adds what a Kinect does to depth and colour. Raises ConfigError for a negative seed, and for a size or laps not positive.
+    It has `laps` rounds, each with its own sway, or `frames` frames if these are more. `noise` adds a Kinect's noise to depth and colour.
+    Raises ConfigError for a negative seed, and for a size or a number of laps that is not positive.
     """
 
     def __init__(self, seed: int = 0, laps: int = 1, frames: int = 0, width: int = 320, height: int = 240, noise: bool = False) -> None:

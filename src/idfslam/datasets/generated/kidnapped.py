@@ -1,10 +1,9 @@
-"""Kidnapping: a recording interrupted by darkness, after which the camera is somewhere it has been before.
+"""Kidnapping, a test of relocalisation: a recording interrupted by darkness, after which the camera is at an earlier place.
 
-With N frames and `times` = K, moment k = 1..K comes when frame m = round(k N / (K + 1)) - 1 has been shown for the first time.
-`frames` black images without depth follow, then frame j of the recording, drawn between 20 % and 80 % of the m + 1 frames seen so
-far and at another place or gaze than frame m (0.5 m or 30 degrees away, where the truth is known and such a frame exists). From j
-the recording goes on, through what was seen and into what is new, until the next moment; after the last one to its end. Every
-frame is shown at least once.
+With N frames and `times` = K, kidnapping k = 1..K happens after frame m = round(k N / (K + 1)) - 1 was shown for the first time.
+`frames` black images without depth follow. Then the recording continues from an earlier frame j, drawn between 20 % and 80 % of the m + 1
+frames seen so far, whose pose differs from that of frame m by 0.5 m or 30 degrees (if the truth is known and such a frame exists). It
+continues until the next kidnapping, and after the last one to its end. Every frame is shown at least once.
 """
 
 from dataclasses import replace
@@ -21,18 +20,18 @@ from idfslam.frame import Frame
 if TYPE_CHECKING:
     import trimesh
 
-BLACK = -1  # in `order`: a frame that shows nothing
-_RETURN = (0.2, 0.8)  # of what was seen
-_APART = 0.5, np.deg2rad(30)  # [m], [rad]
+BLACK = -1  # in `order`: a black frame
+_RETURN = (0.2, 0.8)  # [1] range of the frames seen so far to which the camera returns. Chosen by hand
+_APART = 0.5, np.deg2rad(30)  # [m], [rad] smallest difference of the pose after darkness; raised, fewer frames qualify. Chosen by hand
 
 Array = NDArray[np.float64]
 
 
 class Kidnapped:
-    """A dataset of the frames of another one in the order `order` (M,): its indices, BLACK for a black frame.
+    """A dataset with the frames of another one in the order `order` (M,): their indices, or BLACK for a black frame.
 
-    Time stamps are regular, at the recording's median interval. `ground_truth` follows the frames, with NaN for the black ones.
-    Raises ConfigError where the recording is too short for so many kidnappings: it takes two frames more than two for each.
+    Time stamps are regular, at the median interval of the other dataset. `ground_truth` belongs to the frames; it is NaN for black ones.
+    Raises ConfigError if the other dataset has fewer than 2 (times + 1) frames.
     """
 
     def __init__(self, dataset: Dataset, times: int = 5, frames: int = 30, seed: int = 0) -> None:
@@ -53,7 +52,7 @@ class Kidnapped:
         return len(self.order)
 
     def __getitem__(self, i: int) -> Frame:
-        """Frame i, from -M to M-1; raises FrameError where the recording does."""
+        """Frame i, from -M to M-1; raises FrameError if the recording does."""
         i = range(len(self))[i]
         stamp = float(self.timestamps[i])
         if self.order[i] == BLACK:
@@ -61,23 +60,26 @@ class Kidnapped:
         return replace(self._dataset[int(self.order[i])], index=i, timestamp=stamp)
 
     def surface(self) -> "trimesh.Trimesh | None":
-        """The recording's true surface, where it is known."""
+        """The recording's true surface, if known."""
         return self._dataset.surface()
 
 
 def kidnapped_order(count: int, truth: Array | None, times: int, frames: int, rng: Generator) -> NDArray[np.int64]:
-    """(M,) which of `count` frames is shown when, BLACK for none; `truth` (N, 4, 4) camera-to-world tells which frames differ."""
-    pieces, start = [], 0
+    """(M,) the index of each frame to show, of `count` frames, or BLACK.
+
+    truth: camera-to-world poses (N, 4, 4), to find frames with another view; None: unknown.
+    """
+    parts, start = [], 0
     for k in range(1, times + 1):
         last = round(k * count / (times + 1)) - 1
-        pieces += [np.arange(start, last + 1), np.full(frames, BLACK)]
+        parts += [np.arange(start, last + 1), np.full(frames, BLACK)]
         low, high = (int(np.ceil(share * (last + 1))) for share in _RETURN)
         start = int(rng.choice(_elsewhere(np.arange(low, high), last, truth)))
-    return np.concatenate([*pieces, np.arange(start, count)])
+    return np.concatenate([*parts, np.arange(start, count)])
 
 
 def _elsewhere(candidates: NDArray[np.int64], last: int, truth: Array | None) -> NDArray[np.int64]:
-    """Those candidates whose pose is not that of frame `last`; all of them where none is known to differ."""
+    """The candidates whose pose differs from that of frame `last`; all of them if none is known to differ."""
     if truth is None:
         return candidates
     far = np.linalg.norm(truth[candidates, :3, 3] - truth[last, :3, 3], axis=1) > _APART[0]

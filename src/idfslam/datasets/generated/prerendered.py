@@ -1,10 +1,10 @@
-"""Frames made while something else is waited for."""
+"""Frames rendered in the background while the program does something else."""
 
 import threading
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from idfslam.datasets.recording import Dataset, readers
+from idfslam.datasets.recording import Dataset, reading_threads
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 
@@ -12,43 +12,44 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class Ahead:
-    """A dataset whose first frames, up to `most` of them, a thread makes for as long as the context lasts.
+class Prerendered:
+    """A dataset whose first frames, at most `most`, are rendered by a thread for as long as the context lasts.
 
-    Each of them is kept until it is asked for. One that cannot be made ends it: whoever asks for that gets the error.
+    A rendered frame is kept until it is read once. The thread ends at a frame that cannot be rendered; reading this frame raises the error.
+    `Prefetch` reads ahead of one iteration; this renders before the iteration begins.
     """
 
     def __init__(self, dataset: Dataset, *, most: int) -> None:
         self._dataset, self._most = dataset, most
-        self.name, self.camera, self.readers = dataset.name, dataset.camera, readers(dataset)
+        self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
         self.timestamps, self.ground_truth = dataset.timestamps, dataset.ground_truth
-        self._made: dict[int, Frame] = {}
-        self._enough = threading.Event()
-        self._thread = threading.Thread(target=self._make, name="ahead", daemon=True)
+        self._frames: dict[int, Frame] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._render, name="prerender", daemon=True)
 
-    def __enter__(self) -> "Ahead":
+    def __enter__(self) -> "Prerendered":
         self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._enough.set()
+        self._stop.set()
         self._thread.join()
 
     def __len__(self) -> int:
         return len(self._dataset)
 
     def __getitem__(self, i: int) -> Frame:
-        return self._made.pop(i, None) or self._dataset[i]
+        return self._frames.pop(i, None) or self._dataset[i]
 
     def surface(self) -> "trimesh.Trimesh | None":
-        """The dataset's."""
+        """The dataset's true surface, if known."""
         return self._dataset.surface()
 
-    def _make(self) -> None:
+    def _render(self) -> None:
         for i in range(min(self._most, len(self))):
-            if self._enough.is_set():
+            if self._stop.is_set():
                 return
             try:
-                self._made[i] = self._dataset[i]
+                self._frames[i] = self._dataset[i]
             except FrameError:
                 return

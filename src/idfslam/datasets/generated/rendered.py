@@ -1,4 +1,4 @@
-"""A recording of a generated scene: every frame rendered when it is asked for, exact or with a Kinect's noise."""
+"""A recording of a generated scene, whose frames are rendered on request, exactly or with a Kinect's noise."""
 
 import numpy as np
 import trimesh
@@ -12,16 +12,16 @@ from idfslam.scenes.baked_scene import BakedScene
 from idfslam.scenes.shading import Rendering
 
 FPS = 30.0
-_FOCAL = 577.0  # [px] at a width of 640
+_FOCAL = 577.0  # [px] for a width of 640: about a Kinect's
 
 
 class RenderedRecording:
     """`len(recording)`, `recording[i]`, `camera`, `timestamps`, `ground_truth`, `surface()` of a scene seen from given poses.
 
-    A frame depends on `seed`, its index and its pose alone; `noise` adds what a Kinect does to depth and colour.
+    A frame depends only on `seed`, its index and its pose. `noise` adds a Kinect's noise to depth and colour.
     """
 
-    readers = 2  # a frame takes several times as long as SLAM has for it
+    reading_threads = 2  # rendering a frame takes several times as long as SLAM does
 
     def __init__(
         self, name: str, scene: BakedScene, ground_truth: NDArray[np.float64], size: tuple[int, int], *, seed: int, noise: bool
@@ -37,14 +37,14 @@ class RenderedRecording:
         return len(self.timestamps)
 
     def __getitem__(self, index: int) -> Frame:
-        """Frame `index`, rendered now; the same at every call. Raises FrameError outside the recording."""
+        """Frame `index`, rendered at each call with the same result. Raises FrameError outside the recording."""
         if not 0 <= index < len(self):
             raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
-        view = self.render(self.ground_truth[index])
-        colour, depth = view.colour, view.depth
+        rendering = self.render(self.ground_truth[index])
+        colour, depth = rendering.colour, rendering.depth
         if self._noise:
             rng = np.random.default_rng([self._seed, index])
-            depth = noisy_depth(depth, view.normals, self.camera, rng)
+            depth = noisy_depth(depth, rendering.normals, self.camera, rng)
             colour = noisy_colour(colour, self.timestamps[index], rng)
         return Frame(index, float(self.timestamps[index]), colour, depth, self.camera)
 
@@ -57,10 +57,10 @@ class RenderedRecording:
         return self._scene.surface()
 
 
-def looking(
+def poses_looking(
     position: NDArray[np.float64], yaw: NDArray[np.float64], pitch: NDArray[np.float64], roll: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Poses at `position` (N, 3) that look along yaw (about z, from x) and pitch (up) [rad]."""
+    """Camera-to-world poses (N, 4, 4) at `position` (N, 3) [m] from angles (N,) [rad]: yaw about z from x, pitch upwards, roll."""
     forward = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
     right = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros_like(yaw)], 1)
     down = np.cross(forward, right)

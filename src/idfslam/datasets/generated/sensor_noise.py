@@ -1,4 +1,4 @@
-"""What a structured-light camera (Kinect) does to ideal images.
+"""The noise of a structured-light camera (Kinect), added to ideal images.
 
 Axial noise after Nguyen et al., "Modeling Kinect sensor noise for improved 3D reconstruction and tracking" (3DIMPVT
 2012): sigma(z) = 0.0012 + 0.0019 (z - 0.4)^2 [m]; disparity in eighths of a pixel with baseline 7.5 cm and focal length 580 px.
@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 
-NEAREST, FARTHEST = 0.4, 4.5  # [m]
-_BASELINE_FOCAL = 0.075 * 580  # [m px]
-_DISPARITY_STEP = 1 / 8  # [px]
-_LATERAL = 0.5  # [px] jitter of where a reading comes from
-_EDGE = 0.05  # relative depth step within 3 x 3 pixels that counts as an edge
-_EDGE_LOSS = 0.6  # share of readings lost there
-_GRAZING = (np.cos(np.deg2rad(82)), np.cos(np.deg2rad(72)))  # all lost below the first, none above the second
+NEAREST, FARTHEST = 0.4, 4.5  # [m] range of readings; widened, more of the scene has depth
+_BASELINE_FOCAL = 0.075 * 580  # [m px] raised, depth has finer steps (Nguyen et al.)
+_DISPARITY_STEP = 1 / 8  # [px] raised, depth has coarser steps (Nguyen et al.)
+_LATERAL = 0.5  # [px] standard deviation of the pixel that a reading is taken from; raised, edges are more ragged. Chosen by hand
+_EDGE = 0.05  # [1] relative depth step within 3 x 3 pixels that counts as an edge; raised, fewer readings are lost. Chosen by hand
+_EDGE_LOSS = 0.6  # [1] share of readings lost at edges; raised, holes are larger. Chosen by hand
+_GRAZING = (
+    np.cos(np.deg2rad(82)),
+    np.cos(np.deg2rad(72)),
+)  # cosines of the angle to the normal: below
+#    the first all readings are lost, above the second none; raised, fewer slanted surfaces have depth. Chosen by hand
 
 
 def axial_sigma(z: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -26,7 +30,7 @@ def axial_sigma(z: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def quantise(z: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Depth [m] rounded to whole steps of disparity; z > 0."""
+    """Depth z > 0 [m] rounded to whole steps of disparity."""
     return _BASELINE_FOCAL / (np.maximum(np.round(_BASELINE_FOCAL / z / _DISPARITY_STEP), 1) * _DISPARITY_STEP)
 
 
@@ -36,10 +40,10 @@ def noisy_depth(depth: NDArray[np.float32], normals: NDArray[np.float32], camera
     rows = np.clip(np.rint(v + rng.normal(0, _LATERAL, v.shape)), 0, camera.height - 1).astype(np.intp)
     columns = np.clip(np.rint(u + rng.normal(0, _LATERAL, u.shape)), 0, camera.width - 1).astype(np.intp)
     z = depth[rows, columns].astype(np.float64)
-    seen = z > 0
-    z = np.where(seen, z, 1.0)
+    has_surface = z > 0
+    z = np.where(has_surface, z, 1.0)
     z = quantise(np.maximum(z + axial_sigma(z) * rng.standard_normal(z.shape), 0.05))
-    lost = ~seen | (z < NEAREST) | (z > FARTHEST) | (rng.random(z.shape) < _loss(depth, normals, camera))
+    lost = ~has_surface | (z < NEAREST) | (z > FARTHEST) | (rng.random(z.shape) < _loss(depth, normals, camera))
     return np.where(lost, 0, z).astype(np.float32)
 
 

@@ -1,8 +1,8 @@
-"""Azure Kinect, and Orbbec's Femto by the same recorder: a .mkv file of a colour track, a 16-bit depth track [mm] and calibration.json.
+"""Azure Kinect, and Orbbec's Femto with the same recorder: a .mkv file of a colour track, a 16-bit depth track [mm] and calibration.json.
 
-Depth is registered to colour by the calibration; colour is reduced to 640 pixels a side, about what the depth camera has.
-The calibration is for the whole sensors, in fractions of their size; which part of them the images show goes by the images' sizes
-(k4a, Azure Kinect Sensor SDK: mode-specific calibration).
+The calibration registers depth to colour. Colour is downscaled to 640 pixels a side, about the resolution of the depth camera. The
+calibration describes the whole sensors, in fractions of their size; the size of the images tells which part of a sensor they show (k4a,
+Azure Kinect Sensor SDK: mode-specific calibration).
 """
 
 import json
@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.association import TOLERANCE, associate
-from idfslam.datasets.calibration import Calibration, DepthCamera
+from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images import Depth
 from idfslam.datasets.recording import Reader, Recording
-from idfslam.datasets.resampling import moderate
-from idfslam.datasets.video import Contents, VideoTrack, read_contents
+from idfslam.datasets.resampling import limited_size
+from idfslam.datasets.video import VideoContents, VideoTrack, read_contents
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE, associate
 
 _COLOUR, _DEPTH = "CALIBRATION_CameraLocationPV0", "CALIBRATION_CameraLocationD0"
-_DEPTH_MODES = {  # size of the images: size of the whole sensor as binned, the first column and row that the images show
+_DEPTH_MODES = {  # size of the images: size of the whole sensor after binning, first column and row of the images in it
     (640, 576): (1024, 1024, 192, 180),
     (320, 288): (512, 512, 96, 90),
     (1024, 1024): (1024, 1024, 0, 0),
@@ -34,69 +34,69 @@ def recognises(path: Path) -> bool:
 
 
 def open_azure_kinect(path: Path, override: Calibration) -> Recording:
-    """Colour and depth images within 20 ms of one another, but for the delay that the recording states, are pairs."""
+    """Pairs colour and depth images whose stamps differ by at most 20 ms, after the depth delay in the recording's tags."""
     contents = read_contents(path)
     colour, depth = _tracks(path, contents)
-    pairs = associate(colour.times, depth.times - _delay(path, contents), TOLERANCE)
-    if not pairs:
+    pairs = associate(colour.times, depth.times - _delay(path, contents))
+    if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected both tracks of one recording")
-    size = moderate(*colour.size)
+    size = limited_size(*colour.size)
     file = contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json")
-    stated, beside = Calibration(), None
+    calibration, depth_camera = Calibration(), None
     if file in contents.attachments:
-        stated, beside = read_calibration(contents.attachments[file], colour.size, depth.size, f"{path}: {file}")
-    if beside is None and colour.size != depth.size:
+        calibration, depth_camera = read_calibration(contents.attachments[file], colour.size, depth.size, f"{path}: {file}")
+    if depth_camera is None and colour.size != depth.size:
         found = f"colour {colour.size[0]}x{colour.size[1]}, depth {depth.size[0]}x{depth.size[1]} and no {file} attached"
         raise RecordingError(f"{path}: {found}, expected the calibration as k4arecorder writes it: record again")
 
     def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
-        k, m = pairs[i]
-        return colour.colour(k, size if beside else None), depth.grey16(m)
+        k, m = pairs[i].tolist()
+        return colour.colour(k, size if depth_camera else None), depth.grey16(m)
 
-    stated = override.over(stated)
+    calibration = override.over(calibration)
     return Recording(
         path.stem,
         read,
-        timestamps=colour.times[[k for k, _ in pairs]],
+        timestamps=colour.times[pairs[:, 0]],
         ground_truth=None,
-        calibration=(stated.resized(colour.size, size) if beside else stated).over(Calibration(depth_scale=1000)),
-        depth_camera=beside,
+        calibration=(calibration.resized(colour.size, size) if depth_camera else calibration).over(Calibration(depth_scale=1000)),
+        depth_camera=depth_camera,
     )
 
 
-def _delay(path: Path, contents: Contents) -> float:
-    """[s] of the depth images behind their colour images."""
-    stated = contents.tags.get("K4A_DEPTH_DELAY_NS") or "0"
+def _delay(path: Path, contents: VideoContents) -> float:
+    """The delay [s] of depth images after their colour images."""
+    delay = contents.tags.get("K4A_DEPTH_DELAY_NS") or "0"
     try:
-        return float(stated) / 1e9
+        return float(delay) / 1e9
     except ValueError as error:
-        raise RecordingError(f"{path}: K4A_DEPTH_DELAY_NS is {stated}, expected nanoseconds: correct or remove the tag") from error
+        raise RecordingError(f"{path}: K4A_DEPTH_DELAY_NS is {delay}, expected nanoseconds: correct or remove the tag") from error
 
 
-def _tracks(path: Path, contents: Contents) -> tuple[VideoTrack, VideoTrack]:
-    """Colour and depth by their titles, else by what they hold (the infrared track comes after depth)."""
+def _tracks(path: Path, contents: VideoContents) -> tuple[VideoTrack, VideoTrack]:
+    """The colour and depth tracks by their titles, else by their pixel formats (the infrared track comes after depth)."""
     grey = [form.startswith("gray16") for form in contents.formats]
-    found = [
+    numbers = [
         contents.titles.index(title) if title in contents.titles else grey.index(is_grey) if is_grey in grey else None
         for title, is_grey in (("COLOR", False), ("DEPTH", True))
     ]
-    if found[0] is None or found[1] is None:
+    if numbers[0] is None or numbers[1] is None:
         raise RecordingError(f"{path}: video tracks {', '.join(contents.formats) or 'none'}, expected colour and 16-bit grey depth")
-    return VideoTrack(path, found[0]), VideoTrack(path, found[1])
+    return VideoTrack(path, numbers[0]), VideoTrack(path, numbers[1])
 
 
 def read_calibration(
     data: bytes, colour_size: tuple[int, int], depth_size: tuple[int, int], source: str
-) -> tuple[Calibration, DepthCamera]:
-    """The colour camera for images of its size, and the depth camera beside it; raises RecordingError."""
+) -> tuple[Calibration, DepthCameraCalibration]:
+    """The calibrations of the colour camera, for images of `colour_size`, and of the depth camera; raises RecordingError."""
     try:
         cameras = {camera["Location"]: camera for camera in json.loads(data)["CalibrationInformation"]["Cameras"]}
         colour, depth = cameras[_COLOUR], cameras[_DEPTH]
         T_colour_depth = _T(colour) @ np.linalg.inv(_T(depth))
         width, height = colour_size
-        whole = (width, width * 3 // 4)  # the sensor is 4:3; narrower images show its middle
-        beside = DepthCamera(_camera(depth, depth_size, *_DEPTH_MODES[depth_size], source), T_colour_depth)
-        return _camera(colour, colour_size, *whole, 0, (whole[1] - height) // 2, source), beside
+        whole = (width, width * 3 // 4)  # the sensor is 4:3; images of other proportions show its middle rows
+        depth_camera = DepthCameraCalibration(_camera(depth, depth_size, *_DEPTH_MODES[depth_size], source), T_colour_depth)
+        return _camera(colour, colour_size, *whole, 0, (whole[1] - height) // 2, source), depth_camera
     except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
         sizes = f"depth images of {depth_size[0]}x{depth_size[1]}"
         raise RecordingError(
@@ -105,7 +105,7 @@ def read_calibration(
 
 
 def _camera(camera: dict[str, Any], size: tuple[int, int], width: int, height: int, left: int, top: int, source: str) -> Calibration:
-    """width, height: of the whole sensor; left, top: the first column and row of it that the images show [px]."""
+    """width, height: of the whole sensor [px]. left, top: the first column and row of the sensor that the images show."""
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = (float(value) for value in camera["Intrinsics"]["ModelParameters"])
     distortion = (k1, k2, p1, p2, k3, k4, k5, k6)
     return Calibration(fx * width, fy * height, cx * width - left - 0.5, cy * height - top - 0.5, *size, distortion, source=source)

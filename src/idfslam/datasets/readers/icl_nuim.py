@@ -1,9 +1,9 @@
 """ICL-NUIM in its "TUM RGB-D compatible PNGs" (Handa et al., ICRA 2014): associations.txt, rgb/, depth/, *.gt.freiburg.
 
-The published camera has fy = -480 because the renderer's y axis points up, in the camera as in the world: a left-handed frame. The
-images themselves are stored top row first. Here both frames are mirrored, T_wc = F T F with F = diag(1, -1, 1, 1), and fy is
-+480: right-handed, x right, y down, z forward. The published surface must be mirrored in y in the same way to lie on the map.
-Stamps are frame numbers, at 30 Hz.
+The published camera has fy = -480, because the renderer's y axis points up in the camera and in the world: both frames are left-handed. The
+images are stored top row first. Here both frames are mirrored, T_wc = F T F with F = diag(1, -1, 1, 1), and fy is +480; this is
+right-handed, x right, y down, z forward. The published surface must be mirrored in y too to match the map. Stamps are frame numbers,
+at 30 Hz.
 """
 
 import re
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
-from idfslam.datasets.readers import tum
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE
 
 PUBLISHED = Calibration(481.2, 480.0, 319.5, 239.5, 640, 480, depth_scale=5000, source="ICL-NUIM, as published")
 _NAME = re.compile(r"(^|[^a-z])icl([^a-z]|$)|living_room_traj|office_traj", re.IGNORECASE)
@@ -25,7 +25,7 @@ _F = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def recognises(path: Path) -> bool:
-    """By the pose file, or by the folder's name unless cam_params.json tells of another camera."""
+    """Recognised by the pose file, or by the folder's name unless cam_params.json gives another camera."""
     if not (path / "associations.txt").is_file():
         return False
     return any(path.glob("*.gt.freiburg")) or (bool(_NAME.search(path.name)) and not (path / "cam_params.json").exists())
@@ -63,7 +63,7 @@ def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path,
 
 
 def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(N, 4, 4) of the frames by their numbers, axes turned to OpenCV's; NaN where a frame has no pose."""
+    """(N, 4, 4) the poses of the frames with these numbers, with OpenCV's axes; NaN where a frame has no pose."""
     files = [*sorted(path.glob("*.gt.freiburg")), path / "groundtruth.txt"]
     if len(files) > 2:
         raise RecordingError(f"{path}: {len(files) - 1} files *.gt.freiburg, expected one: remove those of other sequences")
@@ -72,8 +72,8 @@ def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> NDArray[np.fl
     stamps, reference = poses.read_freiburg(files[0])
     if not len(stamps):
         raise RecordingError(f"{files[0]}: empty, expected lines of number tx ty tz qx qy qz qw: fill or remove it")
-    found = _F @ poses.at_stamps(stamps, reference, numbers, tolerance=tum.TOLERANCE) @ _F
-    return poses.checked(found, count=len(numbers), source=lambda _: str(files[0]))
+    T_wc = _F @ poses.at_stamps(stamps, reference, numbers, tolerance=TOLERANCE) @ _F
+    return poses.checked(T_wc, count=len(numbers), source=lambda _: str(files[0]))
 
 
 READER = Reader("icl_nuim", "associations.txt, *.gt.freiburg", recognises, open_icl_nuim)

@@ -1,7 +1,7 @@
 """Record3D (iPhone and iPad): a .r3d file, which is a zip of metadata, rgbd/N.jpg, rgbd/N.depth and rgbd/N.conf, or such a zip unpacked.
 
-Depth is float32 metres, packed with LZFSE, of 192x256 beside colour of 720x960 (upright): both become 480x640 (`resampling` says how).
-Readings of low confidence are left out. ARKit's poses, with y up and z backwards, are turned into our axes and are the ground truth.
+Depth is float32 metres, packed with LZFSE, of 192x256 pixels; colour has 720x960 (upright). Both become 480x640 (see `resampling`).
+Readings of low confidence are left out. ARKit's poses, with y up and z backwards, are converted to OpenCV's axes and are the ground truth.
 """
 
 import json
@@ -18,12 +18,12 @@ from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.images import Depth, decode_colour
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
-from idfslam.datasets.resampling import enlarged, moderate, reduced
+from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.errors import ConfigError, FrameError, RecordingError
 
-MEDIUM = 1  # ARKit's confidence: 0 low, which it guesses from the image rather than measures, 1 medium, 2 high
+MEDIUM = 1  # ARKit's confidence: 0 low (guessed from the image rather than measured), 1 medium, 2 high
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backwards -> x right, y down, z forward
-_DEPTH_SIZES = ((192, 256), (480, 640))  # of LiDAR and TrueDepth, upright, where metadata says none
+_DEPTH_SIZES = ((192, 256), (480, 640))  # width, height [px] of LiDAR and TrueDepth, upright, if the metadata has none
 
 
 def recognises(path: Path) -> bool:
@@ -31,32 +31,32 @@ def recognises(path: Path) -> bool:
 
 
 def open_record3d(path: Path, override: Calibration) -> Recording:
-    """A .r3d file, a folder with one, or one unpacked."""
+    """Opens a .r3d file, a folder with one, or an unpacked one."""
     if path.is_dir() and not (path / "rgbd").is_dir():
         files = sorted(path.glob("*.r3d"))
         if len(files) != 1:
             raise RecordingError(f"{path}: {len(files)} .r3d files, expected one, or the folder rgbd/ and metadata: name one")
         path = files[0]
-    entries = Entries(path)
-    metadata = read_metadata(entries)
-    images = Record3DImages(entries, metadata.depth_size, lzfse())
+    export = ExportFiles(path)
+    metadata = read_metadata(export)
+    images = Record3DImages(export, metadata.depth_size, lzfse())
     try:
         height, width, _ = images.colour(0).shape
     except FrameError as error:
         raise RecordingError(str(error)) from error
-    size = moderate(width, height)
-    stated = override.over(metadata.camera.resized(metadata.size or (width, height), (width, height)))
+    size = limited_size(width, height)
+    calibration = override.over(metadata.camera.resized(metadata.size or (width, height), (width, height)))
     return Recording(
         path.stem,
-        lambda i: (reduced(images.colour(i), size), enlarged(images.depth(i), size)),
+        lambda i: (downscaled_colour(images.colour(i), size), upscaled_depth(images.depth(i), size)),
         timestamps=metadata.stamps,
         ground_truth=metadata.T_wc,
-        calibration=stated.resized((width, height), size).over(Calibration(depth_scale=1)),
+        calibration=calibration.resized((width, height), size).over(Calibration(depth_scale=1)),
     )
 
 
 def lzfse() -> ModuleType:
-    """Raises ConfigError where it is not installed."""
+    """The module lzfse; raises ConfigError if it is not installed."""
     try:
         import lzfse
     except ImportError as error:
@@ -64,8 +64,8 @@ def lzfse() -> ModuleType:
     return lzfse
 
 
-class Entries:
-    """The entries of a zip, or the files of a folder, by name; from any thread. Raises RecordingError where a zip cannot be opened."""
+class ExportFiles:
+    """The files of a zip, or the files of a folder, by name; threads may share it. Raises RecordingError if a zip cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -79,7 +79,7 @@ class Entries:
         return name in self._names if self._zip else (self.path / name).is_file()
 
     def read(self, name: str) -> bytes:
-        """Raises FrameError where the entry is missing or damaged."""
+        """The content of a file; raises FrameError if it is missing or damaged."""
         try:
             return self._zip.read(name) if self._zip else (self.path / name).read_bytes()
         except (KeyError, OSError) as error:
@@ -90,58 +90,58 @@ class Entries:
 
 @dataclass(frozen=True)
 class Record3DImages:
-    """Colour and depth of frame i, each at its own size."""
+    """Reads colour and depth of frame i, each at its own size."""
 
-    entries: Entries
+    files: ExportFiles
     size: tuple[int, int] | None  # width, height [px] of depth
     lzfse: ModuleType
 
     def colour(self, i: int) -> NDArray[np.uint8]:
         """(H, W, 3) BGR."""
         name = f"rgbd/{i}.jpg"
-        return decode_colour(self.entries.read(name), f"{self.entries.path}: {name}")
+        return decode_colour(self.files.read(name), f"{self.files.path}: {name}")
 
     def depth(self, i: int) -> Depth:
-        """(h, w) [m], 0 where there is no reading or little confidence in it."""
+        """(h, w) [m], 0 where there is no reading or its confidence is low."""
         name = f"rgbd/{i}.depth"
         data = self._unpacked(name)
         width, height = self.size or next((size for size in _DEPTH_SIZES if len(data) == 4 * size[0] * size[1]), _DEPTH_SIZES[0])
         raw = self._shaped(data, name, np.dtype("<f4"), width, height)
-        if (name := f"rgbd/{i}.conf") not in self.entries:  # TrueDepth has none
+        if (name := f"rgbd/{i}.conf") not in self.files:  # TrueDepth has none
             return raw
         confidence = self._shaped(self._unpacked(name), name, np.dtype(np.uint8), width, height)
         return np.where(confidence >= MEDIUM, raw, 0).astype(np.float32)
 
     def _unpacked(self, name: str) -> bytes:
         try:
-            return bytes(self.lzfse.decompress(self.entries.read(name)))
+            return bytes(self.lzfse.decompress(self.files.read(name)))
         except self.lzfse.error as error:
-            raise FrameError(f"{self.entries.path}: {name} cannot be unpacked, expected LZFSE: copy the recording again") from error
+            raise FrameError(f"{self.files.path}: {name} cannot be unpacked, expected LZFSE: copy the recording again") from error
 
     def _shaped(self, data: bytes, name: str, dtype: np.dtype[Any], width: int, height: int) -> NDArray[Any]:
         if len(data) != width * height * dtype.itemsize:
             found = f"{name} holds {len(data)} bytes, expected {width}x{height} of {dtype.itemsize}"
-            raise FrameError(f"{self.entries.path}: {found}: export the recording again")
+            raise FrameError(f"{self.files.path}: {found}: export the recording again")
         return np.frombuffer(data, dtype).reshape(height, width)
 
 
 @dataclass(frozen=True, eq=False)
 class Metadata:
-    """What the entry `metadata` says of the N frames."""
+    """The content of the file `metadata` for N frames."""
 
-    camera: Calibration  # the median over the frames, where each has its own as the lens focuses
-    size: tuple[int, int] | None  # width, height [px] of the images that the camera holds for
+    camera: Calibration  # the median over the frames: autofocus changes the camera from frame to frame
+    size: tuple[int, int] | None  # width, height [px] of the images that the camera is valid for
     depth_size: tuple[int, int] | None
     stamps: NDArray[np.float64]  # (N,) [s]
     T_wc: NDArray[np.float64] | None  # (N, 4, 4)
 
 
-def read_metadata(entries: Entries) -> Metadata:
-    """Raises RecordingError where it is missing or not what it should be."""
-    source = f"{entries.path}: metadata"
+def read_metadata(files: ExportFiles) -> Metadata:
+    """Reads `metadata`; raises RecordingError if it is missing or malformed."""
+    source = f"{files.path}: metadata"
     try:
-        values = json.loads(entries.read("metadata"))
-        K = np.array(values["K"], np.float64).reshape(3, 3).T  # stored by columns
+        values = json.loads(files.read("metadata"))
+        K = np.array(values["K"], np.float64).reshape(3, 3).T  # stored column by column
         cameras = np.array(values.get("perFrameIntrinsicCoeffs") or [[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]], np.float64).reshape(-1, 4)
         table = np.array(values.get("poses") or [], np.float64).reshape(-1, 7)  # qx qy qz qw, x y z
         T_wc = poses.from_quaternions(table[:, 4:], table[:, :4]) @ FLIP_YZ
@@ -153,10 +153,10 @@ def read_metadata(entries: Entries) -> Metadata:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{source}: {type(error).__name__} {error}, expected Record3D's K, w, h, poses: export it again") from error
     count = 0
-    while f"rgbd/{count}.jpg" in entries:
+    while f"rgbd/{count}.jpg" in files:
         count += 1
     if not count:
-        raise RecordingError(f"{entries.path}: no rgbd/0.jpg, expected an export of Record3D: rgbd/N.jpg, rgbd/N.depth, metadata")
+        raise RecordingError(f"{files.path}: no rgbd/0.jpg, expected an export of Record3D: rgbd/N.jpg, rgbd/N.depth, metadata")
     if len(stamps) != count or np.any(np.diff(stamps) <= 0):
         stamps = np.arange(count) / fps if fps > 0 else regular_stamps(count)
     fx, fy, cx, cy = (float(value) for value in np.median(cameras, 0))

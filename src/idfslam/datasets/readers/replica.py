@@ -15,7 +15,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_replica(path: Path, override: Calibration) -> Recording:
-    """cam_params.json lies in the folder or, as published, in its parent."""
+    """Opens a scene; cam_params.json is in the folder or, as published, in its parent."""
     images = path / "results"
     pairs = paired(numbered(images, "frame*"), numbered(images, "depth*"), images)
     return Recording(

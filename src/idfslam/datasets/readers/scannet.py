@@ -1,6 +1,6 @@
 """ScanNet (Dai et al., CVPR 2017): exported (color/, depth/, pose/, intrinsic/) or raw (.sens, version 4); depth in millimetres.
 
-Colour is larger than depth: it is brought to the depth camera's image. A pose of inf or nan means that the frame has none.
+Colour images are larger than depth images: they are resampled to the depth camera's image. A pose of inf or nan means no pose.
 """
 
 import struct
@@ -22,7 +22,7 @@ from idfslam.errors import FrameError, RecordingError
 
 _VERSION = 4
 _COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
-_DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2, "occi", is a codec of its own that no published recording uses
+_DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2 is "occi", which no published recording uses
 _FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth
 
 
@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_scannet(path: Path, override: Calibration) -> Recording:
-    """A .sens file, a folder with one, or an exported folder (preferred where it holds both)."""
+    """Opens a .sens file, a folder with one, or an exported folder (preferred if both are there)."""
     if path.is_dir() and (path / "color").is_dir():
         return _open_exported(path, override)
     files = [path] if path.is_file() else sorted(path.glob("*.sens"))
@@ -46,28 +46,28 @@ def open_scannet(path: Path, override: Calibration) -> Recording:
 def _open_exported(path: Path, override: Calibration) -> Recording:
     images = numbered(path / "color")
     pairs = paired(images, numbered(path / "depth"), path)
-    stated = override.over(read_cam_params(path))
+    calibration = override.over(read_cam_params(path))
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
-    read: ReadImages = ColourOnDepth(ImageFiles(pairs), None if stated.complete else colour, depth)
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs), None if calibration.complete else colour, depth)
     return Recording(
         path.name,
         read,
         timestamps=regular_stamps(len(pairs)),
         ground_truth=read_poses(path, list(images)),
-        calibration=stated.over(depth).over(Calibration(depth_scale=1000)),
+        calibration=calibration.over(depth).over(Calibration(depth_scale=1000)),
     )
 
 
 @dataclass(frozen=True)
 class ColourOnDepth:
-    """Called with i: colour resampled to the depth camera's image, and depth.
+    """Called with i, returns colour resampled to the depth camera's image, and depth.
 
-    The two cameras are taken to share their centre (ScanNet's extrinsics are the identity), so the warp is affine.
+    The two cameras are assumed to share their centre (ScanNet's extrinsics are the identity), so that the warp is affine.
     """
 
     read: ReadImages
-    colour: Calibration | None  # None: colour shows what depth shows, at another size
+    colour: Calibration | None  # None: colour and depth show the same field of view in different sizes
     depth: Calibration
 
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
@@ -84,7 +84,7 @@ class ColourOnDepth:
         x, y = source.fx / target.fx, source.fy / target.fy
         A = np.array([[x, 0, source.cx - x * target.cx], [0, y, source.cy - y * target.cy]])  # depth pixel -> colour pixel
         corners = np.array([[0, 0, 1], [*size, 1]])
-        if np.abs(corners @ A.T - corners[:, :2]).max() < 0.5:  # less than half a pixel anywhere: not worth the blur
+        if np.abs(corners @ A.T - corners[:, :2]).max() < 0.5:  # less than half a pixel everywhere: not worth the blur
             return bgr, raw
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(bgr, A, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8), raw
@@ -92,7 +92,7 @@ class ColourOnDepth:
 
 @dataclass(frozen=True)
 class SensHeader:
-    """What precedes the frames of a .sens file."""
+    """The header of a .sens file."""
 
     colour: Calibration
     depth: Calibration
@@ -103,9 +103,9 @@ class SensHeader:
 
 @dataclass(frozen=True)
 class SensFrame:
-    """Where one frame lies in a .sens file."""
+    """The position of one frame in a .sens file, its stamp and pose."""
 
-    offset: int  # of its colour [bytes]; its depth follows
+    offset: int  # [bytes] of its colour image; its depth image follows
     colour_bytes: int
     depth_bytes: int
     stamp: float  # [s]
@@ -116,19 +116,19 @@ def _open_sens(path: Path, override: Calibration) -> Recording:
     header, frames = read_sens_index(path)
     stamps = np.array([frame.stamp for frame in frames])
     truth = np.stack([frame.T_wc for frame in frames])
-    known = np.isfinite(truth).all((1, 2)).any()
+    has_truth = np.isfinite(truth).all((1, 2)).any()
     warp = None if override.complete else header.colour
     return Recording(
         path.stem,
         ColourOnDepth(SensImages(path, header, frames), warp, header.depth),
         timestamps=stamps if np.all(np.diff(stamps) > 0) else regular_stamps(len(frames)),
-        ground_truth=poses.checked(truth, count=len(frames), source=lambda _: str(path)) if known else None,
+        ground_truth=poses.checked(truth, count=len(frames), source=lambda _: str(path)) if has_truth else None,
         calibration=override.over(header.depth),
     )
 
 
 def read_sens_index(path: Path) -> tuple[SensHeader, list[SensFrame]]:
-    """Header and the places of all frames, without reading an image; raises RecordingError where the file is not what it should be."""
+    """Reads the header and the positions of all frames, but no images; raises RecordingError if the file is malformed."""
     size = path.stat().st_size
     with path.open("rb") as file:
         header = _read_header(file, path)
@@ -180,7 +180,7 @@ def _calibration(K: NDArray[np.float64], width: int, height: int, scale: float |
 
 @dataclass(frozen=True)
 class SensImages:
-    """Called with i: colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of frame i, each at its own size."""
+    """Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of frame i, each at its own size."""
 
     path: Path
     header: SensHeader
@@ -189,7 +189,7 @@ class SensImages:
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         frame, source = self.frames[i], f"{self.path}: frame {i}"
         try:
-            with self.path.open("rb") as file:  # opened anew: two threads may read at once
+            with self.path.open("rb") as file:  # opened for each frame, so that threads can read at once
                 file.seek(frame.offset)
                 colour, depth = file.read(frame.colour_bytes), file.read(frame.depth_bytes)
         except OSError as error:

@@ -1,6 +1,6 @@
 """7-Scenes: seq-XX/frame-NNNNNN.{color.png,depth.png,pose.txt}; depth in millimetres, 65535 = no reading.
 
-The published depth is not registered to the colour camera; like the field, this reader uses the depth camera for both.
+The published depth is not registered to colour; like other programs, this reader uses the depth camera's intrinsics for both.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_seven_scenes(path: Path, override: Calibration) -> Recording:
-    """A sequence's folder, or a scene's where it holds one sequence only."""
+    """Opens the folder of a sequence, or of a scene with one sequence only."""
     path = _sequence(path)
     images = numbered(path, "frame-*.color.png")
     pairs = paired(images, numbered(path, "frame-*.depth.png"), path)

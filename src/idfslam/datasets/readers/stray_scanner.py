@@ -1,6 +1,6 @@
 """Stray Scanner (iPhone and iPad with LiDAR): rgb.mp4, depth/NNNNNN.png [mm], confidence/, camera_matrix.csv, odometry.csv.
 
-Colour is 1920x1440 and depth 256x192; both become 640x480 (`resampling` says how). Readings of low confidence, which ARKit guesses from the
+Colour is 1920x1440 and depth 256x192; both become 640x480 (see `resampling`). Readings of low confidence, which ARKit guesses from the
 image rather than measures, are left out. ARKit's poses in odometry.csv, already with x right, y down, z forward, are the ground truth.
 """
 
@@ -17,7 +17,7 @@ from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, read_camera_file
 from idfslam.datasets.images import Depth, numbered, read_depth
 from idfslam.datasets.recording import Reader, Recording
-from idfslam.datasets.resampling import enlarged, moderate
+from idfslam.datasets.resampling import limited_size, upscaled_depth
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import FrameError, RecordingError
 
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 MEDIUM = 1  # ARKit's confidence: 0 low, 1 medium, 2 high
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
-_CAMERA = ("fx", "fy", "cx", "cy")  # of each frame, as the lens focuses; later versions of the app
+_CAMERA = ("fx", "fy", "cx", "cy")  # of each frame, because of autofocus; later versions of the app write them
 
 
 def recognises(path: Path) -> bool:
@@ -33,7 +33,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_stray_scanner(path: Path, override: Calibration) -> Recording:
-    """Video frame, depth image, confidence and line of odometry with equal numbers belong together."""
+    """Opens an export. Video frame, depth image, confidence and odometry line with equal numbers are one frame."""
     for name in ("rgb.mp4", "odometry.csv", "depth"):
         if not (path / name).exists():
             raise RecordingError(f"{path}: {name} is missing, expected an export of Stray Scanner: rgb.mp4, depth/, odometry.csv")
@@ -46,23 +46,23 @@ def open_stray_scanner(path: Path, override: Calibration) -> Recording:
     if len(numbers) < max(len(track), len(depth)):
         log.warning("%s: %d frames of video and %d depth images; the %d with both are read", path, len(track), len(depth), len(numbers))
     rows = [odometry.rows[i] for i in numbers]
-    stated = override.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
-    size = moderate(*track.size)
+    calibration = override.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
+    size = limited_size(*track.size)
     return Recording(
         path.name,
         StrayImages(track, numbered(path / "confidence"), depth, numbers, size),
         timestamps=odometry.table[rows, 0],
         ground_truth=odometry.T_wc[rows],
-        calibration=stated.resized(track.size, size).over(Calibration(depth_scale=1000)),
+        calibration=calibration.resized(track.size, size).over(Calibration(depth_scale=1000)),
     )
 
 
 @dataclass(frozen=True)
 class StrayImages:
-    """Called with i: colour and depth of frame i in one size."""
+    """Called with i, returns colour and depth of frame i in one size."""
 
     track: VideoTrack
-    confidence: dict[float, Path]  # none at all: every reading counts
+    confidence: dict[float, Path]  # empty: every reading counts
     depth: dict[float, Path]
     numbers: list[int]
     size: tuple[int, int]  # width, height [px]
@@ -72,7 +72,7 @@ class StrayImages:
         raw = read_depth(self.depth[number])
         if self.confidence:
             raw = np.where(self._confidence(number, raw.shape) >= MEDIUM, raw, 0).astype(np.uint16)
-        return self.track.colour(number, self.size), enlarged(raw, self.size)
+        return self.track.colour(number, self.size), upscaled_depth(raw, self.size)
 
     def _confidence(self, number: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         path = self.confidence.get(number)
@@ -85,16 +85,16 @@ class StrayImages:
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """What odometry.csv says."""
+    """The content of odometry.csv."""
 
-    rows: dict[int, int]  # line by frame
-    table: NDArray[np.float64]  # (N, 9) the columns above
+    rows: dict[int, int]  # row in `table` by frame number
+    table: NDArray[np.float64]  # (N, 9) the columns _COLUMNS
     T_wc: NDArray[np.float64]  # (N, 4, 4)
-    camera: Calibration  # the median over the frames, where they have one
+    camera: Calibration  # the median over the frames; empty if they have none
 
 
 def read_odometry(path: Path) -> Odometry:
-    """Raises RecordingError where the file is not what it should be."""
+    """Reads odometry.csv; raises RecordingError if it is malformed."""
     with path.open(encoding="utf-8", errors="replace", newline="") as file:
         reader = csv.DictReader(file, skipinitialspace=True)
         names = [name.strip() for name in reader.fieldnames or ()]

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.association import TOLERANCE, associate
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.geometry.association import TOLERANCE, associate
 
-# The published calibration of the three cameras, by the number in "freiburgN". Depth is registered to colour.
+# The published calibrations of the three cameras, by the N in "freiburgN". Depth is registered to colour
 FREIBURG = {
     "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), source="freiburg1, as published"),
     "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172), source="freiburg2, as published"),
@@ -26,30 +26,30 @@ def recognises(path: Path) -> bool:
 
 
 def open_tum(path: Path, override: Calibration) -> Recording:
-    """A frame's stamp is that of its colour image; its reference pose is the nearest in time within 20 ms."""
+    """Opens a sequence. A frame's stamp is that of its colour image; its true pose is the nearest in time within 20 ms."""
     for name in ("rgb.txt", "depth.txt"):
         if not (path / name).is_file():
             raise RecordingError(f"{path}: {name} is missing, expected rgb.txt and depth.txt")
     colour, depth = read_list(path / "rgb.txt"), read_list(path / "depth.txt")
     timestamps = np.array([stamp for stamp, _ in colour])
-    pairs = associate(timestamps, np.array([stamp for stamp, _ in depth]), TOLERANCE)
-    if not pairs:
+    pairs = associate(timestamps, [stamp for stamp, _ in depth])
+    if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
-    timestamps = timestamps[[i for i, _ in pairs]]
-    known = re.search(r"freiburg([123])", path.name)
-    published = FREIBURG[known[1]] if known else Calibration()
-    files = override.over(read_cam_params(path)).over(read_camera_file(path))
+    timestamps = timestamps[pairs[:, 0]]
+    match = re.search(r"freiburg([123])", path.name)
+    published = FREIBURG[match[1]] if match else Calibration()
+    calibration = override.over(read_cam_params(path)).over(read_camera_file(path))
     return Recording(
         path.name,
         ImageFiles([(colour[i][1], depth[k][1]) for i, k in pairs]),
         timestamps=timestamps,
         ground_truth=read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=files.over(published).over(Calibration(depth_scale=5000)),
+        calibration=calibration.over(published).over(Calibration(depth_scale=5000)),
     )
 
 
 def read_list(path: Path) -> list[tuple[float, Path]]:
-    """(stamp [s], image) of every line `stamp file`, sorted by stamp; # starts a comment."""
+    """(stamp [s], image) of every line `stamp file`, sorted by stamp; `#` starts a comment."""
     entries = []
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         words = line.split("#")[0].split()
@@ -74,11 +74,11 @@ def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> NDArray[np
     stamps, reference = poses.read_freiburg(path)
     if not len(stamps):
         raise RecordingError(f"{path}: empty, expected lines of stamp tx ty tz qx qy qz qw: fill or remove it")
-    found = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
-    if not np.isfinite(found).all((1, 2)).any():
+    T_wc = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
+    if not np.isfinite(T_wc).all((1, 2)).any():
         span = f"poses from {stamps[0]:.3f} to {stamps[-1]:.3f} s, images from {timestamps[0]:.3f} to {timestamps[-1]:.3f} s"
         raise RecordingError(f"{path}: {span}: no finite pose within {1000 * TOLERANCE:.0f} ms of an image: correct or remove the file")
-    return poses.checked(found, count=len(timestamps), source=lambda _: str(path))
+    return poses.checked(T_wc, count=len(timestamps), source=lambda _: str(path))
 
 
 READER = Reader("tum", "rgb.txt, depth.txt", recognises, open_tum)

@@ -1,4 +1,4 @@
-"""A plain folder whose colour is a video: rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi ...) and depth/, else as in `folder`."""
+"""A plain folder whose colour is a video: rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi ...) and depth/; the rest as in `folder`."""
 
 from pathlib import Path
 
@@ -17,15 +17,15 @@ _NAMES = ("rgb", "color", "colour", "video")
 
 
 def colour_video(path: Path) -> Path | None:
-    """The video of a folder, if there is one; raises RecordingError where there are several."""
+    """The colour video of a folder, if there is one; raises RecordingError if there are several."""
     if not path.is_dir():
         return None
-    found = sorted(file for file in path.iterdir() if file.stem.lower() in _NAMES and file.suffix.lower() in video.SUFFIXES)
-    if len(found) > 1:
+    videos = sorted(file for file in path.iterdir() if file.stem.lower() in _NAMES and file.suffix.lower() in video.SUFFIXES)
+    if len(videos) > 1:
         raise RecordingError(
-            f"{path}: {len(found)} colour videos ({', '.join(file.name for file in found)}), expected one: remove the others"
+            f"{path}: {len(videos)} colour videos ({', '.join(file.name for file in videos)}), expected one: remove the others"
         )
-    return found[0] if found else None
+    return videos[0] if videos else None
 
 
 def recognises(path: Path) -> bool:
@@ -33,7 +33,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_video_folder(path: Path, override: Calibration) -> Recording:
-    """The video's frames and the depth images in the order of their numbers are taken to be pairs; stamps are the video's."""
+    """Opens a folder. Video frame i belongs to the i-th depth image in the order of their numbers; stamps are the video's."""
     file = colour_video(path)
     if file is None or not (path / "depth").is_dir():
         raise RecordingError(f"{path}: expected a video rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi) and the folder depth/")
@@ -46,14 +46,14 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
     def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
         return track.colour(i), read_depth(files[i])
 
-    calibration, beside = calibrated(path, override)
+    calibration, depth_camera = calibrated(path, override)
     return Recording(
         path.name,
         read,
         timestamps=track.times,
         ground_truth=read_poses(path, list(depth)),
         calibration=calibration,
-        depth_camera=beside,
+        depth_camera=depth_camera,
     )
 
 

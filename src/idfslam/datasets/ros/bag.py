@@ -1,4 +1,4 @@
-"""A ROS 1 bag, a ROS 2 bag (sqlite3 or MCAP) or an MCAP file through `rosbags`: messages by topic and time, from any thread."""
+"""A ROS 1 bag, a ROS 2 bag (sqlite3 or MCAP) or an MCAP file read with `rosbags`: messages by topic and time."""
 
 import logging
 import struct
@@ -14,20 +14,20 @@ from idfslam.errors import ConfigError, FrameError, RecordingError
 log = logging.getLogger(__name__)
 
 SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
-# What rosbags raises for damaged data beside its own errors: it trusts lengths and checks with assert.
+# Errors besides its own that rosbags raises for damaged data: it trusts lengths and checks with assert
 _DAMAGE = (AssertionError, EOFError, IndexError, KeyError, MemoryError, OverflowError, RuntimeError, TypeError, ValueError, struct.error)
 
 
 @dataclass(frozen=True, order=True)
-class Entry:
-    """One message."""
+class IndexedMessage:
+    """Stamp and position of one message."""
 
-    stamp: float  # [s] of its header, else of its arrival
-    time: int  # [ns] of its arrival in the recording, by which it is found again
+    stamp: float  # [s] of its header; of its arrival if it has none
+    time: int  # [ns] of its arrival in the recording; `Bag.at` finds the message by it
 
 
 class Bag:
-    """Raises RecordingError where the file cannot be read, ConfigError where rosbags is not installed."""
+    """An opened recording; threads may share it. Raises RecordingError if it cannot be read, ConfigError if rosbags is not installed."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -48,26 +48,26 @@ class Bag:
 
     def topics(self, *types: str) -> list[str]:
         """The topics with messages of any of these types, in alphabetical order."""
-        return sorted(topic for topic, found in self.types.items() if found in types)
+        return sorted(topic for topic, message_type in self.types.items() if message_type in types)
 
     def first(self, topic: str) -> Any:
-        """The first message; raises RecordingError where it cannot be read."""
+        """The first message of a topic; raises RecordingError if it cannot be read."""
         for message in self.messages(topic):
             return message
         raise RecordingError(f"{self.path}: {topic} cannot be read (its messages are gone): copy the recording again")
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """All messages in their order; raises RecordingError where one cannot be read."""
+        """All messages of a topic in their order; raises RecordingError if one cannot be read."""
         for _, _, message in self._each([topic]):
             yield message
 
-    def index(self, *topics: str) -> dict[str, list[Entry]]:
-        """All messages of some topics, sorted by their stamps. Reads them all once: the stamps lie in them."""
+    def index(self, *topics: str) -> dict[str, list[IndexedMessage]]:
+        """All messages of some topics, sorted by their stamps. Reads every message once, because the stamps are in the messages."""
         log.info("%s: reading the stamps of %s", self.path, " and ".join(topics))
-        entries: dict[str, list[Entry]] = {topic: [] for topic in topics}
+        entries: dict[str, list[IndexedMessage]] = {topic: [] for topic in topics}
         for topic, time, message in self._each(list(topics)):
-            entries[topic].append(Entry(stamp_of(message) or time / 1e9, time))
-        return {topic: sorted(found) for topic, found in entries.items()}
+            entries[topic].append(IndexedMessage(stamp_of(message) or time / 1e9, time))
+        return {topic: sorted(messages) for topic, messages in entries.items()}
 
     def _each(self, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
         connections = [connection for connection in self._reader.connections if connection.topic in topics]
@@ -78,8 +78,8 @@ class Bag:
         except self._errors as error:
             raise RecordingError(f"{self.path}: {topics[0]} cannot be read ({_line(error)}): copy the recording again") from error
 
-    def at(self, topic: str, entry: Entry) -> Any:
-        """The message of an entry; raises FrameError where it cannot be read."""
+    def at(self, topic: str, entry: IndexedMessage) -> Any:
+        """The message at an entry of the index; raises FrameError if it cannot be read."""
         connections = [connection for connection in self._reader.connections if connection.topic == topic]
         try:
             with self._lock:
@@ -94,7 +94,7 @@ class Bag:
 
 
 def _errors() -> tuple[type[Exception], ...]:
-    """All that rosbags, and what it reads with, raise for files that are not what they should be."""
+    """All errors that rosbags and the packages it uses raise for damaged files."""
     import apsw
     from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag1 import ReaderError as Error1
@@ -108,7 +108,7 @@ def _errors() -> tuple[type[Exception], ...]:
 
 
 def stamp_of(message: Any) -> float:
-    """[s] of the header; 0 where there is none."""
+    """The stamp [s] in a message's header; 0 if it has none."""
     header = getattr(message, "header", None)
     return 0.0 if header is None else header.stamp.sec + header.stamp.nanosec / 1e9
 

@@ -1,4 +1,4 @@
-"""Images of ROS messages (sensor_msgs Image and CompressedImage) as arrays. Everything wrong with one image is a FrameError."""
+"""Images of ROS messages (sensor_msgs Image and CompressedImage) as arrays. Whatever is wrong with one image is a FrameError."""
 
 import struct
 from typing import Any
@@ -38,7 +38,7 @@ _CONFIG = struct.Struct("<iff")  # before a compressedDepth image: format, quant
 
 
 def kind(message: Any) -> str | None:
-    """ "colour", "grey" or "depth"; None: neither."""
+    """The kind of an image: "colour", "grey" or "depth"; None: none of these."""
     encoding = _encoding(message)
     if not hasattr(message, "encoding") and "compressedDepth" not in message.format:
         return "depth" if encoding in _DEPTH else "grey" if encoding in _GREY else "colour"
@@ -46,12 +46,12 @@ def kind(message: Any) -> str | None:
 
 
 def units_per_metre(message: Any) -> float:
-    """Of a depth image."""
+    """Units per metre of a depth image."""
     return 1.0 if _encoding(message) == "32FC1" else 1000.0
 
 
 def _encoding(message: Any) -> str:
-    """Of a compressed image it stands before the semicolon in "rgb8; jpeg compressed bgr8", where there is one."""
+    """The encoding of an image; for a compressed one, the part of its format before the semicolon: "rgb8; jpeg compressed bgr8"."""
     return str(message.encoding if hasattr(message, "encoding") else message.format.split(";")[0]).strip()
 
 
@@ -59,10 +59,10 @@ def colour_of(message: Any, source: str) -> NDArray[np.uint8]:
     """(H, W, 3) BGR; `source` names the image in messages."""
     if not hasattr(message, "encoding"):
         return decode_colour(message.data.tobytes(), source)
-    known = _COLOUR | _GREY
-    if message.encoding not in known:
-        raise FrameError(f"{source}: encoding {message.encoding}, expected one of {', '.join(known)}")
-    channels, conversion = known[message.encoding]
+    encodings = _COLOUR | _GREY
+    if message.encoding not in encodings:
+        raise FrameError(f"{source}: encoding {message.encoding}, expected one of {', '.join(encodings)}")
+    channels, conversion = encodings[message.encoding]
     image = _pixels(message, np.dtype(np.uint8), channels, source)
     return np.ascontiguousarray(image) if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
 
@@ -74,11 +74,11 @@ def depth_of(message: Any, source: str) -> Depth:
     if message.encoding not in _DEPTH:
         raise FrameError(f"{source}: encoding {message.encoding}, expected depth as 16UC1 (millimetres) or 32FC1 (metres)")
     image = _pixels(message, _DEPTH[message.encoding], 1, source)
-    return image.astype(_DEPTH[message.encoding])  # in this machine's order of bytes
+    return image.astype(_DEPTH[message.encoding])  # in this machine's byte order
 
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int, source: str) -> NDArray[Any]:
-    """(H, W) or (H, W, channels); rows may be longer than their pixels."""
+    """(H, W) or (H, W, channels); rows in the message may have padding."""
     length = message.width * channels * dtype.itemsize
     if message.step < length or len(message.data) < message.step * message.height or not message.height * length:
         found = f"{len(message.data)} bytes, {message.step} a row"
@@ -89,7 +89,7 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int, source: str) -> N
 
 
 def _unpacked(message: Any, source: str) -> Depth:
-    """Depth as PNG, behind the header of `compressedDepth` where it has one; 32FC1 is stored there as a / z + b."""
+    """Decodes depth stored as PNG, after the header of `compressedDepth` if there is one; 32FC1 is stored as a / z + b."""
     data, packed = message.data.tobytes(), "compressedDepth" in message.format
     if "rvl" in message.format:
         raise FrameError(f"{source}: {message.format}, expected PNG: decompress it with `ros2 run image_transport republish`")

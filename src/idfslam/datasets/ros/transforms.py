@@ -1,4 +1,4 @@
-"""The frames of a ROS recording that do not move against one another: a tree of transforms, as /tf_static tells it."""
+"""The static frames of a ROS recording: a tree of transforms from /tf_static."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,10 +11,10 @@ from idfslam.errors import RecordingError
 
 
 class StaticFrames:
-    """Frames with their parents."""
+    """Static frames, each with its parent."""
 
     def __init__(self, messages: Iterable[Any], source: str) -> None:
-        """messages: of tf2_msgs/TFMessage. source: names them in messages to the user. Raises RecordingError where one is no transform."""
+        """messages: tf2_msgs/TFMessage. source: names them in errors. Raises RecordingError if one is no rigid transform."""
         self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
         for message in messages:
             for transform in message.transforms:
@@ -22,7 +22,7 @@ class StaticFrames:
                 self._parents[child] = (parent, matrix(transform.transform.translation, transform.transform.rotation, f"{source}: {child}"))
 
     def T(self, a: str, b: str) -> NDArray[np.float64] | None:
-        """T_ab (4, 4), from frame b to frame a; None where nothing connects them."""
+        """T_ab (4, 4), from frame b to frame a; None if the tree does not connect them."""
         (root_a, T_root_a), (root_b, T_root_b) = self._from_root(a.strip("/")), self._from_root(b.strip("/"))
         return np.linalg.inv(T_root_a) @ T_root_b if root_a == root_b else None
 
@@ -32,13 +32,13 @@ class StaticFrames:
             frame, T_parent = self._parents[frame]
             T = T_parent @ T
             if frame in seen:
-                break  # a circle: no tree
+                break  # a cycle instead of a tree
             seen.add(frame)
         return frame, T
 
 
 def matrix(translation: Any, rotation: Any, source: str) -> NDArray[np.float64]:
-    """(4, 4) of a position and a quaternion; raises RecordingError, which names the source, where they are no transform."""
+    """(4, 4) from a translation and a quaternion; raises RecordingError, which names the source, if they are no rigid transform."""
     t = np.array([[translation.x, translation.y, translation.z]], np.float64)
     q = np.array([[rotation.x, rotation.y, rotation.z, rotation.w]], np.float64)
     try:
