@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idfslam.alignment.constants import KNOWN, LEAST_SLOPE, SLOPE_FLOOR
+from idfslam.alignment.constants import LEAST_SLOPE, MAPPED, SLOPE_FLOOR
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
@@ -397,7 +397,7 @@ def plain_depth_system(
     turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
 ) -> _System:
     """`depth_system` in torch, on any device."""
-    mapped = (distance.abs() < KNOWN * truncation) & (slope > LEAST_SLOPE)
+    mapped = (distance.abs() < MAPPED * truncation) & (slope > LEAST_SLOPE)
     r = distance / slope.clamp(min=SLOPE_FLOOR)
     J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
     scale = robust * sigma.clamp(max=widest)

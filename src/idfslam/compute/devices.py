@@ -40,9 +40,9 @@ def resolve_precision(name: Literal["auto", "fp32", "bf16"], device: torch.devic
 
 
 def updates_may_overlap(device: torch.device) -> bool:
-    """Whether a map that learns in a second thread leaves the frames beside it undisturbed.
+    """Whether the map can learn in a second thread without slowing down the frames.
 
-    Compiled kernels on the CPU do. On CUDA both threads would queue on one stream, and compete for Python's interpreter between kernels.
+    It can with compiled kernels on the CPU. On CUDA both threads would wait on one stream, and for Python's interpreter between kernels.
     """
     return device.type == "cpu"
 

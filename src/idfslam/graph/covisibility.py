@@ -1,4 +1,4 @@
-"""Covisibility (Eq. 5): how much of what one keyframe measured other keyframes have in view."""
+"""Covisibility (Eq. 5): the share of one keyframe's measured pixels that other keyframes have in view."""
 
 from collections.abc import Sequence
 
@@ -21,13 +21,13 @@ def covisibility(
 ) -> Tensor:
     """Share (K,) of the new keyframe's measured pixels that project into each of K stored keyframes, u_k = K T_kn K^-1 u_n d_n / d_k.
 
-    depth (H, W) [m] of the new keyframe, 0 = no reading; T_kn (K, 4, 4) takes its points into the stored keyframes' frames. Every
-    `subsample`-th row and column is tested. Without a reading the shares are 0. `other_cameras` are the K cameras of the stored keyframes:
-    a map may hold the recordings of several.
+    depth (H, W) [m] is that of the new keyframe, 0 = no reading. T_kn (K, 4, 4) transforms its points into the stored keyframes' frames.
+    Every `subsample`-th row and column is tested. Without a reading the shares are 0. `other_cameras` are the K cameras of the stored
+    keyframes: a map may come from recordings of several cameras.
 
-    Eq. 5 tests the image's bounds alone, so a keyframe on the other side of a wall counts as covisible. With `other_depths`, K images
-    (H', W') [m], a point must also not be hidden there: no more than `depth_tolerance` (a share of the depth) behind what that keyframe
-    measured at its pixel; where that has no reading, bounds decide.
+    Eq. 5 tests the bounds of the image only, so a keyframe on the other side of a wall counts as covisible. With `other_depths`, K images
+    (H', W') [m], a point must also not be occluded: it is at most `depth_tolerance` (a share of the depth) behind the stored keyframe's
+    reading at its pixel. Without a reading there, the bounds decide.
     """
     points = sampled_points(depth, camera, subsample)
     shares = T_kn.new_zeros(len(T_kn), dtype=torch.float32)
@@ -51,9 +51,9 @@ def sampled_points(depth: Tensor, camera: Camera, subsample: int) -> Tensor:
 
 
 def plain_in_view(points: Tensor, T_kn: Tensor, camera: Camera, depths: Tensor | None = None, depth_tolerance: float = 0.1) -> Tensor:
-    """Which (K, N) of the points (N, 3) each of K cameras has in view and, with its depth (K, H, W), not behind what it measured."""
+    """Which (K, N) of the points (N, 3) each of K views has in view; with depths (K, H, W), points behind the readings are left out."""
     T_kn = T_kn.to(points)
-    points_k = T_kn[:, :3, :3] @ points.mT + T_kn[:, :3, 3:]  # (K, 3, N): coordinates apart in memory: project reads them faster
+    points_k = T_kn[:, :3, :3] @ points.mT + T_kn[:, :3, 3:]  # (K, 3, N): each coordinate is contiguous, so `project` reads it faster
     uv, z = camera.project(points_k.mT)
     seen = camera.inside(uv, z)
     if depths is not None:
@@ -65,7 +65,7 @@ def plain_in_view(points: Tensor, T_kn: Tensor, camera: Camera, depths: Tensor |
 
 
 def compiled_in_view(points: Tensor, T_kn: Tensor, camera: Camera) -> Tensor:
-    """How many (K,) of the points (N, 3) each of K cameras has in view: by the five planes around what it sees, without a division."""
+    """The number (K,) of the points (N, 3) that each of K views has in view, by the five planes of its frustum, without a division."""
     from idfslam.graph.kernels.numba_covisibility import in_view
 
     x, y, z = T_kn[:, 0], T_kn[:, 1], T_kn[:, 2]  # (K, 4): rows that give a point's coordinates in each camera

@@ -144,10 +144,10 @@ class LoopConsistency:
         if not any(kept[len(self.closed) :]):
             self._refuse(new[-1], "the pose graph contradicts it")
             return []
-        for loop, stands in zip(loops, kept, strict=True):
-            if not stands:
+        for loop, is_kept in zip(loops, kept, strict=True):
+            if not is_kept:
                 self._refuse(loop, "the pose graph contradicts it")
-        self.closed = [loop for loop, stands in zip(loops, kept, strict=True) if stands]
+        self.closed = [loop for loop, is_kept in zip(loops, kept, strict=True) if is_kept]
         moved = graph.move(poses)
         for loop in self.closed:
             graph.add_edge(graph.keyframes[loop.b], loop.a)

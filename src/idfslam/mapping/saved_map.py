@@ -1,4 +1,4 @@
-"""A map in one file: the field's weights, and what the recording saw, so that meshes keep to observed surface."""
+"""A map in one file: the field's weights, and the depth of views, which restricts meshes to observed surface."""
 
 import json
 from collections.abc import Sequence
@@ -23,17 +23,19 @@ from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
 
-FORMAT = 3  # of the file; counts up with each change that older versions cannot read
+FORMAT = 3  # format of the file, counted up with each change that older versions cannot read
 _ONE_CAMERA = 2  # the format before, in which all views have one camera
-_OBSERVED = 0.03  # [m] from a reading within which rendered surface counts as observed, beside 0.3 tr: as in a mesh of 2 cm
-_SLANT = 1.4  # length of a ray at an image's corner over its depth
-_VIEW_ROWS = 60  # of the depth images in the file
-_VIEW_BYTES = 1_200_000  # of all of them: with a feature grid at its largest the file stays below 10 MB
+# [m] Largest distance of rendered surface from a reading to count as observed, added to 0.3 tr: as in a mesh of 2 cm. More: surfaces
+# extend beyond what was seen.
+_OBSERVED = 0.03
+_SLANT = 1.4  # [1] length of a ray at an image's corner over its depth. More: rays are traced farther
+_VIEW_ROWS = 60  # [px] rows of the depth images in the file. More: finer outlines of the observed surface, fewer views. Chosen by hand
+_VIEW_BYTES = 1_200_000  # [bytes] of all depth images. More: more views. With the largest feature grid the file stays below 10 MB
 
 
 @dataclass(frozen=True)
 class SavedMap:
-    """A field with the views that taught it."""
+    """A field, and the views that it was learnt from."""
 
     field: Field
     views: Sequence[DepthView]
@@ -43,7 +45,7 @@ class SavedMap:
         return mesh_of(self.field, self.views, resolution)
 
     def render(self, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Colour (H, W, 3) and depth (H, W) [m] that the map shows a camera at `T_wc` (4, 4): observed surface, as in meshes."""
+        """Colour (H, W, 3) and depth (H, W) [m] of the map for a camera at `T_wc` (4, 4). Only observed surface is rendered."""
         farthest = _reach(self.views, T_wc) + 2 * self.field.config.truncation
         tolerance = _OBSERVED + 0.3 * self.field.config.truncation
 
@@ -64,12 +66,12 @@ class SavedMap:
 
 
 def _reach(views: Sequence[DepthView], T_wc: NDArray[np.float64]) -> float:
-    """Farther [m] than any reading lies from a camera at `T_wc` (4, 4)."""
+    """A bound on the distance [m] of any reading from a camera at `T_wc` (4, 4)."""
     return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
 def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
-    """The zero level of a field where the views observed it; where colour depends on the view, as seen head-on."""
+    """The zero level of a field where the views observed it. Colour that depends on the view direction is that of a head-on view."""
     device = next(field.parameters()).device
 
     def colour(points: Tensor) -> Tensor:
@@ -81,10 +83,10 @@ def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trim
 
 
 def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
-    """One safetensors file; the tables of a feature grid, and depths in millimetres, take 16 bits.
+    """Writes a map as one safetensors file. The tables of a feature grid, and depths in millimetres, have 16 bits.
 
-    Of the views as many as fit, evenly spread; those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
-    Metadata: `format`, `field` and `cameras` (JSON), `precision` (how numbers are rounded).
+    As many views are written as fit, evenly spread. Those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
+    Metadata: `format`, `field` and `cameras` (JSON), and `precision` (how numbers are rounded).
     """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
     config = field.config
@@ -105,7 +107,7 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
 
 
 def load_map(path: Path) -> SavedMap:
-    """A saved map of this format or of the one before. Raises ResultError for a file that is damaged, no map, or of another format."""
+    """Reads a map of this format or of the one before. Raises ResultError if the file is damaged, no map, or of another format."""
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
@@ -120,9 +122,9 @@ def load_map(path: Path) -> SavedMap:
 
 
 def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
-    """The field with its weights. Raises ValueError where these are not what the config asks for."""
+    """The field with its weights. Raises ValueError if the weights do not fit the config."""
     weights = {name.removeprefix("field."): value.float() for name, value in tensors.items() if name.startswith("field.")}
-    with torch.device("meta"):  # shapes alone: a damaged config must not ask for the memory
+    with torch.device("meta"):  # shapes without memory, since a damaged config may have any size
         expected = {name: value.shape for name, value in Field(config).state_dict().items()}
     for name in {*expected, *weights}:
         found = tuple(weights[name].shape) if name in weights else "missing"
@@ -136,7 +138,7 @@ def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
 
 
 def _views(metadata: dict[str, str], tensors: dict[str, Tensor]) -> list[DepthView]:
-    """What was seen, the views of one camera after those of another. Raises ValueError where there is nothing or it does not fit."""
+    """The views, grouped by camera. Raises ValueError if there are none, or if they do not fit their camera."""
     if metadata["format"] == str(_ONE_CAMERA):
         return _views_of(Camera(**json.loads(metadata["camera"])), tensors, "views")
     cameras = [Camera(**values) for values in json.loads(metadata["cameras"])]
@@ -146,7 +148,7 @@ def _views(metadata: dict[str, str], tensors: dict[str, Tensor]) -> list[DepthVi
 
 
 def _views_of(camera: Camera, tensors: dict[str, Tensor], name: str) -> list[DepthView]:
-    """The views of one camera. Raises ValueError where poses, depths and camera do not fit together."""
+    """The views of one camera. Raises ValueError if poses, depths and camera do not fit together."""
     poses, depths = tensors[f"{name}.T_wc"].numpy(), tensors[f"{name}.depth"].numpy().astype(np.float32) / 1000
     if len(depths) == 0 or poses.shape != (len(depths), 4, 4) or depths.shape[1:] != (camera.height, camera.width):
         raise ValueError(f"{name}: poses {poses.shape} and depths {depths.shape} of a {camera.width} x {camera.height} camera")

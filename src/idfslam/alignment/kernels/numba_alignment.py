@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from idfslam.alignment.constants import (
     DEVIATION,
-    KNOWN,
     LARGEST_GAIN,
     LEAST_GAIN,
     LEAST_RADIUS,
     LEAST_SLOPE,
     LEAST_SPREAD,
     LEAST_VALUE,
+    MAPPED,
     NEAREST,
     OCCLUSION,
     OCCLUSION_SHARE,
@@ -90,7 +90,7 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
     total, squares, known, radius = 0.0, 0.0, 0, 0.0
     for n in range(len(distance)):
         radius += np.sqrt(turned[n, 0] ** 2 + turned[n, 1] ** 2 + turned[n, 2] ** 2)
-        if abs(distance[n]) >= KNOWN * truncation or slope[n] <= LEAST_SLOPE:
+        if abs(distance[n]) >= MAPPED * truncation or slope[n] <= LEAST_SLOPE:
             continue
         known += 1
         x, y, z = turned[n, 0], turned[n, 1], turned[n, 2]
