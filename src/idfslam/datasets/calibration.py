@@ -42,7 +42,7 @@ class Calibration:
     def over(self, other: "Calibration") -> "Calibration":
         """These values, with missing ones taken from `other`, a source of lower precedence.
 
-        From a complete camera only the depth scale may be missing: without distortion, it means a camera without distortion.
+        If fx, fy, cx and cy are all given, only the depth scale is taken from `other`: without distortion values there is no distortion.
         """
         scale = other.depth_scale if self.depth_scale is None else self.depth_scale
         if self.complete:

@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_azure_kinect(path: Path, override: Calibration) -> Recording:
-    """Pairs colour and depth images whose stamps differ by at most 20 ms, after the depth delay in the recording's tags."""
+    """Pairs colour and depth images whose stamps differ by at most 20 ms, once the depth delay in the recording's tags is subtracted."""
     contents = read_contents(path)
     colour, depth = _tracks(path, contents)
     pairs = associate(colour.times, depth.times - _delay(path, contents))
