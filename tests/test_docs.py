@@ -68,6 +68,4 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr) == (0, "")
     assert "mapper.sharpness" in (tmp_path / "reference/configuration/index.html").read_text(encoding="utf-8")
-    assert "One frame: track it; then map it if it becomes a keyframe" in (tmp_path / "reference/api/index.html").read_text(
-        encoding="utf-8"
-    )
+    assert "Tracks a frame. Then maps it if it becomes a keyframe" in (tmp_path / "reference/api/index.html").read_text(encoding="utf-8")
