@@ -29,6 +29,7 @@ FIELD = FieldConfig(
 CONFIG = MapperConfig(
     supervision="rendering",
     pixels=200,
+    step_pixels=256,
     samples=16,
     importance_samples=8,
     photometric_weight=0.1,
