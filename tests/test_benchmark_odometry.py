@@ -24,6 +24,7 @@ SMALL = replace(
 )
 
 
+@pytest.mark.slow
 def test_the_tracker_alone_has_no_map(box_recording: Path) -> None:
     slam = Slam(odometry(SMALL, finetune=False, grid=4))
     tables = slam.mapper.learnt().encoding.tables.clone()

@@ -96,6 +96,7 @@ def test_every_method_finds_small_motions(box_recording: Path) -> None:
             assert translation < 5, name
 
 
+@pytest.mark.slow
 def test_the_command(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flags = ["--gap", "1", "3", "--pairs", "2", "--out", str(tmp_path / "out")]
     main(["bench-pairs", str(box_recording), *flags, "--json"])

@@ -278,6 +278,7 @@ def perfect_result(folder: Path, T: NDArray[np.float64]) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_whole_result_folder(tmp_path: Path) -> None:
     T = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], [1.0, 2.0, 0.5])
     truth = Trajectory(np.arange(50) / 10 + 0.001, turning())

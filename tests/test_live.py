@@ -136,6 +136,7 @@ def test_a_replay_keeps_pace_stamps_and_truth(box_recording: Path) -> None:
     assert stream.dropped == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_keeps_up(box_recording: Path, tmp_path: Path) -> None:
     done = run_live(f"replay@0.5:{box_recording}", tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
@@ -144,6 +145,7 @@ def test_a_run_that_keeps_up(box_recording: Path, tmp_path: Path) -> None:
     assert metrics_of(tmp_path)["ate_m"]["rmse"] < 1e-6
 
 
+@pytest.mark.slow
 def test_a_run_that_does_not_keep_up_drops_and_counts(box_recording: Path, tmp_path: Path) -> None:
     done = run_live(f"replay:{box_recording}", tmp_path, SlowSlam)  # 0.43 s of recording, 0.1 s a frame
     metrics = metrics_of(tmp_path)

@@ -125,7 +125,8 @@ def test_validation_needs_no_poses_and_reports_them_where_known(box_recording: P
     assert figures["box/explained-5"] > 0.9
     assert figures["box/within-5"] > 0.9
     assert figures["box/translation-5"] < 5
-    figures = validate(load_extractor(), [replace(held, T_wc=None)], PretrainConfig())
+    few = {gap: pairs[:2] for gap, pairs in held.pairs.items()}
+    figures = validate(load_extractor(), [replace(held, T_wc=None, pairs=few)], PretrainConfig())
     assert set(figures) == {"box/explained-5", "box/explained-10"}
 
 

@@ -62,6 +62,7 @@ def reported(known_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
     text = (reported / result_folder.REPORT).read_text()
     page = Page(text)
@@ -78,6 +79,7 @@ def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
     assert "prefers-color-scheme: dark" in text
 
 
+@pytest.mark.slow
 def test_the_page_tells_the_figures(reported: Path) -> None:
     text = re.sub(r"<[^>]+>", " ", (reported / result_folder.REPORT).read_text())
     text = re.sub(r"\s+", " ", text)
@@ -88,6 +90,7 @@ def test_the_page_tells_the_figures(reported: Path) -> None:
     assert "torch" in text
 
 
+@pytest.mark.slow
 def test_pictures_are_files_too(reported: Path) -> None:
     found = {path.stem for path in (reported / result_folder.PICTURES).glob("*.png")}
     assert found >= PICTURES
@@ -96,6 +99,7 @@ def test_pictures_are_files_too(reported: Path) -> None:
         assert cv2.imread(str(reported / result_folder.PICTURES / f"{name}.png")).std() > 3  # none is blank
 
 
+@pytest.mark.slow
 def test_depth_of_the_map_is_the_recorded_one(reported: Path) -> None:
     errors = re.findall(r"median depth error ([\d.]+) cm", (reported / result_folder.REPORT).read_text())
     assert len(errors) == 4
@@ -127,6 +131,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_run_without_report_takes_an_earlier_one_away(reported: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(reported, tmp_path / "again")
     (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")
@@ -144,6 +149,8 @@ def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_names_cannot_become_markup(known_run: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(known_run, tmp_path / "<b>bold")
+    (folder / result_folder.MESH).unlink()  # the pictures have no names in them, and take time
+    (folder / result_folder.MAP).unlink()
     result_folder.write_config(folder, FAST, result_folder.Source("<i>gone"))
     write_report(folder)
     text = (folder / result_folder.REPORT).read_text()
@@ -164,6 +171,7 @@ def test_the_room_is_set_upright() -> None:
     np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-9)  # it looks down
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed: the page was not opened in a browser")
 @pytest.mark.parametrize("width", [1200, 500])
 def test_a_browser_shows_it(reported: Path, tmp_path: Path, width: int) -> None:

@@ -64,6 +64,7 @@ def test_one_pose_for_every_frame(run: tuple[Slam, list[FrameResult]]) -> None:
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_two_runs_are_the_same(box_recording: Path) -> None:
     (once, _), (again, _) = processed(box_recording, frames=7), processed(box_recording, frames=7)
     assert np.array_equal(once.trajectory(), again.trajectory())
