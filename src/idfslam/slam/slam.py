@@ -64,8 +64,8 @@ class Slam:
             self.recovery.close_gap(frame.index, mode)
             selected = self.keyframe_selection.selects(view, tracked.status, tracked.evidence.in_view)  # Sec. III
             self._pending = None if selected or tracked.is_lost else (view, replace(tracked, alignment=None))  # as a state has it
-            map_frame = self.back_end.add_keyframe if selected else self.back_end.between_keyframes  # Sec. IV
-            return self.history.report(frame, tracked.status, map_frame(view, tracked), keyframe=selected)
+            losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
+            return self.history.report(frame, tracked.status, losses, keyframe=selected)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. The first frame with depth defines the world."""

@@ -62,7 +62,7 @@ def finetune_step(optimiser: torch.optim.Optimizer, losses: dict[str, Tensor], c
     for name, value in values.items():
         if not torch.isfinite(torch.tensor(value)):
             raise DivergedError(
-                f"finetuning: the {name} loss is {value}; lower --finetune.learning-rate or turn it off by --no-finetune.enabled"
+                f"finetuning: the {name} loss is {value}; lower --finetune.learning-rate or turn it off by --finetune.no-enabled"
             )
     weights = {"photometric": config.photometric_weight, "depth": config.depth_weight, "correspondence": config.correspondence_weight}
     total = torch.stack([weights[name] * loss.double() for name, loss in losses.items()]).sum()

@@ -128,8 +128,8 @@ class Tracker(Stateful):
         return least == 0 or overlapping_pixels(pose.T_ab, keyframe, frame).depth_consistency >= least
 
     def learns(self, keyframes: int) -> bool:
-        """Whether the tracker is finetuned when this many keyframes are stored; at least N_kf are needed."""
-        return self.finetuning.enabled and keyframes >= max(2, self.finetuning.keyframes)
+        """Whether this many stored keyframes are enough to finetune the tracker on: N_kf."""
+        return keyframes >= max(2, self.finetuning.keyframes)
 
     @property
     def due(self) -> bool:
@@ -139,7 +139,7 @@ class Tracker(Stateful):
     def finetune(self, keyframes: Sequence[FrameFeatures], T_wk: NDArray[np.float64], render: Render) -> dict[str, float] | None:
         """One step on Eq. 6 for a random pair of consecutive keyframes with poses (N, 4, 4); returns its losses by name.
 
-        Returns None if finetuning is off, if there are fewer than N_kf keyframes, or if the pair has too few matches. Raises DivergedError
+        Returns None if there are fewer than N_kf keyframes, or if the pair has too few matches. Raises DivergedError
         for a loss that is not finite.
         """
         config = self.finetuning
