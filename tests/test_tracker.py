@@ -295,7 +295,6 @@ def test_held_out_pairs_see_the_same() -> None:
 
 def test_no_finetuning_before_enough_keyframes() -> None:
     assert finetuned(Tracker(CONFIG, FinetuneConfig(keyframes=4))) == [None]
-    assert finetuned(Tracker(CONFIG, FinetuneConfig(keyframes=3, enabled=False))) == [None]
 
 
 def test_a_loss_that_is_not_finite_stops_the_run() -> None:
