@@ -11,7 +11,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
 from idfslam.slam.polish import NoPolish, Polish
-from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 
 OFF = pose(0.01, 0, 0, 0, 0, 0)
@@ -56,7 +56,7 @@ def test_the_first_keyframe_of_a_submap_is_its_world(graph: KeyframeGraph, corne
     assert torch.equal(first.T_wk, OFF)
 
 
-class Counted(NoRefinement):
+class Counted(Refinement):
     """Counts what it is asked to refine."""
 
     def __init__(self) -> None:

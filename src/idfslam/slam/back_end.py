@@ -14,12 +14,12 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.finetuner import NoFinetuning
+from idfslam.slam.finetuner import Finetuning
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose
-from idfslam.slam.polish import NoPolish
-from idfslam.slam.refinement import NoRefinement
+from idfslam.slam.polish import Polishing
+from idfslam.slam.refinement import Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
@@ -75,9 +75,9 @@ class KeyframeMapping(BackEnd):
         features: KeyframeFeatures,
         keyframe_pose: KeyframePose,
         hooks: Sequence[KeyframeHook],
-        refinement: NoRefinement,
-        polish: NoPolish,
-        finetuner: NoFinetuning,
+        refinement: Refinement,
+        polish: Polishing,
+        finetuner: Finetuning,
         timer: StageTimer,
     ) -> None:
         self.config, self.graph, self.frames, self.coverage, self.replay, self.relearn = config, graph, frames, coverage, replay, relearn

@@ -23,15 +23,15 @@ from idfslam.mapping.fused import distance_query
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam.back_end import BackEnd, KeyframeMapping
-from idfslam.slam.finetuner import Finetuner, NoFinetuning
+from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.loop_closer import LoopCloser
-from idfslam.slam.polish import NoPolish, Polish
+from idfslam.slam.polish import NoPolish, Polish, Polishing
 from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
-from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 from idfslam.slam.relocalisation_check import RelocalisationCheck
 from idfslam.slam.relocaliser import Relocaliser
@@ -133,18 +133,18 @@ class System:
         return hooks
 
     @cached_property
-    def refinement(self) -> NoRefinement:
+    def refinement(self) -> Refinement:
         return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
 
     @cached_property
-    def polish(self) -> NoPolish:
+    def polish(self) -> Polishing:
         if not self.config.refine:
             return NoPolish()
         parts = self.graph, self.replay, self.relearn, self.refinement, self.mapper
         return Polish(self.config.refinement, self.config.mapper.iterations, *parts)
 
     @cached_property
-    def finetuner(self) -> NoFinetuning:
+    def finetuner(self) -> Finetuning:
         if not self.config.finetune.enabled:
             return NoFinetuning()
         return Finetuner(self.tracker, self.features, self.mapper, self.graph, self.timer)

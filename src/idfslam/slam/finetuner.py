@@ -1,5 +1,6 @@
 """Online finetuning of the tracker (Sec. V-B): one step on a pair of keyframes after every so many registrations."""
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,26 @@ from idfslam.slam.stage_timer import StageTimer
 from idfslam.tracking.tracker import Tracker
 
 
-class NoFinetuning:
-    """The tracker stays as it was trained."""
+class Finetuning(ABC):
+    """Finetunes the tracker."""
 
+    @abstractmethod
     def step(self) -> dict[str, float]:
-        return {}
+        """One step, if it is due; returns its losses by name."""
 
     def figures(self) -> dict[str, Any]:
         """Counts for metrics.json."""
         return {"finetuning_rollbacks": 0}
 
 
-class Finetuner(NoFinetuning):
+class NoFinetuning(Finetuning):
+    """The tracker stays as it was trained."""
+
+    def step(self) -> dict[str, float]:
+        return {}
+
+
+class Finetuner(Finetuning):
     """Finetunes the tracker's out-conv. The map is frozen."""
 
     def __init__(self, tracker: Tracker, features: KeyframeFeatures, mapper: Mapper, graph: KeyframeGraph, timer: StageTimer) -> None:

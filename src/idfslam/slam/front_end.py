@@ -6,6 +6,7 @@ doubtful.
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from enum import Enum
 
 import torch
 from torch import Tensor
@@ -24,6 +25,14 @@ from idfslam.tracking.tracker import Tracker
 # [1] Least ratio of the score of a later guess to the best score for it to replace the best. More: the predicted motion wins more often
 # where all guesses score about the same. Chosen by hand.
 _BETTER = 1.05
+
+
+class _Guess(Enum):
+    """A pose that an alignment starts at."""
+
+    PREDICTED = "predicted"  # by the motion model
+    REGISTERED = "registered"  # by the neural tracker
+    LAST = "last"  # of the frame before
 
 
 class FrontEnd(Stateful, ABC):
@@ -89,8 +98,8 @@ class AlignmentToMap(FrontEnd):
         best: Alignment | None = None
         registered: Tracked | None = None
         for guess, max_guess_error_px in self._guesses():
-            T_guess = view.T_wk if guess is Source.PREDICTED else self._last_pose(view)
-            if guess is Source.REGISTERED:
+            T_guess = view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)
+            if guess is _Guess.REGISTERED:
                 answer = self.registration.track(view)
                 if answer.is_lost:
                     continue
@@ -104,11 +113,11 @@ class AlignmentToMap(FrontEnd):
         assert best is not None
         return best, registered
 
-    def _guesses(self) -> list[tuple[Source | None, float | None]]:
+    def _guesses(self) -> list[tuple[_Guess, float | None]]:
         """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""
         expected = self.aligner.expected
-        nearby: list[tuple[Source | None, float | None]] = [] if expected is None else [(Source.PREDICTED, expected)]
-        return [*nearby, (Source.PREDICTED, None), (Source.REGISTERED, None), (None, None)]
+        nearby = [] if expected is None else [(_Guess.PREDICTED, expected)]
+        return [*nearby, (_Guess.PREDICTED, None), (_Guess.REGISTERED, None), (_Guess.LAST, None)]
 
     def _last_pose(self, view: Keyframe) -> Tensor:
         return self.frames.T_wc(-1) if len(self.frames) else view.T_wk

@@ -1,24 +1,32 @@
 """The polish at the end of a run: it refines keyframes and trains the map in turns, with learning rates that decay to zero."""
 
 import math
+from abc import ABC, abstractmethod
 from time import perf_counter
 
 from idfslam.config import RefinementConfig
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.refinement import NoRefinement
+from idfslam.slam.refinement import Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 
 
-class NoPolish:
-    """No polish, as in the paper."""
+class Polishing(ABC):
+    """Improves keyframes and map at the end of a run."""
 
+    @abstractmethod
     def run(self) -> None:
         """Called once, after the last frame."""
 
 
-class Polish(NoPolish):
+class NoPolish(Polishing):
+    """No polish, as in the paper."""
+
+    def run(self) -> None: ...
+
+
+class Polish(Polishing):
     """Refines random keyframes, then updates the map on them, within a time budget."""
 
     def __init__(
@@ -28,7 +36,7 @@ class Polish(NoPolish):
         graph: KeyframeGraph,
         replay: Replay,
         relearn: RelearnQueue,
-        refinement: NoRefinement,
+        refinement: Refinement,
         mapper: Mapper,
     ) -> None:
         """steps: number of steps of each map update."""

@@ -19,7 +19,7 @@ from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
 
-_EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
+EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
 class Mode(Enum):
@@ -123,7 +123,7 @@ class Relocalisation(Recovery):
             return None
         with self.timer.stage("relocalise"):
             if not self.relocaliser.aligner.has_usual_error:  # the front end does not align frames
-                self.relocaliser.estimate_usual_error(self.graph.keyframes[-_EXAMPLES:])
+                self.relocaliser.estimate_usual_error(self.graph.keyframes[-EXAMPLES:])
             candidate = self.relocaliser.relocalise(view, self.graph.keyframes, self.config.relocalisation_tries)
         if candidate is None:
             return None

@@ -3,6 +3,7 @@
 It alternates and is not a joint bundle adjustment: one keyframe moves at a time, while the map is frozen.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from idfslam.alignment.aligner import MapAligner
@@ -14,14 +15,21 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.relearn_queue import RelearnQueue
 
 
-class NoRefinement:
-    """No refinement, as in the paper."""
+class Refinement(ABC):
+    """Refines stored keyframes."""
 
+    @abstractmethod
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
         """Refines the poses of stored keyframes."""
 
 
-class KeyframeRefinement(NoRefinement):
+class NoRefinement(Refinement):
+    """No refinement, as in the paper."""
+
+    def refine(self, keyframes: Sequence[Keyframe]) -> None: ...
+
+
+class KeyframeRefinement(Refinement):
     """Aligns keyframes to the map and to the images of older keyframes."""
 
     def __init__(self, config: RefinementConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: MapAligner) -> None:

@@ -20,13 +20,12 @@ from idfslam.graph.loop_consistency import Loop
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.slam.compose import BackEnd, FrontEnd, Mapper, System
 from idfslam.slam.history import History
-from idfslam.slam.recovery import Mode
+from idfslam.slam.recovery import EXAMPLES, Mode
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of
 
 log = logging.getLogger(__name__)
 
-_EXAMPLES = 16  # keyframes of a saved map from which the usual photometric error is estimated. More: slower start, surer estimate
 _FIGURES = {"loops": [], "loops_refused": 0, "submaps_merged": 0, "relocalisations_refuted": 0}  # defaults for a system without these parts
 
 
@@ -97,7 +96,7 @@ class Slam:
         for frame, T_wk in keyframes:
             self.graph.load(self._view(frame, T_wk))
         self.coverage.load(saved.views)
-        self.recovery.start_in_map(self.replay.sample(_EXAMPLES))
+        self.recovery.start_in_map(self.replay.sample(EXAMPLES))
 
     def finish(self) -> None:
         """Ends a run: maps the last frame too, and polishes the keyframes' poses and the map."""

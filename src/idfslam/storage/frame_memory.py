@@ -25,13 +25,15 @@ class FrameMemory(Generic[Value]):
 
     def of(self, frame: Indexed, make: Callable[[], Value]) -> Value:
         """The frame's value; `make` computes it if there is none yet."""
-        if frame not in self._values:
-            self._values[frame] = self._restored.pop(frame.index) if frame.index in self._restored else make()
+        if self.get(frame) is None:
+            self._values[frame] = make()
         return self._values[frame]
 
     def get(self, frame: Indexed) -> Value | None:
         """The frame's value, if there is one."""
-        return self.of(frame, lambda: self._restored[frame.index]) if frame in self._values or frame.index in self._restored else None
+        if frame not in self._values and frame.index in self._restored:
+            self._values[frame] = self._restored.pop(frame.index)
+        return self._values.get(frame)
 
     def __setitem__(self, frame: Indexed, value: Value) -> None:
         self._restored.pop(frame.index, None)
