@@ -33,6 +33,7 @@ class Calibration:
     distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
     source: str = "the command line"
+    assumed: str = ""  # where a depth scale comes from that nobody stated, for example "TUM layout"
 
     @property
     def complete(self) -> bool:
@@ -44,11 +45,14 @@ class Calibration:
 
         If fx, fy, cx and cy are all given, only the depth scale is taken from `other`: without distortion values there is no distortion.
         """
-        scale = other.depth_scale if self.depth_scale is None else self.depth_scale
+        scale, assumed = (other.depth_scale, other.assumed) if self.depth_scale is None else (self.depth_scale, self.assumed)
         if self.complete:
-            return replace(self, depth_scale=scale)
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source" and getattr(self, f.name) is not None}
-        return replace(other, **values)
+            return replace(self, depth_scale=scale, assumed=assumed)
+        stated = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("source", "assumed")}
+        stated = {name: value for name, value in stated.items() if value is not None}
+        if partly := [name for name in ("fx", "fy", "cx", "cy") if name in stated]:
+            stated["source"] = f"{other.source} with {', '.join(partly)} of {self.source}" if other.complete else self.source
+        return replace(other, **(stated | {"depth_scale": scale, "assumed": assumed}))
 
     def resized(self, size: tuple[int, int], to: tuple[int, int]) -> "Calibration":
         """The calibration after images of one size (width, height) [px] were scaled to another; unchanged if it is not complete."""
@@ -83,6 +87,11 @@ class Calibration:
             found = f"the depth scale is {self.depth_scale}"
             raise RecordingError(f"{recording}: {found}, expected units per metre above 0: give --camera.depth-scale")
         return self.depth_scale
+
+
+def assumed_scale(depth_scale: float, why: str = "assumed") -> Calibration:
+    """The depth scale [units per metre] of a layout, for recordings that state none; `why` says so in the line about the recording."""
+    return Calibration(depth_scale=depth_scale, assumed=why)
 
 
 def override(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.provenance import STATED, Provenance, provenance
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
@@ -84,12 +85,14 @@ class Recording:
         ground_truth: NDArray[np.float64] | None,  # (N, 4, 4) camera-to-world
         calibration: Calibration,
         depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
+        stamps_source: str = STATED,  # ASSUMED with regular_stamps; else "file names", "timestamps.txt" ...
     ) -> None:
         self.name, self.timestamps, self.ground_truth = name, timestamps, ground_truth
         self._read, self._registered = read, depth_camera is None
         colour, depth = self._probe()
         self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
+        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source)
         self._size = depth  # width, height [px] of the depth images
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         distorted = calibration.distortion is not None and any(calibration.distortion)
@@ -163,6 +166,7 @@ class Selection:
             raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")
         self._dataset, self._indices = dataset, indices[:frames]
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
+        self.provenance = provenance(dataset)
         self.timestamps = dataset.timestamps[self._indices]
         truth = dataset.ground_truth
         self.ground_truth = None if truth is None else truth[self._indices]
@@ -180,5 +184,5 @@ class Selection:
 
 
 def regular_stamps(count: int) -> NDArray[np.float64]:
-    """(N,) stamps [s] at 30 Hz, for recordings without stamps."""
+    """(N,) stamps [s] at 30 Hz, for recordings without stamps: their `stamps_source` is ASSUMED."""
     return np.arange(count) / FPS

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from idfslam.datasets.provenance import provenance
 from idfslam.datasets.recording import FPS, Dataset
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame
@@ -40,6 +41,7 @@ class Kidnapped:
             raise ConfigError(f"{found}, expected at least 1 of each and {2 * (max(times, 1) + 1)} frames")
         truth = dataset.ground_truth
         self.name, self.camera, self._dataset = f"kidnap-{dataset.name}", dataset.camera, dataset
+        self.provenance = provenance(dataset)
         self.order: NDArray[np.int64] = kidnapped_order(len(dataset), truth, times, frames, np.random.default_rng([seed, 29]))
         stamps = dataset.timestamps
         interval = float(np.median(np.diff(stamps))) or 1 / FPS

@@ -4,6 +4,7 @@ import threading
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from idfslam.datasets.provenance import provenance
 from idfslam.datasets.recording import Dataset, reading_threads
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
@@ -22,6 +23,7 @@ class Prerendered:
     def __init__(self, dataset: Dataset, *, most: int) -> None:
         self._dataset, self._most = dataset, most
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
+        self.provenance = provenance(dataset)
         self.timestamps, self.ground_truth = dataset.timestamps, dataset.ground_truth
         self._frames: dict[int, Frame] = {}
         self._stop = threading.Event()

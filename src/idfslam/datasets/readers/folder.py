@@ -10,8 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration, read_cam_params, read_camera_file, read_depth_camera
+from idfslam.datasets.calibration import (
+    Calibration,
+    DepthCameraCalibration,
+    assumed_scale,
+    read_cam_params,
+    read_camera_file,
+    read_depth_camera,
+)
 from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.stamps import STAMPS, read_stamps
 from idfslam.errors import RecordingError
@@ -47,6 +55,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         ground_truth=read_poses(path, list(images)),
         calibration=calibration,
         depth_camera=depth_camera,
+        stamps_source=ASSUMED if stamps is None else STAMPS,
     )
 
 
@@ -55,7 +64,7 @@ def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCam
     depth_camera = read_depth_camera(path)
     scale = Calibration(depth_scale=depth_camera.calibration.depth_scale if depth_camera else None)
     calibration = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path))
-    return calibration.over(Calibration(depth_scale=1000)), depth_camera
+    return calibration.over(assumed_scale(1000)), depth_camera
 
 
 def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:

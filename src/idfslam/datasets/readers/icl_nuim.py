@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE
@@ -38,6 +39,7 @@ def open_icl_nuim(path: Path, override: Calibration) -> Recording:
         path.name,
         ImageFiles(pairs),
         timestamps=numbers / FPS,
+        stamps_source=ASSUMED,
         ground_truth=read_ground_truth(path, numbers),
         calibration=calibration,
     )

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration, read_cam_params
 from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_trajectory
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 
@@ -22,6 +23,7 @@ def open_replica(path: Path, override: Calibration) -> Recording:
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
+        stamps_source=ASSUMED,
         ground_truth=read_trajectory(path / "traj.txt", len(pairs)),
         calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
     )

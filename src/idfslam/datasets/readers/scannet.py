@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, assumed_scale, read_cam_params, read_camera_file
 from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered, paired
+from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
@@ -54,8 +55,9 @@ def _open_exported(path: Path, override: Calibration) -> Recording:
         path.name,
         read,
         timestamps=regular_stamps(len(pairs)),
+        stamps_source=ASSUMED,
         ground_truth=read_poses(path, list(images)),
-        calibration=calibration.over(depth).over(Calibration(depth_scale=1000)),
+        calibration=calibration.over(depth).over(assumed_scale(1000, "ScanNet layout")),
     )
 
 

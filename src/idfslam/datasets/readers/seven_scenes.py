@@ -7,6 +7,7 @@ from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration, read_cam_params
 from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import RecordingError
@@ -27,6 +28,7 @@ def open_seven_scenes(path: Path, override: Calibration) -> Recording:
         f"{path.parent.name}-{path.name}",
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
+        stamps_source=ASSUMED,
         ground_truth=read_pose_files(path, "frame-*.pose.txt", list(images)),
         calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
     )

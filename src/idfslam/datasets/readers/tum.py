@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, assumed_scale, read_cam_params, read_camera_file
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
@@ -44,7 +44,7 @@ def open_tum(path: Path, override: Calibration) -> Recording:
         ImageFiles([(colour[i][1], depth[k][1]) for i, k in pairs]),
         timestamps=timestamps,
         ground_truth=read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=calibration.over(published).over(Calibration(depth_scale=5000)),
+        calibration=calibration.over(published).over(assumed_scale(5000, "TUM layout")),
     )
 
 

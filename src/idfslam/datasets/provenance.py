@@ -1,0 +1,21 @@
+"""Where the camera, the depth scale and the stamps of a recording come from, for the line about it at the start of a run."""
+
+from dataclasses import dataclass
+
+STATED, ASSUMED = "stamps", "assumed"
+"""Sources of stamps: the recording has some; it has none, and a rate is assumed."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The sources of a recording's values: names of files, of flags, of publications."""
+
+    camera: str
+    depth_scale: float = 1.0  # units of the depth images per metre
+    depth: str = ""  # empty: stated by the recording or the user; else where the default comes from
+    stamps: str = STATED
+
+
+def provenance(dataset: object) -> Provenance | None:
+    """The provenance of a dataset's values: its attribute `provenance`; None where it has none, as in a live camera."""
+    return getattr(dataset, "provenance", None)
