@@ -1,6 +1,9 @@
 """Association of time stamps, worked out by hand; one to one, closest first."""
 
+import time
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,3 +46,34 @@ def test_association_is_one_to_one_and_stable(a: list[float], b: list[float], to
             gap = abs(a[x] - b[y])
             if gap < tolerance * (1 - 1e-9):
                 assert gap_a.get(x, np.inf) <= gap or gap_b.get(y, np.inf) <= gap
+
+
+def by_all_pairs(a: list[float], b: list[float], tolerance: float) -> list[list[int]]:
+    """The definition: of all pairs within the tolerance the closest first, then the lower index in a, then the earlier stamp in b."""
+    gaps = sorted((abs(x - y), i, y, j) for i, x in enumerate(a) for j, y in enumerate(b) if abs(x - y) <= tolerance)
+    pairs: dict[int, int] = {}
+    for _, i, _, j in gaps:
+        if i not in pairs and j not in pairs.values():
+            pairs[i] = j
+    return [[i, j] for i, j in sorted(pairs.items())]
+
+
+stamps = st.lists(st.integers(0, 9).map(lambda i: i / 4) | st.integers(0, 2048).map(lambda i: i / 1024), max_size=14).map(sorted)
+
+
+@given(a=stamps, b=stamps, tolerance=st.sampled_from([0.0, 0.25, 0.5, 3.0]))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_association_is_the_one_of_its_definition_also_where_stamps_are_equal(a: list[float], b: list[float], tolerance: float) -> None:
+    assert associate(a, b, tolerance=tolerance).tolist() == by_all_pairs(a, b, tolerance)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-6])  # [s] between stamps: all are within the tolerance of all
+def test_the_time_of_association_does_not_grow_with_the_square_of_the_stamps(spread: float) -> None:
+    start = time.process_time()
+    pairs = associate(np.arange(20_000) * spread, np.arange(20_000) * spread)
+    assert np.array_equal(pairs, np.repeat(np.arange(20_000)[:, None], 2, 1))
+    assert time.process_time() - start < 10  # all pairs of 2 000 equal stamps took more than 30 s, of 20 000 an hour
+
+
+def test_stamps_that_are_not_finite_have_no_partner() -> None:
+    assert associate([np.nan, 1.0, np.inf], [np.inf, np.nan, 1.0]).tolist() == [[1, 2]]
