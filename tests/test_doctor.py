@@ -12,6 +12,7 @@ import idfslam
 from idfslam.cli import command_line, doctor
 from idfslam.cli.doctor import examine, extras
 from idfslam.compute import host
+from idfslam.compute.cache_folder import KernelCache
 from idfslam.config import FAST, PAPER
 
 
@@ -68,7 +69,7 @@ def test_a_missing_gpu_is_told_and_ends_with_1(capsys: pytest.CaptureFixture[str
 def test_what_is_scarce_or_missing_is_advised(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(host, "memory", lambda: (8 * 2**30, 2**30))
     monkeypatch.setattr(host, "free_disk", lambda folder: 2**28)
-    monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
+    monkeypatch.setattr(doctor, "prepare_caches", lambda: KernelCache(None, "nowhere; set NUMBA_CACHE_DIR"))
     weights = replace(FAST.tracker, weights=tmp_path / "none.safetensors")
     advice = examine(replace(FAST, device="cpu", tracker=weights), tmp_path).advice
     assert len(advice) == 4

@@ -6,6 +6,8 @@ The names below are loaded when they are first used, so that `import idfslam` an
 from importlib import import_module
 from typing import Any
 
+from idfslam.compute.cache_folder import prepare_caches
+
 __version__ = "0.1.0"
 
 _HOMES = {
@@ -19,6 +21,8 @@ _HOMES = {
     "Status": "idfslam.frame",
     "open_recording": "idfslam.datasets",
 }
+
+prepare_caches()  # before any module of the package imports numba
 
 __all__ = ["FAST", "PAPER", "Camera", "Config", "Frame", "FrameResult", "Slam", "Status", "open_recording"]
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import torch
 
-import idfslam
 from idfslam import __version__
 from idfslam.compute import host
 from idfslam.compute.backend import backend_of
+from idfslam.compute.cache_folder import prepare_caches
 from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
 from idfslam.config import Config
 from idfslam.errors import IdfSlamError
@@ -92,13 +92,11 @@ def _disk(folder: Path, advice: list[str]) -> int:
 
 def _numba_cache(advice: list[str]) -> dict[str, Any]:
     """The folder of compiled kernels, and their number. With none, the first run compiles for most of a minute."""
-    folder, is_set = Path(idfslam.__file__).parent, os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(is_set)] if is_set else [folder]
-    count = sum(1 for place in places if place.is_dir() for _ in place.rglob("*.nbc"))
-    writable = all(os.access(place if place.exists() else place.parent, os.W_OK) for place in places)
-    if not writable:
-        advice.append(f"{places[0]} cannot be written to, so kernels are compiled in every run: set NUMBA_CACHE_DIR to a folder of yours")
-    return {"folder": str(places[0]), "kernels": count, "writable": writable}
+    found = prepare_caches()
+    if found.folder is None:
+        advice.append(str(found.problem))
+        return {"folder": None, "kernels": 0, "writable": False}
+    return {"folder": str(found.folder), "kernels": sum(1 for _ in found.folder.rglob("*.nbc")), "writable": True}
 
 
 def _weights(config: Config, advice: list[str]) -> dict[str, Any]:
