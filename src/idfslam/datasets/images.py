@@ -1,14 +1,15 @@
 """Reads, validates and converts colour and depth images. Whatever is wrong with one image is a FrameError of one line."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets import array_files
+from idfslam.datasets.file_numbers import counting_numbers
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
@@ -16,6 +17,9 @@ Depth = NDArray[np.uint16] | NDArray[np.float32]
 """A depth image (H, W) as stored. uint16: 0 and 65535 mean no reading; float32: 0, negative and non-finite values mean no reading."""
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"})
+DEPTH_SUFFIXES = frozenset({*SUFFIXES, ".pfm", ".raw", ".bin", *array_files.READERS}) - {".jpg", ".jpeg", ".webp"}
+_RAW = frozenset({".raw", ".bin"})  # numbers without a header
+_INTEGERS = frozenset({".png", ".bmp", ".ppm", ".pgm"})  # kinds of files that hold nothing else
 SATURATED = 65535  # no reading: "invalid" in 7-Scenes, the end of the range elsewhere
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
@@ -23,19 +27,34 @@ _JPEG = b"\xff\xd8"
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """Reads images from files. Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of pair i."""
+    """Reads images from files. Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) of pair i."""
 
     pairs: list[tuple[Path, Path]]
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         colour, depth = self.pairs[i]
+        if depth.suffix.lower() in _RAW:
+            image = decode_colour(_read(colour), str(colour))
+            return image, decode_raw(_read(depth), image.shape[:2], str(depth))
         raw = read_depth(depth)  # first, because it detects swapped folders
         return decode_colour(_read(colour), str(colour)), raw
 
 
-def read_depth(path: Path) -> NDArray[np.uint16]:
+def read_depth(path: Path) -> Depth:
     """Reads a depth image (H, W) as stored; raises FrameError."""
+    if path.suffix.lower() in array_files.READERS:
+        return as_depth(array_files.read_array(path), str(path))
     return decode_depth(_read(path), str(path))
+
+
+def holds_floats(colour: Path, depth: Path) -> bool:
+    """Whether a depth image holds floating-point numbers, which are metres where nobody states another scale; False if it is unreadable."""
+    if depth.suffix.lower() in _INTEGERS:
+        return False
+    try:
+        return ImageFiles([(colour, depth)])(0)[1].dtype == np.float32
+    except FrameError:
+        return False
 
 
 def _read(path: Path) -> bytes:
@@ -53,15 +72,38 @@ def decode_colour(data: bytes, source: str) -> NDArray[np.uint8]:
     return np.asarray(image, np.uint8)
 
 
-def decode_depth(data: bytes, source: str) -> NDArray[np.uint16]:
-    """Decodes a depth image: (H, W) uint16 as stored; `source` names the image in messages."""
-    image = _decode(data, cv2.IMREAD_UNCHANGED, source)
-    if image.ndim != 2 and image.dtype == np.uint8:
+def decode_depth(data: bytes, source: str) -> Depth:
+    """Decodes a depth image: (H, W) as stored; `source` names the image in messages."""
+    return as_depth(_decode(data, cv2.IMREAD_UNCHANGED, source), source)
+
+
+def decode_raw(data: bytes, size: tuple[int, ...], source: str) -> Depth:
+    """Depth (H, W) without a header, uint16 or float32, with the proportions (height, width) of its colour image."""
+    for dtype in (np.dtype("<u2"), np.dtype("<f4")):  # one has twice the other's pixels, so at most one of the sizes is whole
+        pixels = len(data) / dtype.itemsize
+        height, width = (round((pixels * a / b) ** 0.5) for a, b in (size, size[::-1]))
+        if height * width == pixels and height * size[1] == width * size[0]:
+            return as_depth(np.frombuffer(data, dtype).reshape(height, width), source)
+    found = f"{len(data)} bytes"
+    raise FrameError(f"{source}: {found}, expected uint16 or float32 depth with the proportions of the {size[1]}x{size[0]} colour image")
+
+
+def as_depth(image: NDArray[Any], source: str) -> Depth:
+    """Depth (H, W) as stored, from an array of any type; raises FrameError if it is no depth image."""
+    if image.ndim == 3 and 1 in (image.shape[0], image.shape[2]):
+        image = image[0] if image.shape[0] == 1 else image[..., 0]
+    if image.ndim == 3 and image.dtype == np.uint8:
         raise FrameError(f"{source}: a colour image, expected 16-bit depth: are the colour and depth images swapped?")
-    if image.ndim != 2 or image.dtype != np.uint16:
-        found = f"{8 * image.dtype.itemsize}-bit, {image.shape[2] if image.ndim == 3 else 1} channel(s)"
+    if image.ndim != 2 or image.dtype.kind not in "fiu" or image.dtype.itemsize == 1:
+        channels = image.shape[2] if image.ndim == 3 else 1
+        found = f"{8 * image.dtype.itemsize}-bit, {channels} channel(s)" if image.ndim in (2, 3) else f"{image.ndim} dimensions"
         raise FrameError(f"{source}: depth of {found}, expected one channel of 16 bits: export the depth as 16-bit PNG")
-    return np.asarray(image, np.uint16)
+    if image.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # becomes infinite: no reading
+            return np.asarray(image, np.float32)
+    if image.dtype == np.uint16:
+        return np.ascontiguousarray(image)
+    return np.where((image > 0) & (image < SATURATED), image, 0).astype(np.uint16)
 
 
 def _decode(data: bytes, flags: int, source: str) -> NDArray[np.generic]:
@@ -92,7 +134,7 @@ def metres(raw: Depth, scale: float) -> NDArray[np.float32]:
 
 def readings(raw: Depth) -> NDArray[np.bool_]:
     """(H, W) whether each pixel of a depth image as stored has a reading."""
-    return (raw != 0) & (raw != SATURATED) if raw.dtype == np.uint16 else np.isfinite(raw) & (raw > 0)
+    return (raw != 0) & (raw != SATURATED) if raw.dtype == np.uint16 else np.isfinite(raw) & (raw > 0) & (raw != SATURATED)
 
 
 def has_readings(raw: Depth) -> bool:
@@ -117,15 +159,23 @@ class Undistortion:
 
 
 def numbered(folder: Path, pattern: str = "*", *, suffixes: frozenset[str] = SUFFIXES) -> dict[float, Path]:
-    """The files of a folder with these suffixes (default: images) by the last number in their names, sorted by it."""
+    """The files of a folder with these suffixes (default: images) by the number in their names that counts them, sorted by it."""
+    return by_number([path for path in folder.glob(pattern) if not hidden(path) and path.suffix.lower() in suffixes])
+
+
+def hidden(path: Path) -> bool:
+    """Whether a file is half-written, or made by a file manager."""
+    return path.name.startswith(".")
+
+
+def by_number(paths: list[Path]) -> dict[float, Path]:
+    """Files by the number in their names that counts them, sorted by it; those without a number are left out."""
     files: dict[float, Path] = {}
-    for path in folder.glob(pattern):
-        hidden = path.name.startswith(".")  # half-written, or made by a file manager
-        if not hidden and path.suffix.lower() in suffixes and (numbers := re.findall(r"\d+(?:\.\d+)?", path.stem)):
-            number = float(numbers[-1])
-            if number in files:
-                raise RecordingError(f"{folder}: {files[number].name} and {path.name} have the same number: remove one")
-            files[number] = path
+    for path, text in zip(paths, counting_numbers([path.stem for path in paths])):
+        if text is not None and (number := float(text)) in files:
+            raise RecordingError(f"{path.parent}: {files[number].name} and {path.name} have the same number: remove one")
+        if text is not None:
+            files[float(text)] = path
     return dict(sorted(files.items()))
 
 

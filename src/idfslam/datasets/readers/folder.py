@@ -1,9 +1,12 @@
-"""A plain folder: rgb/ or color/ and depth/ with equal numbers, the camera in intrinsics.txt; depth in millimetres.
+"""A plain folder: rgb/ or color/ and depth/, or both kinds of file in one folder; the camera in intrinsics.txt; depth in millimetres.
+
+Colour and depth images belong together by the numbers in their names; names that are time stamps give the stamps (see `image_pairs`).
 
 Poses and timestamps.txt are optional. Frames that timestamps.txt does not list are ignored: `idf-slam record` writes a frame's line after
 its images, so that an interrupted recording is readable.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,9 @@ from idfslam.datasets.calibration import (
     read_camera_file,
     read_depth_camera,
 )
-from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.image_folders import find_images
+from idfslam.datasets.image_pairs import pair_images
+from idfslam.datasets.images import ImageFiles, by_number, holds_floats, numbered
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.stamps import STAMPS, read_stamps
@@ -28,43 +33,47 @@ COLOUR_FOLDERS = ("rgb", "color", "colour")
 _POSE_FOLDERS = ("pose", "poses")
 
 
-def colour_folder(path: Path) -> Path | None:
-    """The folder of colour images, if there is one."""
-    return next((path / name for name in COLOUR_FOLDERS if (path / name).is_dir()), None)
-
-
 def recognises(path: Path) -> bool:
-    return colour_folder(path) is not None and (path / "depth").is_dir()
+    return find_images(path) is not None
 
 
 def open_folder(path: Path, override: Calibration) -> Recording:
     """Opens a folder. Poses, camera-to-world in metres, are read from pose/NUMBER.txt (4x4) or traj.txt (16 numbers a line)."""
-    colour = colour_folder(path)
-    if colour is None or not (path / "depth").is_dir():
-        raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/")
-    images, depths = numbered(colour), numbered(path / "depth")
+    found = find_images(path)
+    if found is None:
+        raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/, or colour and depth images in one folder")
+    images, depths = by_number(found.colour), by_number(found.depth)
     stamps = read_stamps(path / STAMPS, list(images))
     if stamps is not None:
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
-    pairs = paired(images, depths, path)
+    pairs = pair_images(images, depths, path)
+    timestamps, source = regular_stamps(len(pairs.files)), ASSUMED
+    if stamps is not None:
+        timestamps, source = np.array([stamps[number] for number in pairs.numbers]), STAMPS
+    elif pairs.stamps is not None:
+        timestamps, source = pairs.stamps, "file names"
     calibration, depth_camera = calibrated(path, override)
     return Recording(
         path.name,
-        ImageFiles(pairs),
-        timestamps=regular_stamps(len(pairs)) if stamps is None else np.array([stamps[number] for number in images]),
-        ground_truth=read_poses(path, list(images)),
-        calibration=calibration,
+        ImageFiles(pairs.files),
+        timestamps=timestamps,
+        stamps_source=source,
+        ground_truth=read_poses(path, pairs.numbers),
+        calibration=calibration.over(usual_scale(pairs.files)),
         depth_camera=depth_camera,
-        stamps_source=ASSUMED if stamps is None else STAMPS,
     )
 
 
+def usual_scale(pairs: Sequence[tuple[Path, Path]]) -> Calibration:
+    """The depth scale where nobody states one: integers are millimetres, floating-point numbers are metres. pairs: colour and depth."""
+    return assumed_scale(1, "float images are metres") if pairs and holds_floats(*pairs[0]) else assumed_scale(1000)
+
+
 def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCameraCalibration | None]:
-    """The colour camera, from the user, cam_params.json and camera files; the depth camera, if depth is not registered. Depth in mm."""
+    """The colour camera, from the user, cam_params.json and camera files; the depth camera, if depth is not registered."""
     depth_camera = read_depth_camera(path)
     scale = Calibration(depth_scale=depth_camera.calibration.depth_scale if depth_camera else None)
-    calibration = override.over(scale).over(read_cam_params(path)).over(read_camera_file(path))
-    return calibration.over(assumed_scale(1000)), depth_camera
+    return override.over(scale).over(read_cam_params(path)).over(read_camera_file(path)), depth_camera
 
 
 def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:
@@ -92,4 +101,4 @@ def read_trajectory(path: Path, count: int) -> NDArray[np.float64] | None:
     return poses.checked(poses.read_matrices(path), count=count, source=lambda _: str(path)) if path.is_file() else None
 
 
-READER = Reader("folder", "rgb/ or color/, depth/, intrinsics.txt", recognises, open_folder)
+READER = Reader("folder", "rgb/ or color/ and depth/, or 0001_color.png and 0001_depth.png; intrinsics.txt", recognises, open_folder)

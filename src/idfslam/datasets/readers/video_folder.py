@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from idfslam.datasets import video
 from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import Depth, numbered, read_depth
-from idfslam.datasets.readers.folder import calibrated, read_poses
+from idfslam.datasets.image_folders import depth_folder
+from idfslam.datasets.images import DEPTH_SUFFIXES, Depth, numbered, read_depth
+from idfslam.datasets.readers.folder import calibrated, read_poses, usual_scale
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import RecordingError
@@ -29,17 +30,17 @@ def colour_video(path: Path) -> Path | None:
 
 
 def recognises(path: Path) -> bool:
-    return (path / "depth").is_dir() and colour_video(path) is not None
+    return depth_folder(path) is not None and colour_video(path) is not None
 
 
 def open_video_folder(path: Path, override: Calibration) -> Recording:
     """Opens a folder. Video frame i belongs to the i-th depth image in the order of their numbers; stamps are the video's."""
-    file = colour_video(path)
-    if file is None or not (path / "depth").is_dir():
+    file, folder = colour_video(path), depth_folder(path)
+    if file is None or folder is None:
         raise RecordingError(f"{path}: expected a video rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi) and the folder depth/")
-    track, depth = VideoTrack(file), numbered(path / "depth")
+    track, depth = VideoTrack(file), numbered(folder, suffixes=DEPTH_SUFFIXES)
     if len(track) != len(depth):
-        found = f"{len(track)} frames in {file.name} and {len(depth)} images in depth/"
+        found = f"{len(track)} frames in {file.name} and {len(depth)} images in {folder.name}/"
         raise RecordingError(f"{path}: {found}, expected one depth image for each frame, in their order")
     files = list(depth.values())
 
@@ -52,7 +53,7 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
         read,
         timestamps=track.times,
         ground_truth=read_poses(path, list(depth)),
-        calibration=calibration,
+        calibration=calibration.over(usual_scale([(file, depth) for depth in files])),
         depth_camera=depth_camera,
     )
 
