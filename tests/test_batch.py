@@ -48,10 +48,11 @@ def test_text_list(box_recording: Path, tmp_path: Path) -> None:
     noisy = "synthetic:3:kinect seed=1 out=noisy mapper.active_sampling=false"
     (tmp_path / "list.txt").write_text(f"# all of them\n\n'my room' frames=5 camera.fx=525 # wide\n{noisy}\n'my room'\n")
     first, second, third, fourth = read_batch([str(tmp_path / "list.txt"), f"{box_recording}@7"], FAST)
-    assert first == BatchJob("box", str(box_recording), ("--frames", "5", "--camera.fx", "525"))
+    link = str(tmp_path / "my room")  # the name that the user gave, not that of what it leads to
+    assert first == BatchJob("my room", link, ("--frames", "5", "--camera.fx", "525"))
     assert second == BatchJob("noisy", "synthetic:3:kinect", ("--seed", "1", "--mapper.no-active-sampling"))
-    assert third == BatchJob("box-2", str(box_recording))
-    assert fourth == BatchJob("box-3", str(box_recording), ("--frames", "7"))
+    assert third == BatchJob("my room-2", link)
+    assert fourth == BatchJob("box", str(box_recording), ("--frames", "7"))
     run = command_line.parse(["run", second.path, *second.flags])
     assert isinstance(run, command_line.Run)
     assert (run.values.seed, run.values.mapper.active_sampling) == (1, False)

@@ -186,7 +186,7 @@ def test_an_unknown_camera_is_never_guessed(tmp_path: Path) -> None:
 def test_published_values_hold_for_the_published_size_only(tmp_path: Path) -> None:
     for write in (write_replica, write_seven_scenes, write_icl_nuim):
         path = write(tmp_path / write.__name__, cam_params=False)
-        refuses(path, r"images are 16x12, but the camera of .*, as published is for (1200x680|640x480)")
+        refuses(path, r"images are 16x12, but the published camera of .* is for (1200x680|640x480)")
 
 
 def test_cam_params_of_another_size(tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ def test_cam_params_of_another_size(tmp_path: Path) -> None:
     values = json.loads((path / "cam_params.json").read_text())
     values["camera"]["w"] = 1200
     (path / "cam_params.json").write_text(json.dumps(values))
-    refuses(path, "images are 16x12, but the camera of .*cam_params.json is for 1200x12")
+    refuses(path, "images are 16x12, but .*cam_params.json is for 1200x12")
 
 
 @pytest.mark.parametrize(

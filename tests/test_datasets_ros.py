@@ -355,7 +355,7 @@ def leaving_out(topic: str) -> Recorded:
         (recorded(), {"camera_info": "/none"}, f"no sensor_msgs/CameraInfo in /none .found {INFO}."),
         (recorded(late=0.5), {}, "3 images in .* and 3 in .*, none within 20 ms of another, expected stamps of one clock"),
         ([*leaving_out(INFO), (INFO, 99.9, camera_info(d=(0.1,) * 4, model="equidistant"))], {}, "distortion equidistant of 4 values"),
-        ([*leaving_out(INFO), (INFO, 99.9, camera_info(size=(8, 6)))], {}, "images are 16x12, but the camera of .*camera_info is for 8x6"),
+        ([*leaving_out(INFO), (INFO, 99.9, camera_info(size=(8, 6)))], {}, "images are 16x12, but .*camera_info is for 8x6"),
     ],
 )
 def test_a_recording_that_cannot_be_used(messages: Recorded, topics: dict, message: str, storage: str, tmp_path: Path) -> None:

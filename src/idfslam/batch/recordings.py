@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from idfslam.datasets import generated
+from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
 
 
@@ -62,5 +63,5 @@ def _parse(text: str, frames: int | None) -> RecordingSpec:
         return RecordingSpec(path.replace(":", "-"), path, frames)
     if not Path(path).exists():
         raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
-    place = Path(path).resolve()
+    place = absolute(path)
     return RecordingSpec(place.stem if place.is_file() else place.name, str(place), frames)

@@ -1,23 +1,17 @@
 """The camera of a recording: values from the user, from files and from publications, and their order of precedence."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.poses import RIGID
+from idfslam.datasets.camera_plausibility import flags, in_fractions, meant_for
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.rigid_transform import is_rigid
 
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
-_FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
-CAMERA_FILES = ("intrinsics.txt", "camera-intrinsics.txt", "calibration.txt", "calib.txt", "camera.txt")
 
 
 @dataclass(frozen=True)
@@ -69,17 +63,25 @@ class Calibration:
         if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
             missing = ", ".join(name for name in ("fx", "fy", "cx", "cy") if getattr(self, name) is None)
             raise RecordingError(f"{recording}: the camera is unknown ({missing} missing): {GIVE_CAMERA}")
-        size = (self.width or width, self.height or height)
-        if size != (width, height):
-            expected = f"the camera of {self.source} is for {size[0]}x{size[1]}"
-            raise RecordingError(f"{recording}: images are {width}x{height}, but {expected}: {GIVE_CAMERA} of these images")
+        found = f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))) or min(self.fx, self.fy) <= 0:
-            found = f"fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy}"
             raise RecordingError(f"{recording}: {self.source} says {found}: expected finite numbers with fx and fy above 0 (y points down)")
+        if not all(map(math.isfinite, self.distortion or ())):
+            found = " ".join(f"{value:g}" for value in self.distortion or ())
+            raise RecordingError(f"{recording}: {self.source} says distortion {found}: expected finite numbers")
+        camera, size = Camera(width, height, self.fx, self.fy, self.cx, self.cy), (self.width or width, self.height or height)
+        if size != (width, height):
+            found = f"images are {width}x{height}, but {self.source} is for {size[0]}x{size[1]}"
+            same_shape = min(size) > 0 and abs(size[0] * height - size[1] * width) <= max(width, height)
+            resized = f" (if they were only resized: {flags(replace(camera, width=size[0], height=size[1]).resized(width, height))})"
+            raise RecordingError(f"{recording}: {found}: {GIVE_CAMERA} of these images{resized if same_shape else ''}")
+        if (pixels := in_fractions(camera)) is not None:
+            found += " in fractions of the image"
+            raise RecordingError(f"{recording}: {self.source} says {found}, expected pixels: give {flags(pixels)}")
         if not (0 <= self.cx < width and 0 <= self.cy < height):
-            found = f"the principal point ({self.cx}, {self.cy}) of {self.source} lies outside the {width}x{height} images"
-            raise RecordingError(f"{recording}: {found}: {GIVE_CAMERA} in pixels of these images")
-        return Camera(width, height, float(self.fx), float(self.fy), float(self.cx), float(self.cy))
+            found = f"the principal point ({self.cx:g}, {self.cy:g}) of {self.source} lies outside the {width}x{height} images"
+            raise RecordingError(f"{recording}: {found}: {meant_for(camera) or f'{GIVE_CAMERA} in pixels of these images'}")
+        return camera
 
     def scale(self, recording: str) -> float:
         """Units of the depth images per metre; raises RecordingError if unknown or not positive."""
@@ -110,78 +112,3 @@ class DepthCameraCalibration:
 
     calibration: Calibration
     T_colour_depth: NDArray[np.float64]  # (4, 4) [m] depth camera to colour camera
-
-
-def read_cam_params(*folders: Path) -> Calibration:
-    """Reads cam_params.json, {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}, from the first folder that has one."""
-    path = _cam_params(folders)
-    return Calibration() if path is None else _camera_of(_json(path), "camera", path)
-
-
-def read_depth_camera(*folders: Path) -> DepthCameraCalibration | None:
-    """Reads the depth camera from cam_params.json, {"depth_camera": like "camera", "T_colour_depth": 4x4}; None: depth is registered."""
-    path = _cam_params(folders)
-    if path is None or "depth_camera" not in (values := _json(path)):
-        return None
-    try:
-        T = np.array(values["T_colour_depth"], np.float64)
-        rigid = T.shape == (4, 4) and bool(np.isfinite(T).all()) and bool(is_rigid(T[None], tolerance=RIGID)[0])
-    except (KeyError, ValueError, TypeError):
-        rigid = False
-    if not rigid:
-        raise RecordingError(f'{path}: expected "T_colour_depth" beside "depth_camera": a rigid 4x4 matrix, depth to colour camera, metres')
-    return DepthCameraCalibration(_camera_of(values, "depth_camera", path), T)
-
-
-def _cam_params(folders: tuple[Path, ...]) -> Path | None:
-    return next((folder / "cam_params.json" for folder in folders if (folder / "cam_params.json").is_file()), None)
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
-    if not isinstance(values, dict):
-        raise RecordingError(f"{path}: {type(values).__name__}, expected {_FORM}")
-    return values
-
-
-def _camera_of(values: dict[str, Any], key: str, path: Path) -> Calibration:
-    try:
-        values = values[key]
-        fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
-        width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
-        scale = float(values["scale"]) if "scale" in values else None
-        distortion = tuple(float(value) for value in values.get("distortion", ())) or None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
-    if distortion is not None and len(distortion) not in (4, 5, 8):
-        raise RecordingError(f"{path}: {len(distortion)} distortion values, expected k1 k2 p1 p2 [k3 [k4 k5 k6]]")
-    return Calibration(fx, fy, cx, cy, width, height, distortion, scale, source=str(path))
-
-
-def read_camera_file(folder: Path, names: tuple[str, ...] = CAMERA_FILES) -> Calibration:
-    """Reads the first of the text files that exists: a 3x3 or 4x4 matrix K, or one line `fx fy cx cy [k1 k2 p1 p2 [k3]]`.
-
-    `#` starts a comment.
-    """
-    path = next((folder / name for name in names if (folder / name).is_file()), None)
-    if path is None:
-        return Calibration()
-    lines = [line.split("#")[0].replace(",", " ").split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
-    try:
-        rows = [[float(number) for number in line] for line in lines if line]
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}, expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3]]") from error
-    if len(rows) == 1 and len(rows[0]) in (4, 8, 9):
-        fx, fy, cx, cy, *distortion = rows[0]
-        return Calibration(fx, fy, cx, cy, distortion=tuple(distortion) or None, source=str(path))
-    if [len(row) for row in rows] not in ([3] * 3, [4] * 3, [4] * 4):
-        found = f"{len(rows)} rows of {sorted({len(row) for row in rows})} numbers"
-        raise RecordingError(f"{path}: {found}, expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3]]")
-    K = np.array(rows)
-    if not np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
-        raise RecordingError(f"{path}: not a pinhole matrix, expected rows fx 0 cx, 0 fy cy, 0 0 1")
-    fx, fy, cx, cy = (float(value) for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
-    return Calibration(fx, fy, cx, cy, source=str(path))

@@ -1,11 +1,11 @@
 """Opens recordings in common layouts. Each layout is one file in `readers/` (or `ros/`) and one line in READERS."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 from idfslam.datasets import generated
 from idfslam.datasets.calibration import Calibration, override
+from idfslam.datasets.camera_files import read_beside_recording
 from idfslam.datasets.generated.kidnapped import Kidnapped
 from idfslam.datasets.readers import (
     azure_kinect,
@@ -20,6 +20,7 @@ from idfslam.datasets.readers import (
     video_folder,
 )
 from idfslam.datasets.recording import Dataset, Reader, Selection
+from idfslam.datasets.recording_path import absolute
 from idfslam.datasets.ros import reader as ros
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, RecordingError
@@ -77,9 +78,10 @@ def open_recording(
             str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
         )
     else:
-        file = Path(os.path.abspath(Path(path).expanduser()))  # absolute, so that even "." has a name
+        file = absolute(path)
         try:
-            dataset = _open(_reader(file, format), file, user_calibration, user_topics)
+            reader = _reader(file, format)
+            dataset = _open(reader, file, user_calibration.over(read_beside_recording(file)), user_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
     return Selection(dataset, start=start, frames=frames, stride=stride)

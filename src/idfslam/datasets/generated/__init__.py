@@ -5,6 +5,7 @@ from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.recording import Dataset
+from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
@@ -34,7 +35,7 @@ def absolute_path(path: str) -> str:
     inner = kidnapped_path(path)
     if inner is not None:
         return KIDNAP + absolute_path(inner)
-    return str(Path(path).absolute()) if Path(path).exists() else path
+    return str(absolute(path)) if Path(path).expanduser().exists() else path
 
 
 def open_generated(path: str, kind: str, calibration: Calibration, length: int) -> Dataset:

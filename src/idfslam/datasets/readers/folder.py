@@ -13,14 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import (
-    Calibration,
-    DepthCameraCalibration,
-    assumed_scale,
-    read_cam_params,
-    read_camera_file,
-    read_depth_camera,
-)
+from idfslam.datasets.calibration import Calibration, DepthCameraCalibration, assumed_scale
+from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.image_folders import find_images
 from idfslam.datasets.image_pairs import pair_images
 from idfslam.datasets.images import ImageFiles, by_number, holds_floats, numbered
@@ -72,8 +66,7 @@ def usual_scale(pairs: Sequence[tuple[Path, Path]]) -> Calibration:
 def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCameraCalibration | None]:
     """The colour camera, from the user, cam_params.json and camera files; the depth camera, if depth is not registered."""
     depth_camera = read_depth_camera(path)
-    scale = Calibration(depth_scale=depth_camera.calibration.depth_scale if depth_camera else None)
-    return override.over(scale).over(read_cam_params(path)).over(read_camera_file(path)), depth_camera
+    return override.over(read_beside(path)), depth_camera
 
 
 def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:

@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.camera_files import CAM_PARAMS, read_beside, read_depth_camera
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
+from idfslam.datasets.recording_path import names
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE
 
-PUBLISHED = Calibration(481.2, 480.0, 319.5, 239.5, 640, 480, depth_scale=5000, source="ICL-NUIM, as published")
+PUBLISHED = Calibration(481.2, 480.0, 319.5, 239.5, 640, 480, source="the published camera of ICL-NUIM")
 _NAME = re.compile(r"(^|[^a-z])icl([^a-z]|$)|living_room_traj|office_traj", re.IGNORECASE)
 _F = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -29,19 +31,19 @@ def recognises(path: Path) -> bool:
     """Recognised by the pose file, or by the folder's name unless cam_params.json gives another camera."""
     if not (path / "associations.txt").is_file():
         return False
-    return any(path.glob("*.gt.freiburg")) or (bool(_NAME.search(path.name)) and not (path / "cam_params.json").exists())
+    return any(path.glob("*.gt.freiburg")) or (any(map(_NAME.search, names(path))) and not (path / CAM_PARAMS).exists())
 
 
 def open_icl_nuim(path: Path, override: Calibration) -> Recording:
     numbers, pairs = read_associations(path / "associations.txt")
-    calibration = override.over(read_cam_params(path)).over(read_camera_file(path)).over(PUBLISHED)
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=numbers / FPS,
         stamps_source=ASSUMED,
         ground_truth=read_ground_truth(path, numbers),
-        calibration=calibration,
+        calibration=override.over(read_beside(path)).over(PUBLISHED).over(assumed_scale(5000, "ICL-NUIM layout")),
+        depth_camera=read_depth_camera(path),
     )
 
 

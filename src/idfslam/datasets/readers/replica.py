@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration, read_cam_params
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.camera_files import read_beside, read_cam_params, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_trajectory
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 
-PUBLISHED = Calibration(600.0, 600.0, 599.5, 339.5, 1200, 680, depth_scale=6553.5, source="Replica, as published")
+PUBLISHED = Calibration(600.0, 600.0, 599.5, 339.5, 1200, 680, source="the published camera of Replica")
 
 
 def recognises(path: Path) -> bool:
@@ -19,13 +20,15 @@ def open_replica(path: Path, override: Calibration) -> Recording:
     """Opens a scene; cam_params.json is in the folder or, as published, in its parent."""
     images = path / "results"
     pairs = paired(numbered(images, "frame*"), numbered(images, "depth*"), images)
+    stated = override.over(read_beside(path)).over(read_cam_params(path.parent))
     return Recording(
         path.name,
         ImageFiles(pairs),
         timestamps=regular_stamps(len(pairs)),
         stamps_source=ASSUMED,
         ground_truth=read_trajectory(path / "traj.txt", len(pairs)),
-        calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
+        calibration=stated.over(PUBLISHED).over(assumed_scale(6553.5, "Replica layout")),
+        depth_camera=read_depth_camera(path),
     )
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, assumed_scale, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.camera_files import read_beside, read_camera_file
 from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered, paired
-from idfslam.datasets.provenance import ASSUMED
+from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
@@ -47,7 +48,7 @@ def open_scannet(path: Path, override: Calibration) -> Recording:
 def _open_exported(path: Path, override: Calibration) -> Recording:
     images = numbered(path / "color")
     pairs = paired(images, numbered(path / "depth"), path)
-    calibration = override.over(read_cam_params(path))
+    calibration = override.over(read_beside(path))
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
     read: ReadImages = ColourOnDepth(ImageFiles(pairs), None if calibration.complete else colour, depth)
@@ -120,10 +121,12 @@ def _open_sens(path: Path, override: Calibration) -> Recording:
     truth = np.stack([frame.T_wc for frame in frames])
     has_truth = np.isfinite(truth).all((1, 2)).any()
     warp = None if override.complete else header.colour
+    increasing = bool(np.all(np.diff(stamps) > 0))
     return Recording(
         path.stem,
         ColourOnDepth(SensImages(path, header, frames), warp, header.depth),
-        timestamps=stamps if np.all(np.diff(stamps) > 0) else regular_stamps(len(frames)),
+        timestamps=stamps if increasing else regular_stamps(len(frames)),
+        stamps_source=STATED if increasing else ASSUMED,
         ground_truth=poses.checked(truth, count=len(frames), source=lambda _: str(path)) if has_truth else None,
         calibration=override.over(header.depth),
     )

@@ -5,14 +5,15 @@ The published depth is not registered to colour; like other programs, this reade
 
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration, read_cam_params
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.images import ImageFiles, numbered, paired
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import RecordingError
 
-PUBLISHED = Calibration(585.0, 585.0, 320.0, 240.0, 640, 480, depth_scale=1000, source="7-Scenes, as published")
+PUBLISHED = Calibration(585.0, 585.0, 320.0, 240.0, 640, 480, source="the published camera of 7-Scenes")
 
 
 def recognises(path: Path) -> bool:
@@ -30,7 +31,8 @@ def open_seven_scenes(path: Path, override: Calibration) -> Recording:
         timestamps=regular_stamps(len(pairs)),
         stamps_source=ASSUMED,
         ground_truth=read_pose_files(path, "frame-*.pose.txt", list(images)),
-        calibration=override.over(read_cam_params(path, path.parent)).over(PUBLISHED),
+        calibration=override.over(read_beside(path, path.parent)).over(PUBLISHED).over(assumed_scale(1000, "7-Scenes layout")),
+        depth_camera=read_depth_camera(path, path.parent),
     )
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, read_camera_file
+from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.camera_files import read_camera_file
 from idfslam.datasets.images import Depth, numbered, read_depth
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.resampling import limited_size, upscaled_depth

@@ -1,23 +1,26 @@
 """TUM RGB-D: rgb.txt, depth.txt and groundtruth.txt list stamped files; depth in 1/5000 m (Sturm et al., IROS 2012)."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import poses
-from idfslam.datasets.calibration import Calibration, assumed_scale, read_cam_params, read_camera_file
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.images import ImageFiles
 from idfslam.datasets.recording import Reader, Recording
+from idfslam.datasets.recording_path import names
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 
 # The published calibrations of the three cameras, by the N in "freiburgN". Depth is registered to colour
 FREIBURG = {
-    "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), source="freiburg1, as published"),
-    "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172), source="freiburg2, as published"),
-    "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480, source="freiburg3, as published"),
+    "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
 
 
@@ -36,16 +39,23 @@ def open_tum(path: Path, override: Calibration) -> Recording:
     if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
     timestamps = timestamps[pairs[:, 0]]
-    match = re.search(r"freiburg([123])", path.name)
-    published = FREIBURG[match[1]] if match else Calibration()
-    calibration = override.over(read_cam_params(path)).over(read_camera_file(path))
     return Recording(
         path.name,
         ImageFiles([(colour[i][1], depth[k][1]) for i, k in pairs]),
         timestamps=timestamps,
         ground_truth=read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=calibration.over(published).over(assumed_scale(5000, "TUM layout")),
+        calibration=override.over(read_beside(path)).over(published(path)).over(assumed_scale(5000, "TUM layout")),
+        depth_camera=read_depth_camera(path),
     )
+
+
+def published(path: Path) -> Calibration:
+    """The published camera that the folder's name tells; empty for other names. A name that only contains `freiburg1` is a guess."""
+    for name in names(path):
+        if match := re.search(r"(?P<published>^rgbd_dataset_)?freiburg(?P<camera>[123])", name):
+            guess = "" if match["published"] else f", guessed from the folder's name {name}"
+            return replace(FREIBURG[match["camera"]], source=f"the published camera of TUM freiburg{match['camera']}{guess}")
+    return Calibration()
 
 
 def read_list(path: Path) -> list[tuple[float, Path]]:
