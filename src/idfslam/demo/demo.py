@@ -1,9 +1,9 @@
 """The demonstration: SLAM in a generated room, its evaluation against the truth, and pictures. It needs no files."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from idfslam.config import Config
@@ -11,9 +11,9 @@ from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.demo.compile_ahead import compiling_ahead
 from idfslam.evaluation.evaluation import Evaluation
-from idfslam.mapping.saved_map import load_map
+from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.pictures.image_files import View, draw_views
-from idfslam.pictures.mesh_renderer import draw_mesh
+from idfslam.pictures.overview import draw_overview
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
@@ -21,8 +21,10 @@ from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.storage import atomic_files
 
-VIEWS = "views.png"
+OVERVIEW, VIEWS = "overview.png", "views.png"
 _VIEWS = 4
+_WIDE, _SMALL = 480, 320  # [px] width of the map's view in the two pictures; larger: sharper, slower
+_SHOWN = 0.4  # share of the run before the frame that stands beside the room. Chosen by hand
 _AHEAD = 128  # frames rendered while kernels are compiled: 5 MB each
 _DEPTH_VIEWS = 200  # for depth L1, a fifth of those of `eval`; more: slower, a surer mean
 
@@ -32,7 +34,8 @@ def demo(
 ) -> tuple[Run, Evaluation, list[Path]]:
     """Runs SLAM on `frames` frames of the synthetic room number `room`. Returns the run, its errors and the paths of the pictures.
 
-    With `report` the pictures are the report's. Without it they are two: the mesh from outside, and frames next to the rendered map.
+    The first picture shows the room from outside with the camera's path. The others are the report's; without `report` there is one,
+    of frames next to the rendered map.
     Raises ConfigError for more frames than the tour of the room has, ResultError if the folder cannot be written to.
     """
     source = result_folder.Source(f"synthetic:{room}", frames=frames)
@@ -43,21 +46,23 @@ def demo(
             wait_until_compiled()
         done = run(prerendered, config, folder, source=source, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
+    saved, poses = load_map(folder / result_folder.MAP), done.trajectory.poses
+    keyframes = result_folder.read_keyframes(folder).indices
+    view = _view(recording, poses, saved, int(len(poses) * _SHOWN), _WIDE)
+    with atomic_files.replacing(folder / OVERVIEW) as part:
+        draw_overview(part, done.mesh, poses, keyframes, recording.camera, view)
     if report:
         write_report(folder, recording=recording)
-        return done, evaluation, [folder / result_folder.PICTURES]
-    poses = done.trajectory.poses
-    pictures = draw_mesh(done.mesh, folder, poses=poses, camera=recording.camera, views=0)
+        return done, evaluation, [folder / OVERVIEW, folder / result_folder.PICTURES]
+    chosen = np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist()
     with atomic_files.replacing(folder / VIEWS) as part:
-        draw_views(part, list(_views(recording, poses, folder)))
-    return done, evaluation, [*pictures, folder / VIEWS]
+        draw_views(part, [_view(recording, poses, saved, i, _SMALL) for i in chosen])
+    return done, evaluation, [folder / OVERVIEW, folder / VIEWS]
 
 
-def _views(recording: Dataset, poses: np.ndarray, folder: Path) -> Iterator[View]:
-    """Frames spread over the run, and the saved map rendered from their estimated poses at half the size, enough for the picture."""
-    saved = load_map(folder / result_folder.MAP)
-    camera = recording.camera.resized(recording.camera.width // 2, recording.camera.height // 2)
-    for i in np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist():
-        frame = recording[i]
-        colour, depth = saved.render(poses[i], camera)
-        yield View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))
+def _view(recording: Dataset, poses: NDArray[np.float64], saved: SavedMap, i: int, width: int) -> View:
+    """Frame i, and the saved map rendered from its estimated pose in images `width` pixels wide."""
+    camera = recording.camera.resized(width, round(width * recording.camera.height / recording.camera.width))
+    colour, depth = saved.render(poses[i], camera)
+    frame = recording[i]
+    return View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))

@@ -45,7 +45,12 @@ def draw_views(path: Path, views: Sequence[View]) -> None:
 
 def write_colour(path: Path, colour: Image) -> None:
     """(H, W, 3) RGB in [0, 1] -> 8-bit PNG."""
-    cv2.imwrite(str(path), (np.clip(colour[..., ::-1], 0, 1) * 255).round().astype(np.uint8))
+    cv2.imwrite(str(path), to_bytes(colour[..., ::-1]))
+
+
+def to_bytes(colour: Image) -> NDArray[np.uint8]:
+    """Colour (H, W, 3) in [0, 1] as bytes; values outside are clipped."""
+    return (np.clip(colour, 0, 1) * 255).round().astype(np.uint8)
 
 
 def write_depth(path: Path, depth: Image) -> None:

@@ -1,7 +1,6 @@
 """Pictures of a mesh with vertex colours, by ray casting: from a camera's pose, and from above into the room."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -30,7 +29,6 @@ class Shading:
     supersample: int = 2  # rays per pixel along each axis; more: smoother edges, slower
 
 
-_WIDE = Camera(1280, 960, 1400.0, 1400.0, 639.5, 479.5)
 _PLAIN = Shading(background=(0.0, 0.0, 0.0), ambient=1.0, occlusion=0.0)
 
 
@@ -196,26 +194,3 @@ def overview_pose(
     # |x| <= half (z + d) for every point, for the smallest distance d
     T[:3, 3] = centre + direction * float((np.abs(local[:, :2]) / half - local[:, 2:]).max())
     return T
-
-
-def draw_mesh(
-    mesh: trimesh.Trimesh,
-    folder: Path,
-    *,
-    poses: NDArray[np.float64],
-    camera: Camera,
-    views: int = 3,
-    stem: str = "mesh",
-    wide: Camera = _WIDE,
-) -> list[Path]:
-    """Writes STEM_overview.png, from outside into the room, and STEM_view_I.png from `views` evenly spaced poses (N, 4, 4)."""
-    pictures = {f"{stem}_overview.png": (Picture(mesh, inside=poses[:, :3, 3]), overview_pose(mesh, poses, wide), wide)}
-    if views:
-        both_sides = Picture(mesh)
-        for i in np.linspace(0, len(poses) - 1, views + 2)[1:-1].round().astype(int):
-            pictures[f"{stem}_view_{i:05d}.png"] = (both_sides, poses[i], camera)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, (picture, T_wc, view) in pictures.items():
-        rgb = picture.draw(T_wc, view, Shading())
-        cv2.imwrite(str(folder / name), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    return [folder / name for name in pictures]
