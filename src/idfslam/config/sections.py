@@ -26,7 +26,7 @@ class FieldConfig:
     direction_frequencies: int = 0
     """Frequencies of the encoding of the viewing direction. With 0, colour does not depend on the direction (paper preset: 4)."""
     layers: Count = 1
-    """Hidden layers of the network's trunk (Sec. IV-A: 8). With the feature grid one layer is as accurate as two (docs/performance.md)."""
+    """Hidden layers of the network's trunk (Sec. IV-A: 8). With the feature grid one layer is as accurate as two (docs/diary.md)."""
     width: Count = 32
     """Width of the trunk (Sec. IV: 256)."""
     skip: int = 0
@@ -34,14 +34,14 @@ class FieldConfig:
     colour_width: int = 32
     """Width of the hidden layer of the colour head."""
     levels: Count = 6
-    """Resolution levels of the feature grid. With eight, a frame takes 7 % more time and is tracked no better (docs/performance.md)."""
+    """Resolution levels of the feature grid. With eight, a frame takes 7 % more time and is tracked no better (docs/diary.md)."""
     features: Count = 2
     """Features that each level stores at a grid vertex."""
     coarsest: Positive = 0.48
-    """Cell edge of the coarsest level [m]. With 0.64, redkitchen has 3.36 cm instead of 3.27 (docs/performance.md)."""
+    """Cell edge of the coarsest level [m]. With 0.64, redkitchen has 3.36 cm instead of 3.27 (docs/diary.md)."""
     finest: Positive = 0.04
     """Cell edge of the finest level [m]. Smaller cells resolve more detail and follow more noise: with cells of 2, 4 and 6 cm the noisy
-    kitchen had an accuracy of 1.81, 1.42 and 2.18 cm (docs/results.md)."""
+    kitchen had an accuracy of 1.81, 1.42 and 2.18 cm (docs/diary.md)."""
     table_log2: int = 15
     """Size of each level's hash table at the start of a run, as a power of two. Tables double as the scene grows."""
     table_log2_max: int = 18
@@ -64,7 +64,7 @@ class MapperConfig:
     contributes `pixels`, as in the paper."""
     samples: Count = 6
     """Stratified samples a ray (`rendering`), or samples within the truncation distance of the surface (`samples`). 4 with 2 importance
-    samples gives a sixth more frames/s; the surface of bookstore then has 0.99 cm instead of 0.91 (docs/performance.md)."""
+    samples gives a sixth more frames/s; the surface of bookstore then has 0.99 cm instead of 0.91 (docs/diary.md)."""
     importance_samples: int = 3
     """Further samples around the rendered surface (`rendering`), or in the free space before it (`samples`)."""
     sharpness: Positive = 10.0
@@ -95,7 +95,7 @@ class MapperConfig:
     first_iterations: int = 100
     """Optimisation steps on the first frame, before the second is tracked."""
     iterations: int = 10
-    """Optimisation steps of a map update. With eight, redkitchen has 3.46 cm instead of 3.27 (docs/performance.md)."""
+    """Optimisation steps of a map update. With eight, redkitchen has 3.46 cm instead of 3.27 (docs/diary.md)."""
     pose_optimisation: bool = False
     """Optimise the pose of each new keyframe by rendering it from the map (Eq. 4), as in the paper."""
     pose_iterations: int = 50
@@ -113,7 +113,7 @@ class MapperConfig:
     nearer than the one that the ray meets."""
     every: int = 4
     """The map is updated again after this many frames, whether or not one of them is a keyframe. With 0, only keyframes update it, as in
-    the paper. With 5, redkitchen has 3.5 cm instead of 3.27 (docs/performance.md)."""
+    the paper. With 5, redkitchen has 3.5 cm instead of 3.27 (docs/diary.md)."""
     gradient_clip: float = 0.0
     """Largest norm of the gradient of the map's weights; a longer gradient is scaled down to it. 0: no limit."""
     warm_up: int = 0
@@ -139,11 +139,11 @@ class KeyframeConfig:
     a keyframe."""
     cull: float = 0.92
     """sigma_cull: a new keyframe is dropped if its covisibility with a stored one is higher. Lower values keep fewer keyframes; 1 keeps
-    all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/results.md)."""
+    all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/diary.md)."""
     cull_reach: float = 0.4
     """A stored keyframe can replace a new one only within this distance of it, as a share of the new one's median depth, because from
     farther off readings are coarser and noisier. Without the limit (0, as in the paper) the noisy kitchen's accuracy is 1.42 cm instead
-    of 0.84 (docs/results.md)."""
+    of 0.84 (docs/diary.md)."""
     edge_length: float = 4.0
     """Two covisible keyframes count as measured against each other if a path of pose-graph edges of at most this length [m] joins them.
     Beyond it the overlap is tested for a loop instead. Larger values hide more drift: without a limit, two long edges around a block hid
@@ -310,7 +310,7 @@ class AlignmentConfig:
     """Largest number of Gauss-Newton steps."""
     depth_noise: float = 0.0015
     """Standard deviation of a depth reading at the sensor's best range [m]. Larger values give the images more weight against depth. With
-    0.001 and 0.0022, redkitchen has 3.57 and 3.53 cm, no better than with 0.0015 (docs/results.md)."""
+    0.001 and 0.0022, redkitchen has 3.57 and 3.53 cm, no better than with 0.0015 (docs/diary.md)."""
     colour_noise: float = 0.01
     """Least standard deviation of brightness, which lies in [0, 1]. The noise of a frame is measured, and used where it is larger."""
     robust: float = 0.01
@@ -326,7 +326,7 @@ class AlignmentConfig:
     """A keyframe with fewer landmarks in view is not used: a few landmarks on one edge fit in many wrong places."""
     image_height: int = 480
     """Rows of the finest image whose brightness is compared. With 120, 240 and 480 rows the pose noise was 0.33, 0.13 and 0.03 cm
-    (docs/results.md)."""
+    (docs/diary.md)."""
     image_levels: Count = 4
     """Levels of the image pyramid, each half the size of the one before. The alignment begins on the coarsest. More levels tolerate worse
     initial poses."""
