@@ -69,9 +69,8 @@ def _table(prefix: str, fast: Any, paper: Any) -> str:
 
 def commands() -> str:
     """Every command's --help, without the sections of the configuration, which has a page of its own."""
-    overview = _help()
-    parts = ["# Command line", _block(overview)]
-    for name in re.findall(r"• ([\w-]+)", overview):
+    parts = ["# Command line", _block(_help())]
+    for name in command_line.COMMANDS:
         parts += [f"## idf-slam {name}", _block(_without_sections(_help(name)))]
         if hides_values(name):
             parts.append("And every value of the [configuration](configuration.md).")

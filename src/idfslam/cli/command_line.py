@@ -1,19 +1,22 @@
 """The command line: parses, then calls. What is heavy is imported inside the commands, so that --help is quick."""
 
 import argparse
+import io
 import os
+import re
+import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import MISSING, fields
 from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, NoReturn, get_args, get_type_hints
 
 import tyro
 from tyro.conf import DisallowNone, subcommand
 
-from idfslam import __version__
 from idfslam.cli.commands.batch import Batch
 from idfslam.cli.commands.bench import Bench
 from idfslam.cli.commands.bench_odometry import BenchOdometry
@@ -31,16 +34,16 @@ from idfslam.cli.commands.render import Render
 from idfslam.cli.commands.report import Report
 from idfslam.cli.commands.run import Run
 from idfslam.cli.commands.view import View
+from idfslam.cli.failure import one_line_errors
+from idfslam.cli.streams import prepare_streams
+from idfslam.cli.usage import COMMON, WRONG_USAGE, condensed, did_you_mean, overview, version_line, wrong_usage
 from idfslam.cli.user_options import HELP, HELP_ALL, parser_rules
+from idfslam.cli.verbosity import Verbosity, open_console, take_verbosity
 from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PRESETS, Config, load
-from idfslam.errors import IdfSlamError
 from idfslam.viewer.rerun_program import ViewerOption
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+_NARROWEST = 60  # [columns] help for a narrower terminal is laid out for this many; fewer: a column of single letters
 
 
 COMMANDS: dict[str, type] = {
@@ -68,18 +71,67 @@ def parse(arguments: Sequence[str]) -> Command:
 
     Raises ConfigError for a config file that cannot be used.
     """
+    name = arguments[0] if arguments else ""
+    if name not in COMMANDS:
+        _without_command(name)
     arguments = _with_viewer(arguments)
+    asks_help = HELP_ALL in arguments or any(flag in arguments for flag in HELP)
     values = _starting_values(arguments)
-    commands: Any = reduce(or_, (_subcommand(name, command, values) for name, command in COMMANDS.items()))
-    description = f"RGB-D SLAM with a neural tracker and a neural implicit map, version {__version__}."
-    rules, args = parser_rules(arguments), [HELP[-1] if word == HELP_ALL else word for word in arguments]
+    if asks_help:
+        _show_help(name, arguments, values)
+    problem = io.StringIO()
     try:
-        command: Command = tyro.cli(commands, prog="idf-slam", description=description, args=args, config=(DisallowNone,), registry=rules)
-    except SystemExit as end:
-        if not end.code and HELP_ALL not in arguments and hides_values(arguments[0]):
-            print(f"These are the options that users set. All: idf-slam {arguments[0]} {HELP_ALL}, or the docs' page Configuration.")
-        raise
+        with redirect_stderr(problem):
+            command, unknown = _parsed(arguments, values)
+    except SystemExit:
+        wrong_usage(condensed(problem.getvalue()), name)
+    if unknown:
+        _refuse(unknown[0], name, values)
     return command
+
+
+def _without_command(first: str) -> NoReturn:
+    """Ends the program if its first word is no command: with the overview, or with what is wrong."""
+    if first in (*HELP, HELP_ALL):
+        print(overview(COMMANDS))
+        raise SystemExit(0)
+    if not first:
+        print(overview(COMMANDS), file=sys.stderr)
+        raise SystemExit(WRONG_USAGE)
+    kind = "option" if first.startswith("-") else "command"
+    known = [word for words in COMMON for word in words.split(", ")] if kind == "option" else list(COMMANDS)
+    wrong_usage(f"unknown {kind} {first}{did_you_mean(first, known)}")
+
+
+def _parsed(arguments: Sequence[str], values: Config) -> tuple[Command, list[str]]:
+    """The command, and the words that belong to none of its options. tyro's own errors end the program with a box on stderr."""
+    commands: Any = reduce(or_, (_subcommand(name, command, values) for name, command in COMMANDS.items()))
+    args = [HELP[-1] if word == HELP_ALL else word for word in arguments]
+    rules = parser_rules(arguments)
+    return tyro.cli(commands, prog="idf-slam", args=args, config=(DisallowNone,), registry=rules, return_unknown_args=True)
+
+
+def _show_help(name: str, arguments: Sequence[str], values: Config) -> None:
+    """Prints the help of a command. Always exits."""
+    if shutil.get_terminal_size().columns < _NARROWEST:
+        os.environ["COLUMNS"] = str(_NARROWEST)
+    with suppress(SystemExit):
+        _parsed(arguments, values)
+    print("\n".join(f"{flags:15} {text}" for flags, text in COMMON.items()))
+    if HELP_ALL not in arguments and hides_values(name):
+        print(f"These are the options that users set. All: idf-slam {name} {HELP_ALL}, or the docs' page Configuration.")
+    raise SystemExit(0)
+
+
+def _refuse(word: str, name: str, values: Config) -> None:
+    """Ends the program because of a word that is no option of the command, with the nearest option."""
+    if not word.startswith("-"):
+        wrong_usage(f"unexpected argument {word!r}", name)
+    options = io.StringIO()
+    with redirect_stdout(options), suppress(SystemExit):
+        _parsed([name, HELP_ALL], values)
+    option = word.partition("=")[0]
+    wrong_usage(f"unknown option {option}{did_you_mean(option, re.findall(r'--[a-z][a-z0-9.-]+', options.getvalue()))}", name)
 
 
 def _subcommand(name: str, command: type, values: Config) -> Any:
@@ -112,31 +164,13 @@ def _with_viewer(arguments: Sequence[str]) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs a command; exits with 1 and one line on the user's mistakes, with 2 on wrong usage."""
-    try:
-        command = parse(sys.argv[1:] if arguments is None else arguments)
+    """Runs a command; exits with 1 and one line on errors, with 2 on wrong usage."""
+    prepare_streams()
+    words, verbosity = take_verbosity(sys.argv[1:] if arguments is None else arguments)
+    with one_line_errors(verbose=verbosity is Verbosity.VERBOSE):
+        if "--version" in words:
+            print(version_line())
+            return
+        command = parse(words)
         prepare_process()
-        command(_console())
-    except IdfSlamError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
-    except BrokenPipeError:  # whoever read the output has gone, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python would fail once more when it flushes at its end
-        raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise SystemExit(_INTERRUPTED) from None
-
-
-def _console() -> "Console":
-    """Where progress and warnings go: stderr."""
-    import logging
-
-    from rich.console import Console
-    from rich.logging import RichHandler
-
-    console = Console(stderr=True)
-    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
-    logging.basicConfig(level=logging.WARNING, handlers=[handler], format="%(message)s", force=True)
-    logging.getLogger("idfslam").setLevel(logging.INFO)  # loops closed, a lost camera found
-    return console
+        command(open_console(verbosity))

@@ -1,14 +1,14 @@
 """`idf-slam run`."""
 
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
+from idfslam.cli.usage import wrong_usage
 from idfslam.config import FAST, check
 from idfslam.viewer.rerun_program import PORT, ViewerOption
 
@@ -98,9 +98,6 @@ class CheckpointFlags:
     """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; it is continued. Given instead of a recording."""
 
 
-_USAGE = 2
-
-
 @dataclass(frozen=True)
 class Run:
     """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
@@ -126,7 +123,7 @@ class Run:
             self._go_on(self.checkpoints.resume, console)
             return
         if self.path is None:
-            _wrong_usage("expected a recording, or --resume and the result folder of a run")
+            wrong_usage("run: expected a recording, or --resume and the result folder of a run", "run")
         values = check(self.values)
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
@@ -157,9 +154,8 @@ class Run:
     def _go_on(self, folder: Path, console: "Console") -> None:
         given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
         if given:
-            _wrong_usage(
-                f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {', '.join(given)})"
-            )
+            found = ", ".join(given)
+            wrong_usage(f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {found})", "run")
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.runs.result_folder import read_config
@@ -195,8 +191,3 @@ def _changed(flags: Any, defaults: Any) -> Iterator[str]:
             yield from _changed(value, default)
         elif value != default:
             yield field.name
-
-
-def _wrong_usage(message: str) -> NoReturn:
-    print(f"error: {message}", file=sys.stderr)
-    raise SystemExit(_USAGE)
