@@ -1,6 +1,7 @@
 """Wrong and damaged recordings: one clear line each, at opening for the whole recording, at the frame for a single one."""
 
 import json
+import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -33,6 +34,15 @@ def refuses(path: Path, message: str, **arguments: object) -> None:
     with pytest.raises(RecordingError, match=message) as caught:
         open_recording(path, **arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+def warns(path: Path, message: str, caplog: pytest.LogCaptureFixture, **arguments: object) -> np.ndarray | None:
+    """Opening gives one warning of one line that matches, and the ground truth that is returned."""
+    caplog.clear()
+    truth = open_recording(path, **arguments).ground_truth  # type: ignore[arg-type]
+    assert len(caplog.messages) == 1 and "\n" not in caplog.text.strip()
+    assert re.search(message, caplog.messages[0]), caplog.messages[0]
+    return truth
 
 
 def write_depth(path: Path, image: np.ndarray) -> None:
@@ -104,12 +114,12 @@ def test_a_frame_of_another_size_is_a_frame_error(tmp_path: Path) -> None:
         open_recording(path)[1]
 
 
-def test_a_listed_file_that_is_missing_is_a_frame_error(tmp_path: Path) -> None:
+def test_a_listed_file_that_is_missing_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_tum(tmp_path / "room")
     (path / "rgb/100.033333.png").unlink()
-    recording = open_recording(path)
-    with pytest.raises(FrameError, match=r"100\.033333\.png: No such file"):
-        recording[1]
+    truth = warns(path, r"rgb\.txt: 1 image is left out: line 3: .*rgb/100\.033333\.png does not exist", caplog)
+    assert truth is not None and truth[:, 0, 3] == pytest.approx([0.0, 0.4])
+    assert open_recording(path).timestamps == pytest.approx([100.0, 100.066667])
 
 
 # ----- the recording as a whole
@@ -119,16 +129,17 @@ def test_no_such_path(tmp_path: Path) -> None:
     refuses(tmp_path / "absent", "no such file or folder")
 
 
-def test_files_that_cannot_be_read_or_are_no_text(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_or_are_no_text(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_tum(tmp_path / "room")
     (path / "groundtruth.txt").write_bytes(bytes(range(256)))
-    refuses(path, r"groundtruth\.txt: .*expected")
-    (path / "rgb.txt").write_bytes(b"\xff\xfe\x00\x01")
-    refuses(path, r"rgb\.txt: line 1")
+    assert warns(path, r"groundtruth\.txt.*expected.*: the run has no ground truth", caplog) is None
+    (path / "rgb.txt").write_bytes(b"\xff\xfe1\x01")
+    refuses(path, r"rgb\.txt: line 1|rgb\.txt: empty")
     scene = write_scannet(tmp_path / "scene")
     (scene / "pose/1.txt").unlink()
     (scene / "pose/1.txt").mkdir()
-    refuses(scene, r"pose/1\.txt: Is a directory")
+    truth = warns(scene, r"pose/1\.txt: Is a directory: 2 of 3 frames have ground truth", caplog)
+    assert truth is not None and np.isfinite(truth).all((1, 2)).tolist() == [True, False, True]
 
 
 def test_unknown_layout(tmp_path: Path) -> None:
@@ -152,10 +163,34 @@ def test_empty_folders(tmp_path: Path) -> None:
     refuses(tmp_path, r"rgb\.txt: empty")
 
 
-def test_mismatched_counts(tmp_path: Path) -> None:
-    path = write_folder(tmp_path / "room")
-    (path / "depth/000001.png").unlink()
-    refuses(path, "3 colour and 2 depth images, rgb/000001.jpg has no partner")
+@pytest.mark.parametrize("missing", ["rgb/000001.png", "depth/000001.png"])
+def test_an_image_without_a_partner_is_left_out_and_the_others_keep_time_and_pose(
+    missing: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_folder(tmp_path / "room", suffix="png")
+    (path / missing).unlink()
+    other = {"rgb/000001.png": "depth/000001.png", "depth/000001.png": "rgb/000001.png"}[missing]
+    truth = warns(path, f"room: 1 image is left out: {other} has no partner of the same number", caplog)
+    recording = open_recording(path)
+    assert len(recording) == 2 and recording.timestamps == pytest.approx([0, 2 / 30])
+    assert round(float(recording[1].colour[0, 0, 0]) * 255) == 12  # red of image 2
+    assert truth is not None and truth[:, 0, 3] == pytest.approx([0.0, 0.4])
+    np.savetxt(path / "traj.txt", np.stack([pose(i).ravel() for i in range(3)]))
+    for file in (path / "pose").iterdir():
+        file.unlink()
+    (path / "pose").rmdir()
+    truth = open_recording(path).ground_truth
+    assert truth is not None and truth[:, 0, 3] == pytest.approx([0.0, 0.4])
+
+
+def test_many_images_without_a_partner_are_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_folder(tmp_path / "room", frames=40)
+    for i in range(2, 40):
+        (path / f"depth/{i:06d}.png").unlink()
+    warns(path, "room: 38 images are left out, the first because rgb/000002.jpg has no partner of the same number", caplog)
+    (path / "depth/000000.png").unlink()
+    (path / "depth/000001.png").rename(path / "depth/000099.png")
+    refuses(path, r"40 colour and 1 depth images, none with a partner .the first is rgb/000000\.jpg.: expected pairs of equal numbers")
 
 
 def test_two_images_of_one_number(tmp_path: Path) -> None:
@@ -225,21 +260,21 @@ def test_bad_intrinsics(text: str, tmp_path: Path) -> None:
     refuses(path, r"intrinsics\.txt.*expected")
 
 
-# ----- poses
+# ----- poses: no fault in them stops a run
 
 
-def test_nan_poses(tmp_path: Path) -> None:
+def test_nan_poses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_folder(tmp_path / "room")
     np.savetxt(path / "pose/000001.txt", np.full((4, 4), np.nan))
     truth = open_recording(path).ground_truth
-    assert truth is not None and np.isnan(truth[1]).all() and np.isfinite(truth[2]).all()
+    assert truth is not None and np.isnan(truth[1]).all() and np.isfinite(truth[2]).all() and not caplog.messages
     for i in range(3):
         np.savetxt(path / f"pose/{i:06d}.txt", np.full((4, 4), np.nan))
-    refuses(path, "none of the 3 poses is finite: remove them to run without ground truth")
+    assert warns(path, "room/pose: none of the 3 poses is finite: the run has no ground truth", caplog) is None
 
 
 @pytest.mark.parametrize("change", ["scaled", "mirrored", "bottom row"])
-def test_poses_that_are_not_rigid(change: str, tmp_path: Path) -> None:
+def test_poses_that_are_not_rigid(change: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_folder(tmp_path / "room")
     T = pose(2)
     if change == "scaled":
@@ -249,38 +284,44 @@ def test_poses_that_are_not_rigid(change: str, tmp_path: Path) -> None:
     else:
         T[3, 0] = 0.5
     np.savetxt(path / "pose/000002.txt", T)
-    refuses(path, r"pose/000002\.txt: pose 2 is not a rigid transform")
+    truth = warns(path, "room/pose: the pose of frame 2 is not a rigid transform: 2 of 3 frames have ground truth", caplog)
+    assert truth is not None and np.isfinite(truth).all((1, 2)).tolist() == [True, True, False]
 
 
-def test_mismatched_and_malformed_poses(tmp_path: Path) -> None:
+def test_mismatched_and_malformed_poses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_folder(tmp_path / "room")
-    (path / "pose/000001.txt").write_text("1 0 0\n")
-    refuses(path, r"000001\.txt: 3 numbers, expected a 4x4")
-    (path / "pose/000001.txt").write_text("one\n")
-    refuses(path, "could not convert.*expected numbers")
-    (path / "pose/000001.txt").unlink()
-    refuses(path, "2 poses for 3 frames, number 1 has no partner")
+    for text, message in (
+        ("1 0 0\n", r"000001\.txt: 3 numbers, expected a 4x4"),
+        ("one\n", "could not convert.*expected numbers"),
+        (None, "room/pose: no pose for frame 1"),
+    ):
+        (path / "pose/000001.txt").unlink() if text is None else (path / "pose/000001.txt").write_text(text)
+        truth = warns(path, f"{message}.*: 2 of 3 frames have ground truth", caplog)
+        assert truth is not None and np.isnan(truth[1]).all() and truth[2, 0, 3] == 0.4
     replica = write_replica(tmp_path / "room0")
     np.savetxt(replica / "traj.txt", np.stack([pose(i).ravel() for i in range(2)]))
-    refuses(replica, r"traj\.txt: 2 poses for 3 frames")
+    assert warns(replica, r"traj\.txt: 2 poses for 3 frames, expected one for each: the run has no ground truth", caplog) is None
     (replica / "traj.txt").write_text("1 0 0\n")
-    refuses(replica, r"traj\.txt: pose 1 has 3 numbers")
+    assert warns(replica, r"traj\.txt:1: 3 values; expected .*: the run has no ground truth", caplog) is None
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("# nothing\n", "empty"),
-        ("100.0 1 2 3\n", "pose 1 has 4 numbers, expected stamp tx ty tz qx qy qz qw"),
-        ("100.0 1 2 3 0 0 0 2\n", "a quaternion has length 2, expected 1"),
-        ("500.0 1 2 3 0 0 0 1\n", "no finite pose within 20 ms of an image"),
-        ("100.0 nan 2 3 0 0 0 1\n", "no finite pose"),
+        ("# nothing\n", "no poses in it"),
+        ("100.0 1 2 3\n", ":1: |1 lines of 4 values"),
+        ("100.0 1 2 3 0 0 0 2\n", ":1: the quaternion's norm is 2; expected 1"),
+        ("500.0 1 2 3 0 0 0 1\n", "no pose within 20 ms of an image"),
+        ("100.0 nan 2 3 0 0 0 1\n", ":1: a value is not finite"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "poses without stamps"),
     ],
 )
-def test_bad_tum_ground_truth(text: str, message: str, tmp_path: Path) -> None:
+def test_bad_tum_ground_truth(text: str, message: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_tum(tmp_path / "room")
     (path / "groundtruth.txt").write_text(text)
-    refuses(path, f"groundtruth.txt: .*{message}")
+    assert warns(path, f"groundtruth.txt.*({message}).*: the run has no ground truth", caplog) is None
+    caplog.clear()
+    assert open_recording(path, truth=False).ground_truth is None and not caplog.messages
 
 
 def test_bad_tum_lists(tmp_path: Path) -> None:
@@ -291,10 +332,10 @@ def test_bad_tum_lists(tmp_path: Path) -> None:
     refuses(path, r"depth\.txt: line 1 is 'depth/100.000000.png', expected a stamp in seconds and a file")
 
 
-def test_bad_icl_nuim_files(tmp_path: Path) -> None:
+def test_bad_icl_nuim_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_icl_nuim(tmp_path / "living_room_traj0")
     (path / "other.gt.freiburg").write_text("0 0 0 0 0 0 0 1")
-    refuses(path, "2 files .*expected one")
+    assert warns(path, "2 files .*expected one.*: the run has no ground truth", caplog) is None
     (path / "other.gt.freiburg").unlink()
     (path / "associations.txt").write_text("0 depth/0.png 1 rgb/1.png")
     refuses(path, "line 1 is .*expected: number depth/N.png number rgb/N.png")

@@ -82,7 +82,6 @@ def edited(path: Path, old: str, new: str) -> None:
         (lambda path: edited(path / "odometry.csv", "qw", "w"), "no column qw, expected timestamp, frame"),
         (lambda path: edited(path / "odometry.csv", r"\n.*", "\n"), "odometry.csv: empty"),
         (lambda path: edited(path / "odometry.csv", "100", "early"), "could not convert string to float: 'early"),
-        (lambda path: edited(path / "odometry.csv", r"1\.0\n", "3.0\n"), "quaternion has length 3"),
         (lambda path: (path / "rgb.mp4").write_bytes(b"cut off"), "rgb.mp4: not a readable video"),
         (lambda path: [file.unlink() for file in (path / "depth").iterdir()], "3 frames in rgb.mp4, 0 images in depth/ and 3 lines"),
         (lambda path: (path / "camera_matrix.csv").unlink(), "camera is unknown"),
@@ -94,6 +93,19 @@ def test_a_scan_that_cannot_be_read(damage: Callable[[Path], object], message: s
     with pytest.raises(RecordingError, match=message) as caught:
         open_recording(path)
     assert "\n" not in str(caught.value)
+
+
+def test_wrong_poses_of_a_phone_are_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_stray(tmp_path / "scan")
+    edited(path / "odometry.csv", r"1\.0\n", "3.0\n")
+    truth = open_recording(path).ground_truth
+    assert truth is not None and np.isnan(truth[0]).all() and np.isfinite(truth[1:]).all()
+    assert "odometry.csv: the pose of frame 0 is not a rigid transform: 2 of 3 frames have ground truth" in caplog.text
+    for poses, message in (([[0, 0, 0, 1, 0, 0, 0]], "1 poses for 3 frames"), ("none", "could not convert"), ([[1, 2]], "reshape")):
+        caplog.clear()
+        file = write_record3d(tmp_path / "room.r3d", record3d_entries(poses=poses))
+        assert open_recording(file).ground_truth is None
+        assert message in caplog.text and len(caplog.messages) == 1
 
 
 def test_a_scan_with_one_bad_frame(tmp_path: Path) -> None:
@@ -159,7 +171,6 @@ def without(name: str) -> dict[str, bytes]:
         (record3d_entries() | {"metadata": b"{"}, "JSONDecodeError"),
         (record3d_entries() | {"metadata": b"[]"}, "TypeError"),
         (record3d_entries(K=[1, 2]), "cannot reshape array of size 2"),
-        (record3d_entries(poses=[[0, 0, 0, 1, 0, 0, 0]]), "1 poses for 3 frames"),
         (record3d_entries(dw=13), r"rgbd/0.depth holds 768 bytes, expected 13x16 of 4"),
         (record3d_entries() | {"rgbd/0.jpg": b"cut off"}, "rgbd/0.jpg: not a readable image"),
     ],

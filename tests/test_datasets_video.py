@@ -10,6 +10,7 @@ import pytest
 from helpers.recordings import depth_image, pose
 from helpers.videos import shade, write_video
 from idfslam.datasets import open_recording
+from idfslam.datasets.readers.video_folder import paired_by_number
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
@@ -50,11 +51,28 @@ def test_a_depth_camera_beside_the_video(tmp_path: Path) -> None:
     assert (depth[:, :4] == 0).all() and depth[0, 4] == 0 and (depth[1:, 4:] == 1).all()
 
 
-def test_frames_and_depth_images_must_be_as_many(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("missing", "kept"), [("0008", [0, 2, 3]), ("0009", [0, 1, 3]), ("0010", [0, 1, 2])]
+)  # the depth images are 7 to 10
+def test_a_video_frame_without_a_depth_image_is_left_out(
+    missing: str, kept: list[int], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = write_video_folder(tmp_path / "room")
-    (path / "depth/0008.png").unlink()
-    with pytest.raises(RecordingError, match=r"4 frames in rgb\.mp4 and 3 images in depth/, expected one depth image for each frame"):
-        open_recording(path)
+    whole = open_recording(path)
+    (path / f"depth/{missing}.png").unlink()
+    recording = open_recording(path)
+    assert recording.timestamps.tolist() == whole.timestamps[kept].tolist()
+    assert "1 image is left out: 4 frames in rgb.mp4 and 3 images in depth/ (they are paired by number)" in caplog.text
+
+
+def test_depth_images_of_another_rate_than_the_video(tmp_path: Path) -> None:
+    video, images = tmp_path / "rgb.mp4", [tmp_path / f"{i}.png" for i in range(60)]
+    every_second = paired_by_number(video, 30, {float(i): images[i] for i in range(0, 30, 2)})  # numbered as the frames
+    assert every_second.places.tolist() == list(range(0, 30, 2)) and every_second.files[3] == (video, images[6])
+    one_more = paired_by_number(video, 30, {float(i): images[i] for i in range(1, 32)})
+    assert one_more.places.tolist() == list(range(30)) and one_more.files[0] == (video, images[1])
+    with pytest.raises(RecordingError, match=r"30 frames in rgb\.mp4 and 10 images in depth/, expected one depth image for each frame"):
+        paired_by_number(video, 30, {float(i): images[i] for i in range(10)})
 
 
 def test_two_videos(tmp_path: Path) -> None:

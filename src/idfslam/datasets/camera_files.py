@@ -10,9 +10,8 @@ import numpy as np
 
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.camera_text import checked_distortion, from_matrix, parse_camera
-from idfslam.datasets.poses import RIGID
 from idfslam.errors import RecordingError
-from idfslam.geometry.rigid_transform import is_rigid
+from idfslam.geometry.rigid_transform import RIGID, is_rigid
 from idfslam.storage.text_file import read_text
 
 CAM_PARAMS = "cam_params.json"

@@ -1,14 +1,17 @@
-"""Which colour and depth image of two series belong together: by equal numbers, by the nearest time stamp, or by their order."""
+"""Which colour and depth image of two series belong together: by equal numbers, by the nearest time stamp, or by their order.
+
+Images without a partner are left out, with one warning.
+"""
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.file_numbers import name_stamps
-from idfslam.datasets.images import paired
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import associate
 
@@ -18,16 +21,21 @@ _SAME_NUMBERS = 0.5  # [1] share of images with a partner of the same number fro
 #    Chosen by hand
 
 
-@dataclass(frozen=True)
-class ImagePairs:
-    """N pairs in the order of time."""
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """N pairs of images in the order of time."""
 
-    files: list[tuple[Path, Path]]  # colour, depth
-    numbers: list[float]  # of the colour images
-    stamps: NDArray[np.float64] | None  # (N,) [s], if the files are named by them
+    numbers: list[float]  # (N,) of the colour images
+    files: list[tuple[Path, Path]]  # (N,) colour, depth
+    places: NDArray[np.int64]  # (N,) position among all frames, those that were left out included: the others keep their time
+    frames: int  # how many all are
+    stamps: NDArray[np.float64] | None = None  # (N,) [s], if the files are named by them
+
+    def __len__(self) -> int:
+        return len(self.numbers)
 
 
-def pair_images(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> ImagePairs:
+def pair_images(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> Pairs:
     """Pairs images, each by its number and sorted by it; raises RecordingError if they do not belong together."""
     stamps, depth_stamps = (name_stamps([file.stem for file in files.values()]) for files in (colour, depth))
     same = len(colour.keys() & depth.keys())
@@ -35,7 +43,7 @@ def pair_images(colour: dict[float, Path], depth: dict[float, Path], folder: Pat
         return _by_stamps(colour, depth, stamps, depth_stamps, folder)
     if same < _SAME_NUMBERS * max(len(colour), len(depth)) or (same < len(colour) and _consecutive(colour) and _consecutive(depth)):
         return _by_order(colour, depth, depth_stamps if stamps is None else stamps, folder)
-    return ImagePairs(paired(colour, depth, folder), list(colour), stamps)
+    return _by_number(colour, depth, stamps, folder)
 
 
 def _consecutive(files: dict[float, Path]) -> bool:
@@ -44,7 +52,7 @@ def _consecutive(files: dict[float, Path]) -> bool:
 
 def _by_stamps(
     colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64], depth_stamps: NDArray[np.float64], folder: Path
-) -> ImagePairs:
+) -> Pairs:
     """Each colour image with the depth image nearest in time, at most half a frame away."""
     half = float(np.median(np.diff(stamps))) / 2 if len(stamps) > 1 else np.inf
     pairs = associate(stamps, depth_stamps, tolerance=half)
@@ -56,13 +64,45 @@ def _by_stamps(
         log.warning("%s: %d colour and %d depth images; the %d pairs within half a frame of each other are read", folder, *counts)
     numbers, first, second = list(colour), list(colour.values()), list(depth.values())
     files = [(first[i], second[k]) for i, k in pairs.tolist()]
-    return ImagePairs(files, [numbers[i] for i in pairs[:, 0]], stamps[pairs[:, 0]])
+    return Pairs([numbers[i] for i in pairs[:, 0]], files, pairs[:, 0], len(colour), stamps[pairs[:, 0]])
 
 
-def _by_order(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> ImagePairs:
+def _by_order(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> Pairs:
     files = list(zip(colour.values(), depth.values()))
     if not files or len(colour) != len(depth):
-        return ImagePairs(paired(colour, depth, folder), list(colour), stamps)
+        return _by_number(colour, depth, stamps if stamps is not None and len(stamps) == len(colour) else None, folder)
     names = (f"{file.parent.name}/{file.name}" for file in files[0])
     log.warning("%s: colour and depth images have different numbers; they are paired in their order: %s with %s", folder, *names)
-    return ImagePairs(files, list(colour), stamps)
+    return Pairs(list(colour), files, np.arange(len(files)), len(files), stamps)
+
+
+def _by_number(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> Pairs:
+    """stamps: (N,) [s] of the colour images."""
+    pairs, kept = paired(colour, depth, folder), [number in depth for number in colour]
+    return pairs if stamps is None else replace(pairs, stamps=stamps[kept])
+
+
+def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> Pairs:
+    """Pairs of colour and depth images with equal numbers.
+
+    Raises RecordingError if there is no pair. An image without a partner is left out, and one warning says how many are.
+    """
+    if not colour and not depth:
+        raise RecordingError(f"{folder}: no numbered images, expected colour and 16-bit depth images")
+    everything = {**colour, **depth}
+    numbers = [number for number in sorted(everything) if number in colour and number in depth]
+    alone = [everything[number] for number in sorted(colour.keys() ^ depth.keys())]
+    if not numbers:
+        counts = f"{len(colour)} colour and {len(depth)} depth images"
+        example = f"{alone[0].parent.name}/{alone[0].name}"
+        raise RecordingError(f"{folder}: {counts}, none with a partner (the first is {example}): expected pairs of equal numbers")
+    warn_left_out(str(folder), [f"{path.parent.name}/{path.name} has no partner of the same number" for path in alone])
+    files = [(colour[number], depth[number]) for number in numbers]
+    return Pairs(numbers, files, np.searchsorted(sorted(everything), numbers), len(everything))
+
+
+def warn_left_out(source: str, problems: Sequence[str]) -> None:
+    """One warning about images that are left out, if there are any: how many, and what is wrong with the first."""
+    if problems:
+        many = f"{len(problems)} images are left out, the first because" if len(problems) > 1 else "1 image is left out:"
+        log.warning("%s: %s %s", source, many, problems[0])

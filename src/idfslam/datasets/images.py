@@ -177,14 +177,3 @@ def by_number(paths: list[Path]) -> dict[float, Path]:
         if text is not None:
             files[float(text)] = path
     return dict(sorted(files.items()))
-
-
-def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> list[tuple[Path, Path]]:
-    """Pairs of colour and depth images with equal numbers; raises RecordingError if an image has no partner or there are no images."""
-    if not colour and not depth:
-        raise RecordingError(f"{folder}: no numbered images, expected colour and 16-bit depth images")
-    if unpaired := sorted(colour.keys() ^ depth.keys()):
-        path = colour.get(unpaired[0]) or depth[unpaired[0]]
-        counts = f"{len(colour)} colour and {len(depth)} depth images"
-        raise RecordingError(f"{folder}: {counts}, {path.parent.name}/{path.name} has no partner: expected pairs of equal numbers")
-    return [(colour[number], depth[number]) for number in colour]

@@ -51,6 +51,7 @@ def open_recording(
     start: int = 0,
     frames: int | None = None,
     stride: int = 1,
+    truth: bool = True,
 ) -> Dataset:
     """Opens a recording in a common layout, recognised from its files, or a generated recording. Images are read on request.
 
@@ -63,6 +64,8 @@ def open_recording(
     topics: any of colour, depth, camera_info, poses: topics of a ROS recording; the others are detected.
     start, frames, stride: every stride-th frame from `start`, at most `frames` of them (None: all), numbered from 0.
 
+    truth: False leaves the ground truth unread.
+
     Raises RecordingError if the recording as a whole cannot be used, ConfigError if an argument is out of range.
     """
     user_calibration, user_topics = override(camera, depth_scale), Topics.of(topics)
@@ -72,7 +75,7 @@ def open_recording(
     kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
     dataset: Dataset
     if inner is not None:
-        dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics))
+        dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics, truth=truth))
     elif kind is not None:
         dataset = generated.open_generated(
             str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
@@ -84,7 +87,7 @@ def open_recording(
             dataset = _open(reader, file, user_calibration.over(read_beside_recording(file)), user_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
-    return Selection(dataset, start=start, frames=frames, stride=stride)
+    return Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)
 
 
 def _open(reader: Reader, path: Path, calibration: Calibration, topics: Topics) -> Dataset:

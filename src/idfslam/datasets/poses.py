@@ -1,66 +1,108 @@
-"""Ground-truth poses from text files: camera-to-world, in metres; a matrix of NaN stands for a missing pose."""
+"""Ground truth: the true poses of a recording's frames, camera-to-world in metres; a matrix of NaN stands for a missing pose.
 
-from collections.abc import Callable
+It is only evaluated against, so that nothing that is wrong with it stops a run: `optional_truth` turns every fault into a warning.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from idfslam.errors import RecordingError
-from idfslam.geometry.rigid_transform import is_rigid
+from idfslam.datasets.pose_file import read_pose_file
+from idfslam.errors import IdfSlamError, RecordingError
+from idfslam.geometry.association import TOLERANCE
+from idfslam.geometry.rigid_transform import RIGID, is_rigid
+from idfslam.storage.text_file import read_text
 
-RIGID = 1e-2  # [1] largest entry of |R^T R - I| of a pose; raised, damaged rotations pass. Ten times that of our own files: published
-#    recordings round their numbers to three decimals
-_UNIT = 1e-2  # [1] difference of a quaternion's length from 1, likewise
+log = logging.getLogger(__name__)
+
+_UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] in which stamps are written: seconds, ms, us, ns
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The poses of N frames as they were read."""
+
+    T_wc: NDArray[np.float64]  # (N, 4, 4), NaN: none
+    source: str  # the file or topic
+    problems: Sequence[str] = ()  # what is wrong with single poses, of which the frames have none
+
+
+ReadTruth = Callable[[], Truth | None]  # None: the recording has no ground truth
+
+
+def optional_truth(read: ReadTruth | None, *, count: int) -> NDArray[np.float64] | None:
+    """(N, 4, 4) the true poses of `count` frames, NaN where a frame has none; None where the recording has none that can be used.
+
+    Raises nothing: one warning says what is wrong, and which frames are concerned.
+    """
+    try:
+        truth = None if read is None else read()
+        return None if truth is None else _usable(truth, count)
+    except (IdfSlamError, OSError, ValueError) as error:
+        log.warning("%s: the run has no ground truth", error)
+        return None
+
+
+def _usable(truth: Truth, count: int) -> NDArray[np.float64]:
+    """The poses, all NaN where one is not finite or not rigid. Raises RecordingError if the count is wrong or no pose is left."""
+    if len(truth.T_wc) != count:
+        raise RecordingError(f"{truth.source}: {len(truth.T_wc)} poses for {count} frames, expected one for each")
+    T_wc, problems = truth.T_wc.copy(), list(truth.problems)
+    usable = np.isfinite(T_wc).all((1, 2))
+    rigid = is_rigid(T_wc[usable], tolerance=RIGID)
+    problems += [f"{truth.source}: the pose of frame {i} is not a rigid transform" for i in np.flatnonzero(usable)[~rigid]]
+    usable[usable] = rigid
+    T_wc[~usable] = np.nan
+    if not usable.any():
+        raise RecordingError(problems[0] if problems else f"{truth.source}: none of the {count} poses is finite")
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        log.warning("%s%s: %d of %d frames have ground truth", problems[0], more, usable.sum(), count)
+    return T_wc
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:
-    """Reads one pose (4, 4) from a file of 16 numbers; inf and nan are allowed and mean no pose."""
-    rows = _rows(path)
-    numbers = [number for row in rows for number in row]
+    """Reads one pose (4, 4) from a file of 16 numbers; inf and nan are allowed and mean no pose. Raises RecordingError."""
+    words = read_text(path).replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}, expected numbers of a camera-to-world pose") from error
     if len(numbers) != 16:
         raise RecordingError(f"{path}: {len(numbers)} numbers, expected a 4x4 camera-to-world matrix")
     return np.array(numbers).reshape(4, 4)
 
 
-def read_matrices(path: Path) -> NDArray[np.float64]:
-    """Reads poses (N, 4, 4) from lines of 16 numbers."""
-    rows = _rows(path)
-    for line, row in enumerate(rows, 1):
-        if len(row) != 16:
-            raise RecordingError(f"{path}: pose {line} has {len(row)} numbers, expected the 16 of a 4x4 camera-to-world matrix")
-    return np.array(rows).reshape(-1, 4, 4)
+def read_stamped(path: Path, wanted: NDArray[np.float64]) -> Truth:
+    """For each of the stamps `wanted` (N,) [s] the pose of a file of stamped poses that is nearest in time, NaN if none is within 20 ms.
 
-
-def read_freiburg(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Reads stamps (N,) [s] and poses (N, 4, 4) from lines `stamp tx ty tz qx qy qz qw` (TUM), sorted by stamp."""
-    rows = _rows(path)
-    for line, row in enumerate(rows, 1):
-        if len(row) != 8:
-            raise RecordingError(f"{path}: pose {line} has {len(row)} numbers, expected stamp tx ty tz qx qy qz qw")
-    table = np.array(rows).reshape(-1, 8)
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    try:
-        return table[:, 0], from_quaternions(table[:, 1:4], table[:, 4:])
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error} in stamp tx ty tz qx qy qz qw") from error
-
-
-def from_quaternions(positions: NDArray[np.float64], quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (N, 4, 4) from positions (N, 3) [m] and quaternions (N, 4) x y z w; NaN where a row is not finite.
-
-    Raises ValueError if a quaternion is not of length 1.
+    The file's stamps may be in seconds, milliseconds, microseconds or nanoseconds. Raises RecordingError if no pose is near a stamp.
     """
-    poses = np.full((len(positions), 4, 4), np.nan)
-    finite = np.isfinite(positions).all(1) & np.isfinite(quaternions).all(1)
-    lengths = np.linalg.norm(quaternions[finite], axis=1)
-    if np.any(np.abs(lengths - 1) > _UNIT):
-        raise ValueError(f"a quaternion has length {lengths[np.abs(lengths - 1).argmax()]:.3g}, expected 1")
-    poses[finite] = np.eye(4)
-    poses[finite, :3, :3] = Rotation.from_quat(quaternions[finite]).as_matrix()
-    poses[finite, :3, 3] = positions[finite]
-    return poses
+    file = read_pose_file(path)
+    if file.timestamps is None:
+        raise RecordingError(f"{path}: poses without stamps, expected lines of stamp tx ty tz qx qy qz qw")
+    known = np.isfinite(file.T_wc).all((1, 2))
+    if not known.any():
+        raise RecordingError(file.problems[0])
+    stamps, T_wc = in_seconds(file.timestamps[known], wanted), file.T_wc[known]
+    order = np.argsort(stamps, kind="stable")
+    selected = at_stamps(stamps[order], T_wc[order], wanted, TOLERANCE)
+    if not np.isfinite(selected).all((1, 2)).any():
+        span = f"poses from {stamps.min():.3f} to {stamps.max():.3f} s, images from {wanted.min():.3f} to {wanted.max():.3f} s"
+        raise RecordingError(f"{path}: {span}: no pose within {1000 * TOLERANCE:.0f} ms of an image, expected stamps of one clock")
+    return Truth(selected, str(path), file.problems)
+
+
+def in_seconds(stamps: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Stamps (M,), converted from the unit in which they overlap in time with `reference` (N,) [s]; unchanged if there is none."""
+    for unit in _UNITS:
+        if stamps.min() * unit <= reference.max() + TOLERANCE and reference.min() - TOLERANCE <= stamps.max() * unit:
+            return stamps * unit if unit != 1 else stamps
+    return stamps
 
 
 def at_stamps(
@@ -77,32 +119,3 @@ def at_stamps(
     selected: NDArray[np.float64] = poses[nearest].copy()
     selected[np.abs(stamps[nearest] - wanted) > tolerance] = np.nan
     return selected
-
-
-def checked(poses: NDArray[np.float64], *, count: int, source: Callable[[int], str]) -> NDArray[np.float64]:
-    """Validated poses (N, 4, 4); a matrix with any entry that is not finite becomes all NaN. `source(i)` names pose i in messages.
-
-    Raises RecordingError if there are not `count` poses, if a pose is not rigid, or if no pose is finite.
-    """
-    if len(poses) != count:
-        raise RecordingError(f"{source(0)}: {len(poses)} poses for {count} frames, expected one for each: complete or remove them")
-    poses = poses.copy()
-    finite = np.isfinite(poses).all((1, 2))
-    poses[~finite] = np.nan
-    if not finite.any():
-        raise RecordingError(f"{source(0)}: none of the {count} poses is finite: remove them to run without ground truth")
-    rigid = is_rigid(poses[finite], tolerance=RIGID)
-    if not rigid.all():
-        first = int(np.flatnonzero(finite)[rigid.argmin()])
-        raise RecordingError(
-            f"{source(first)}: pose {first} is not a rigid transform, expected camera-to-world: correct or remove the poses"
-        )
-    return poses
-
-
-def _rows(path: Path) -> list[list[float]]:
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    try:
-        return [[float(number) for number in line.split()] for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}, expected numbers of camera-to-world poses") from error

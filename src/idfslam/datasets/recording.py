@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.poses import ReadTruth, optional_truth
 from idfslam.datasets.provenance import STATED, Provenance, provenance
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -82,13 +84,13 @@ class Recording:
         read: ReadImages,
         *,
         timestamps: NDArray[np.float64],  # (N,) [s]
-        ground_truth: NDArray[np.float64] | None,  # (N, 4, 4) camera-to-world
+        ground_truth: ReadTruth | None,  # None: the layout has none
         calibration: Calibration,
         depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
         stamps_source: str = STATED,  # ASSUMED with regular_stamps; else "file names", "timestamps.txt" ...
     ) -> None:
-        self.name, self.timestamps, self.ground_truth = name, timestamps, ground_truth
-        self._read, self._registered = read, depth_camera is None
+        self.name, self.timestamps = name, timestamps
+        self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
         colour, depth = self._probe()
         self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
@@ -97,6 +99,11 @@ class Recording:
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         distorted = calibration.distortion is not None and any(calibration.distortion)
         self._undistort = Undistortion(self.camera, calibration.distortion or ()) if distorted else None
+
+    @cached_property
+    def ground_truth(self) -> NDArray[np.float64] | None:
+        """(N, 4, 4) camera-to-world, NaN where a frame has none. It is read at its first use, and a fault in it is a warning."""
+        return optional_truth(self._read_truth, count=len(self))
 
     def __len__(self) -> int:
         return len(self.timestamps)
@@ -151,10 +158,10 @@ def _size(image: NDArray[Any]) -> tuple[int, int]:
 class Selection:
     """Every `stride`-th frame of a dataset from `start`, `frames` of them (None: all), numbered from 0.
 
-    Raises ConfigError if it reaches beyond the dataset.
+    truth: False leaves the ground truth unread. Raises ConfigError if it reaches beyond the dataset.
     """
 
-    def __init__(self, dataset: Dataset, *, start: int = 0, frames: int | None = None, stride: int = 1) -> None:
+    def __init__(self, dataset: Dataset, *, start: int = 0, frames: int | None = None, stride: int = 1, truth: bool = True) -> None:
         count = len(dataset)
         if not 0 <= start < count:
             raise ConfigError(f"start {start} lies outside the {count} frames of {dataset.name}: choose 0 to {count - 1}")
@@ -168,8 +175,8 @@ class Selection:
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
         self.provenance = provenance(dataset)
         self.timestamps = dataset.timestamps[self._indices]
-        truth = dataset.ground_truth
-        self.ground_truth = None if truth is None else truth[self._indices]
+        poses = dataset.ground_truth if truth else None
+        self.ground_truth = None if poses is None else poses[self._indices]
 
     def __len__(self) -> int:
         return len(self._indices)

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+RIGID = 1e-2  # [1] `rotation_error` allowed in files of other programs; raised, damaged rotations pass. Ten times that of our own files:
+#    published recordings round their numbers to three decimals
 _LAST_ROW = 1e-6  # [1] error allowed in the last row 0 0 0 1; no file rounds it, so that a larger error means another kind of matrix
 
 

@@ -12,19 +12,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.image_folders import find_images
-from idfslam.datasets.image_pairs import pair_images
+from idfslam.datasets.image_pairs import Pairs, pair_images
 from idfslam.datasets.images import ImageFiles, by_number, holds_floats, numbered
+from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses import Truth, read_matrix, read_stamped
 from idfslam.datasets.provenance import ASSUMED
-from idfslam.datasets.recording import Reader, Recording, regular_stamps
+from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.datasets.stamps import STAMPS, read_stamps
 from idfslam.errors import RecordingError
 
 COLOUR_FOLDERS = ("rgb", "color", "colour")
 _POSE_FOLDERS = ("pose", "poses")
+_POSE_FILES = ("traj.txt", "groundtruth.txt")
 
 
 def recognises(path: Path) -> bool:
@@ -37,11 +39,11 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     if found is None:
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/, or colour and depth images in one folder")
     images, depths = by_number(found.colour), by_number(found.depth)
-    stamps = read_stamps(path / STAMPS, list(images))
+    stamps = read_stamps(path / STAMPS, sorted(images.keys() | depths.keys()))
     if stamps is not None:
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
     pairs = pair_images(images, depths, path)
-    timestamps, source = regular_stamps(len(pairs.files)), ASSUMED
+    timestamps, source = pairs.places / FPS, ASSUMED
     if stamps is not None:
         timestamps, source = np.array([stamps[number] for number in pairs.numbers]), STAMPS
     elif pairs.stamps is not None:
@@ -52,7 +54,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         ImageFiles(pairs.files),
         timestamps=timestamps,
         stamps_source=source,
-        ground_truth=read_poses(path, pairs.numbers),
+        ground_truth=lambda: read_poses(path, pairs, timestamps),
         calibration=calibration.over(usual_scale(pairs.files)),
         depth_camera=depth_camera,
     )
@@ -69,29 +71,42 @@ def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCam
     return override.over(read_beside(path)), depth_camera
 
 
-def read_poses(path: Path, numbers: list[float]) -> NDArray[np.float64] | None:
-    """(N, 4, 4) the poses of the frames with these numbers, from pose/ or poses/, else from traj.txt; None without either."""
+def read_poses(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) -> Truth | None:
+    """The poses from pose/ or poses/, one file a frame, else from traj.txt or groundtruth.txt; None without any. timestamps: (N,) [s]."""
     folder = next((path / name for name in _POSE_FOLDERS if (path / name).is_dir()), None)
     if folder is not None:
-        return read_pose_files(folder, "*.txt", numbers)
-    return read_trajectory(path / "traj.txt", len(numbers))
+        return read_pose_files(folder, "*.txt", frames)
+    file = next((path / name for name in _POSE_FILES if (path / name).is_file()), None)
+    return None if file is None else read_trajectory(file, frames, timestamps)
 
 
-def read_pose_files(folder: Path, pattern: str, numbers: list[float]) -> NDArray[np.float64] | None:
-    """(N, 4, 4) the poses from one file for each frame number; None if there are no files."""
+def read_pose_files(folder: Path, pattern: str, frames: Pairs) -> Truth | None:
+    """The poses from one file for each frame number; None if there are no files. A frame without a file has no pose."""
     files = numbered(folder, pattern, suffixes=frozenset({".txt"}))
     if not files:
         return None
-    if unpaired := sorted(files.keys() ^ set(numbers)):
-        found = f"{len(files)} poses for {len(numbers)} frames, number {unpaired[0]:.15g} has no partner"
-        raise RecordingError(f"{folder}: {found}: expected one for each, with equal numbers: complete or remove them")
-    paths = list(files.values())
-    return poses.checked(np.stack([poses.read_matrix(file) for file in paths]), count=len(numbers), source=lambda i: str(paths[i]))
+    T_wc, problems = np.full((len(frames), 4, 4), np.nan), []
+    for i, number in enumerate(frames.numbers):
+        try:
+            if number not in files:
+                raise RecordingError(f"{folder}: no pose for frame {number:.15g}")
+            T_wc[i] = read_matrix(files[number])
+        except OSError as error:
+            problems.append(f"{files[number]}: {error.strerror}")
+        except RecordingError as error:
+            problems.append(str(error))
+    return Truth(T_wc, str(folder), problems)
 
 
-def read_trajectory(path: Path, count: int) -> NDArray[np.float64] | None:
-    """(count, 4, 4) the poses from lines of 16 numbers; None without the file."""
-    return poses.checked(poses.read_matrices(path), count=count, source=lambda _: str(path)) if path.is_file() else None
+def read_trajectory(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) -> Truth | None:
+    """The poses from a file with stamps, or one for each frame, with or without those that were left out; None without the file."""
+    if not path.is_file():
+        return None
+    file = read_pose_file(path)
+    if file.timestamps is not None:
+        return read_stamped(path, timestamps)
+    T_wc = file.T_wc[frames.places] if len(file.T_wc) == frames.frames else file.T_wc
+    return Truth(T_wc, str(path), file.problems)
 
 
 READER = Reader("folder", "rgb/ or color/ and depth/, or 0001_color.png and 0001_depth.png; intrinsics.txt", recognises, open_folder)

@@ -7,23 +7,26 @@ at 30 Hz.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import CAM_PARAMS, read_beside, read_depth_camera
+from idfslam.datasets.file_list import listed_image, listed_lines
+from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.poses import Truth, read_stamped
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.datasets.recording_path import names
 from idfslam.errors import RecordingError
-from idfslam.geometry.association import TOLERANCE
 
 PUBLISHED = Calibration(481.2, 480.0, 319.5, 239.5, 640, 480, source="the published camera of ICL-NUIM")
 _NAME = re.compile(r"(^|[^a-z])icl([^a-z]|$)|living_room_traj|office_traj", re.IGNORECASE)
+_DIGITS = 15  # of a frame number; raised, numbers come that a double does not hold
 _F = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -41,43 +44,47 @@ def open_icl_nuim(path: Path, override: Calibration) -> Recording:
         ImageFiles(pairs),
         timestamps=numbers / FPS,
         stamps_source=ASSUMED,
-        ground_truth=read_ground_truth(path, numbers),
+        ground_truth=lambda: read_ground_truth(path, numbers),
         calibration=override.over(read_beside(path)).over(PUBLISHED).over(assumed_scale(5000, "ICL-NUIM layout")),
         depth_camera=read_depth_camera(path),
     )
 
 
 def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
-    """Frame numbers (N,) and (colour, depth) of the lines `number depth/N.png number rgb/N.png`, in either order."""
+    """Frame numbers (N,) and (colour, depth) of the lines `number depth/N.png number rgb/N.png`, in either order.
+
+    A line of another form, or whose images do not exist, is left out, with one warning. Raises RecordingError if no line is left.
+    """
     if not path.is_file():
         raise RecordingError(f"{path.parent}: associations.txt is missing, expected the TUM RGB-D compatible PNGs of ICL-NUIM")
-    numbers, pairs = [], []
-    for line, text in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        words = text.split("#")[0].split()
-        if not words:
+    rows: dict[int, tuple[Path, Path]] = {}
+    problems = []
+    for line, words in listed_lines(path):
+        if len(words) != 4 or not words[0].isdecimal() or words[0] != words[2] or len(words[0]) > _DIGITS:
+            problems.append(f"line {line} is '{' '.join(words)[:100]}', expected: number depth/N.png number rgb/N.png")
             continue
-        if len(words) != 4 or not words[0].isdecimal() or words[0] != words[2]:
-            raise RecordingError(f"{path}: line {line} is '{text.strip()}', expected: number depth/N.png number rgb/N.png")
-        depth, colour = (words[1], words[3]) if words[1].startswith("depth") else (words[3], words[1])
-        numbers.append(int(words[0]))
-        pairs.append((path.parent / colour, path.parent / depth))
-    if not pairs:
-        raise RecordingError(f"{path}: empty, expected lines of: number depth/N.png number rgb/N.png")
-    return np.array(numbers, np.float64), pairs
+        first, second = (listed_image(path.parent, word) for word in words[1::2])
+        (depth, _), (colour, _) = (first, second) if words[1].startswith("depth") else (second, first)
+        if missing := [f"{file} {problem}"[-200:] for file, problem in (first, second) if problem]:
+            problems.append(f"line {line}: {missing[0]}")
+        else:
+            rows[int(words[0])] = (colour, depth)
+    if not rows:
+        raise RecordingError(f"{path}: {problems[0] if problems else 'empty, expected lines of: number depth/N.png number rgb/N.png'}")
+    warn_left_out(str(path), problems)
+    numbers = sorted(rows)
+    return np.array(numbers, np.float64), [rows[number] for number in numbers]
 
 
-def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(N, 4, 4) the poses of the frames with these numbers, with OpenCV's axes; NaN where a frame has no pose."""
+def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> Truth | None:
+    """The poses of the frames with these numbers, with OpenCV's axes; NaN where a frame has no pose."""
     files = [*sorted(path.glob("*.gt.freiburg")), path / "groundtruth.txt"]
     if len(files) > 2:
         raise RecordingError(f"{path}: {len(files) - 1} files *.gt.freiburg, expected one: remove those of other sequences")
     if not files[0].is_file():
         return None
-    stamps, reference = poses.read_freiburg(files[0])
-    if not len(stamps):
-        raise RecordingError(f"{files[0]}: empty, expected lines of number tx ty tz qx qy qz qw: fill or remove it")
-    T_wc = _F @ poses.at_stamps(stamps, reference, numbers, tolerance=TOLERANCE) @ _F
-    return poses.checked(T_wc, count=len(numbers), source=lambda _: str(files[0]))
+    truth = read_stamped(files[0], numbers)
+    return replace(truth, T_wc=_F @ truth.T_wc @ _F)
 
 
 READER = Reader("icl_nuim", "associations.txt, *.gt.freiburg", recognises, open_icl_nuim)

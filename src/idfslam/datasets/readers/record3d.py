@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.images import Depth, decode_colour
+from idfslam.datasets.pose_file import from_quaternions
+from idfslam.datasets.poses import Truth
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -50,7 +51,7 @@ def open_record3d(path: Path, override: Calibration) -> Recording:
         path.stem,
         lambda i: (downscaled_colour(images.colour(i), size), upscaled_depth(images.depth(i), size)),
         timestamps=metadata.stamps,
-        ground_truth=metadata.T_wc,
+        ground_truth=metadata.truth,
         calibration=calibration.resized((width, height), size).over(Calibration(depth_scale=1)),
     )
 
@@ -133,7 +134,15 @@ class Metadata:
     size: tuple[int, int] | None  # width, height [px] of the images that the camera is valid for
     depth_size: tuple[int, int] | None
     stamps: NDArray[np.float64]  # (N,) [s]
-    T_wc: NDArray[np.float64] | None  # (N, 4, 4)
+    poses: Any  # N rows of qx qy qz qw, x y z, as they are stored; None: none are
+    source: str
+
+    def truth(self) -> Truth | None:
+        """The poses. Raises ValueError if they are no table."""
+        if not self.poses:
+            return None
+        table = np.array(self.poses, np.float64).reshape(-1, 7)
+        return Truth(from_quaternions(table[:, 4:], table[:, :4]) @ FLIP_YZ, self.source)
 
 
 def read_metadata(files: ExportFiles) -> Metadata:
@@ -143,8 +152,6 @@ def read_metadata(files: ExportFiles) -> Metadata:
         values = json.loads(files.read("metadata"))
         K = np.array(values["K"], np.float64).reshape(3, 3).T  # stored column by column
         cameras = np.array(values.get("perFrameIntrinsicCoeffs") or [[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]], np.float64).reshape(-1, 4)
-        table = np.array(values.get("poses") or [], np.float64).reshape(-1, 7)  # qx qy qz qw, x y z
-        T_wc = poses.from_quaternions(table[:, 4:], table[:, :4]) @ FLIP_YZ
         stamps = np.array(values.get("frameTimestamps") or [], np.float64).reshape(-1)
         size, depth_size = ((int(values[w]), int(values[h])) if w in values else None for w, h in (("w", "h"), ("dw", "dh")))
         fps = float(values.get("fps") or 0)
@@ -165,7 +172,8 @@ def read_metadata(files: ExportFiles) -> Metadata:
         size,
         depth_size,
         stamps,
-        poses.checked(T_wc, count=count, source=lambda _: source) if len(T_wc) else None,
+        values.get("poses"),
+        source,
     )
 
 

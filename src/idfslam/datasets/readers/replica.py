@@ -4,10 +4,11 @@ from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_cam_params, read_depth_camera
-from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.image_pairs import paired
+from idfslam.datasets.images import ImageFiles, numbered
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_trajectory
-from idfslam.datasets.recording import Reader, Recording, regular_stamps
+from idfslam.datasets.recording import FPS, Reader, Recording
 
 PUBLISHED = Calibration(600.0, 600.0, 599.5, 339.5, 1200, 680, source="the published camera of Replica")
 
@@ -23,10 +24,10 @@ def open_replica(path: Path, override: Calibration) -> Recording:
     stated = override.over(read_beside(path)).over(read_cam_params(path.parent))
     return Recording(
         path.name,
-        ImageFiles(pairs),
-        timestamps=regular_stamps(len(pairs)),
+        ImageFiles(pairs.files),
+        timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
-        ground_truth=read_trajectory(path / "traj.txt", len(pairs)),
+        ground_truth=lambda: read_trajectory(path / "traj.txt", pairs, pairs.places / FPS),
         calibration=stated.over(PUBLISHED).over(assumed_scale(6553.5, "Replica layout")),
         depth_camera=read_depth_camera(path),
     )

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_camera_file
-from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered, paired
+from idfslam.datasets.image_pairs import paired
+from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered
+from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
-from idfslam.datasets.recording import Reader, ReadImages, Recording, regular_stamps
+from idfslam.datasets.recording import FPS, Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
 
 _VERSION = 4
@@ -46,18 +47,17 @@ def open_scannet(path: Path, override: Calibration) -> Recording:
 
 
 def _open_exported(path: Path, override: Calibration) -> Recording:
-    images = numbered(path / "color")
-    pairs = paired(images, numbered(path / "depth"), path)
+    pairs = paired(numbered(path / "color"), numbered(path / "depth"), path)
     calibration = override.over(read_beside(path))
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
-    read: ReadImages = ColourOnDepth(ImageFiles(pairs), None if calibration.complete else colour, depth)
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if calibration.complete else colour, depth)
     return Recording(
         path.name,
         read,
-        timestamps=regular_stamps(len(pairs)),
+        timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
-        ground_truth=read_poses(path, list(images)),
+        ground_truth=lambda: read_poses(path, pairs, pairs.places / FPS),
         calibration=calibration.over(depth).over(assumed_scale(1000, "ScanNet layout")),
     )
 
@@ -127,7 +127,7 @@ def _open_sens(path: Path, override: Calibration) -> Recording:
         ColourOnDepth(SensImages(path, header, frames), warp, header.depth),
         timestamps=stamps if increasing else regular_stamps(len(frames)),
         stamps_source=STATED if increasing else ASSUMED,
-        ground_truth=poses.checked(truth, count=len(frames), source=lambda _: str(path)) if has_truth else None,
+        ground_truth=(lambda: Truth(truth, str(path))) if has_truth else None,
         calibration=override.over(header.depth),
     )
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
-from idfslam.datasets.images import ImageFiles, numbered, paired
+from idfslam.datasets.image_pairs import paired
+from idfslam.datasets.images import ImageFiles, numbered
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files
-from idfslam.datasets.recording import Reader, Recording, regular_stamps
+from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.errors import RecordingError
 
 PUBLISHED = Calibration(585.0, 585.0, 320.0, 240.0, 640, 480, source="the published camera of 7-Scenes")
@@ -23,14 +24,13 @@ def recognises(path: Path) -> bool:
 def open_seven_scenes(path: Path, override: Calibration) -> Recording:
     """Opens the folder of a sequence, or of a scene with one sequence only."""
     path = _sequence(path)
-    images = numbered(path, "frame-*.color.png")
-    pairs = paired(images, numbered(path, "frame-*.depth.png"), path)
+    pairs = paired(numbered(path, "frame-*.color.png"), numbered(path, "frame-*.depth.png"), path)
     return Recording(
         f"{path.parent.name}-{path.name}",
-        ImageFiles(pairs),
-        timestamps=regular_stamps(len(pairs)),
+        ImageFiles(pairs.files),
+        timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
-        ground_truth=read_pose_files(path, "frame-*.pose.txt", list(images)),
+        ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
         calibration=override.over(read_beside(path, path.parent)).over(PUBLISHED).over(assumed_scale(1000, "7-Scenes layout")),
         depth_camera=read_depth_camera(path, path.parent),
     )

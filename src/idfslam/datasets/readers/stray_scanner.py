@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_camera_file
 from idfslam.datasets.images import Depth, numbered, read_depth
+from idfslam.datasets.pose_file import from_quaternions
+from idfslam.datasets.poses import Truth
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.resampling import limited_size, upscaled_depth
 from idfslam.datasets.video import VideoTrack
@@ -53,7 +54,7 @@ def open_stray_scanner(path: Path, override: Calibration) -> Recording:
         path.name,
         StrayImages(track, numbered(path / "confidence"), depth, numbers, size),
         timestamps=odometry.table[rows, 0],
-        ground_truth=odometry.T_wc[rows],
+        ground_truth=lambda: odometry.truth(path / "odometry.csv", rows),
         calibration=calibration.resized(track.size, size).over(Calibration(depth_scale=1000)),
     )
 
@@ -89,9 +90,12 @@ class Odometry:
     """The content of odometry.csv."""
 
     rows: dict[int, int]  # row in `table` by frame number
-    table: NDArray[np.float64]  # (N, 9) the columns _COLUMNS
-    T_wc: NDArray[np.float64]  # (N, 4, 4)
+    table: NDArray[np.float64]  # (N, 9) the columns _COLUMNS; NaN where a pose is missing
     camera: Calibration  # the median over the frames; empty if they have none
+
+    def truth(self, path: Path, rows: list[int]) -> Truth:
+        """The poses in these rows of the table."""
+        return Truth(from_quaternions(self.table[rows, 2:5], self.table[rows, 5:9]), str(path))
 
 
 def read_odometry(path: Path) -> Odometry:
@@ -103,18 +107,27 @@ def read_odometry(path: Path) -> Odometry:
     if missing := [name for name in _COLUMNS if name not in names]:
         raise RecordingError(f"{path}: no column {', '.join(missing)}, expected {', '.join(_COLUMNS)}")
     try:
-        table = np.array([[float(line[name]) for name in _COLUMNS] for line in lines]).reshape(-1, len(_COLUMNS))
+        counters = [[float(line[name]) for name in _COLUMNS[:2]] for line in lines]
+        table = np.array([[*row, *(_number(line[name]) for name in _COLUMNS[2:])] for row, line in zip(counters, lines)])
         cameras = [[float(line[name]) for name in _CAMERA] for line in lines] if set(_CAMERA) <= set(names) else []
-        T_wc = poses.from_quaternions(table[:, 2:5], table[:, 5:9])
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{path}: {error}, expected numbers in {', '.join(_COLUMNS)}") from error
     if not len(table):
         raise RecordingError(f"{path}: empty, expected a line for each frame")
+    table = table.reshape(-1, len(_COLUMNS))
     rows = {int(frame): row for row, frame in enumerate(table[:, 1])}
     if not cameras:
-        return Odometry(rows, table, T_wc, Calibration())
+        return Odometry(rows, table, Calibration())
     fx, fy, cx, cy = (float(value) for value in np.median(cameras, 0))
-    return Odometry(rows, table, T_wc, Calibration(fx, fy, cx, cy, source=str(path)))
+    return Odometry(rows, table, Calibration(fx, fy, cx, cy, source=str(path)))
+
+
+def _number(text: str | None) -> float:
+    """A number; NaN if the text is none."""
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return float("nan")
 
 
 READER = Reader("stray", "rgb.mp4, depth/, odometry.csv of Stray Scanner", recognises, open_stray_scanner)

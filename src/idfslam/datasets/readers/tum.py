@@ -1,4 +1,8 @@
-"""TUM RGB-D: rgb.txt, depth.txt and groundtruth.txt list stamped files; depth in 1/5000 m (Sturm et al., IROS 2012)."""
+"""TUM RGB-D: rgb.txt, depth.txt and groundtruth.txt list stamped files; depth in 1/5000 m (Sturm et al., IROS 2012).
+
+Instead of rgb.txt and depth.txt there may be associations.txt, as the benchmark's associate.py writes it: stamp and file of a colour and
+of a depth image in each line.
+"""
 
 import re
 from dataclasses import replace
@@ -7,12 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.file_list import listed_image, listed_lines
+from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.poses import Truth, read_stamped
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.recording_path import names
+from idfslam.datasets.stamps import seconds
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 
@@ -22,28 +29,30 @@ FREIBURG = {
     "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
+_LISTS = ("rgb.txt", "depth.txt")
+_ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt")
 
 
 def recognises(path: Path) -> bool:
-    return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
+    return _has_lists(path) or _associations(path) is not None
+
+
+def _has_lists(path: Path) -> bool:
+    return all((path / name).is_file() for name in _LISTS)
+
+
+def _associations(path: Path) -> Path | None:
+    return next((path / name for name in _ASSOCIATIONS if (path / name).is_file()), None)
 
 
 def open_tum(path: Path, override: Calibration) -> Recording:
     """Opens a sequence. A frame's stamp is that of its colour image; its true pose is the nearest in time within 20 ms."""
-    for name in ("rgb.txt", "depth.txt"):
-        if not (path / name).is_file():
-            raise RecordingError(f"{path}: {name} is missing, expected rgb.txt and depth.txt")
-    colour, depth = read_list(path / "rgb.txt"), read_list(path / "depth.txt")
-    timestamps = np.array([stamp for stamp, _ in colour])
-    pairs = associate(timestamps, [stamp for stamp, _ in depth])
-    if not len(pairs):
-        raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
-    timestamps = timestamps[pairs[:, 0]]
+    timestamps, files = _paired_by_stamp(path) if _has_lists(path) else _associated(path)
     return Recording(
         path.name,
-        ImageFiles([(colour[i][1], depth[k][1]) for i, k in pairs]),
+        ImageFiles(files),
         timestamps=timestamps,
-        ground_truth=read_ground_truth(path / "groundtruth.txt", timestamps),
+        ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
         calibration=override.over(read_beside(path)).over(published(path)).over(assumed_scale(5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
     )
@@ -58,37 +67,63 @@ def published(path: Path) -> Calibration:
     return Calibration()
 
 
-def read_list(path: Path) -> list[tuple[float, Path]]:
-    """(stamp [s], image) of every line `stamp file`, sorted by stamp; `#` starts a comment."""
-    entries = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        words = line.split("#")[0].split()
-        if not words:
-            continue
-        try:
-            stamp = float(words[0])
-        except ValueError:
-            stamp = np.nan
-        if len(words) < 2 or not np.isfinite(stamp):
-            raise RecordingError(f"{path}: line {number} is '{line.strip()}', expected a stamp in seconds and a file")
-        entries.append((stamp, path.parent / words[1]))
-    if not entries:
-        raise RecordingError(f"{path}: empty, expected lines of a stamp in seconds and a file")
-    return sorted(entries)
+def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
+    """Stamps (N,) [s] of the colour images, and colour and depth, of rgb.txt and depth.txt."""
+    (t_colour, colour), (t_depth, depth) = (read_list(path / name) for name in _LISTS)
+    stamps = seconds(np.concatenate([t_colour[:, 0], t_depth[:, 0]]), str(path))
+    pairs = associate(stamps[: len(colour)], stamps[len(colour) :])
+    if not len(pairs):
+        raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
+    return stamps[pairs[:, 0]], [(colour[i][0], depth[k][0]) for i, k in pairs]
 
 
-def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(N, 4, 4), NaN where no pose lies within 20 ms; None without the file."""
-    if not path.is_file():
-        return None
-    stamps, reference = poses.read_freiburg(path)
-    if not len(stamps):
-        raise RecordingError(f"{path}: empty, expected lines of stamp tx ty tz qx qy qz qw: fill or remove it")
-    T_wc = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
-    if not np.isfinite(T_wc).all((1, 2)).any():
-        span = f"poses from {stamps[0]:.3f} to {stamps[-1]:.3f} s, images from {timestamps[0]:.3f} to {timestamps[-1]:.3f} s"
-        raise RecordingError(f"{path}: {span}: no finite pose within {1000 * TOLERANCE:.0f} ms of an image: correct or remove the file")
-    return poses.checked(T_wc, count=len(timestamps), source=lambda _: str(path))
+def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
+    """The same of associations.txt, whose images may come in either order."""
+    file = _associations(path)
+    if file is None:
+        missing = next(name for name in _LISTS if not (path / name).is_file())
+        raise RecordingError(f"{path}: {missing} is missing, expected rgb.txt and depth.txt, or associations.txt")
+    stamps, files = read_list(file, images=2)
+    colour = 1 if "depth" in files[0][0].parent.name.lower() else 0
+    return seconds(stamps[:, colour], str(file)), [(row[colour], row[1 - colour]) for row in files]
+
+
+def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list[tuple[Path, ...]]]:
+    """Stamps (N, images) and files of the lines `stamp file`, or `stamp file stamp file` with 2 images, sorted by stamp.
+
+    What follows in a line is ignored. A line that names no image is left out, with one warning, and so is the second of two equal lines.
+    Raises RecordingError if no line is left.
+    """
+    rows: set[tuple[tuple[float, ...], tuple[Path, ...]]] = set()
+    problems = []
+    for number, words in listed_lines(path):
+        stamps = tuple(map(_stamp, words[: 2 * images : 2]))
+        found = [listed_image(path.parent, word) for word in words[1 : 2 * images : 2]]
+        if len(found) < images or not np.isfinite(stamps).all():
+            problems.append(f"line {number} is '{' '.join(words)[:100]}', expected a stamp in seconds and a file")
+        elif missing := [f"{file} {problem}"[-200:] for file, problem in found if problem]:
+            problems.append(f"line {number}: {missing[0]}")
+        else:
+            rows.add((stamps, tuple(file for file, _ in found)))
+    if not rows:
+        why = problems[0] if problems else "empty, expected lines of a stamp in seconds and a file"
+        raise RecordingError(f"{path}: {why}")
+    warn_left_out(str(path), problems)
+    ordered = sorted(rows)
+    return np.array([stamps for stamps, _ in ordered]), [files for _, files in ordered]
+
+
+def _stamp(word: str) -> float:
+    """A stamp; NaN if the word is no number."""
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
+
+
+def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> Truth | None:
+    """The pose nearest in time to each stamp (N,) [s] within 20 ms; None without the file."""
+    return read_stamped(path, timestamps) if path.is_file() else None
 
 
 READER = Reader("tum", "rgb.txt, depth.txt", recognises, open_tum)

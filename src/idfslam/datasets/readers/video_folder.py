@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from idfslam.datasets import video
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.image_folders import depth_folder
+from idfslam.datasets.image_pairs import Pairs, warn_left_out
 from idfslam.datasets.images import DEPTH_SUFFIXES, Depth, numbered, read_depth
 from idfslam.datasets.readers.folder import calibrated, read_poses, usual_scale
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import RecordingError
 
+_MISSING = 0.05  # [1] of the frames, at the end of video or depth images; raised, images of other frames are paired. Chosen by hand
 _NAMES = ("rgb", "color", "colour", "video")
 
 
@@ -38,24 +40,48 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
     file, folder = colour_video(path), depth_folder(path)
     if file is None or folder is None:
         raise RecordingError(f"{path}: expected a video rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi) and the folder depth/")
-    track, depth = VideoTrack(file), numbered(folder, suffixes=DEPTH_SUFFIXES)
-    if len(track) != len(depth):
-        found = f"{len(track)} frames in {file.name} and {len(depth)} images in {folder.name}/"
-        raise RecordingError(f"{path}: {found}, expected one depth image for each frame, in their order")
-    files = list(depth.values())
+    track = VideoTrack(file)
+    pairs = paired_by_number(file, len(track), numbered(folder, suffixes=DEPTH_SUFFIXES))
+    timestamps = track.times[pairs.places]
 
     def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
-        return track.colour(i), read_depth(files[i])
+        return track.colour(int(pairs.places[i])), read_depth(pairs.files[i][1])
 
     calibration, depth_camera = calibrated(path, override)
     return Recording(
         path.name,
         read,
-        timestamps=track.times,
-        ground_truth=read_poses(path, list(depth)),
-        calibration=calibration.over(usual_scale([(file, depth) for depth in files])),
+        timestamps=timestamps,
+        ground_truth=lambda: read_poses(path, pairs, timestamps),
+        calibration=calibration.over(usual_scale(pairs.files)),
         depth_camera=depth_camera,
     )
+
+
+def paired_by_number(video: Path, frames: int, depth: dict[float, Path]) -> Pairs:
+    """Frames of a video with depth images: in their order where there are equally many, else by the numbers of the depth images.
+
+    What is left alone is left out, with one warning. Raises RecordingError if the numbers do not count the frames of the video.
+    """
+    numbers = np.array(list(depth))
+    places = np.arange(frames) if len(depth) == frames else _counted(numbers, frames)
+    found = f"{frames} frames in {video.name} and {len(depth)} images in depth/"
+    if places is None or not len(places):
+        raise RecordingError(f"{video.parent}: {found}, expected one depth image for each frame, in their order")
+    within = places < frames
+    numbers, places = numbers[within], places[within]
+    warn_left_out(str(video.parent), [f"{found} (they are paired by number)"] * (frames + len(depth) - 2 * len(places)))
+    return Pairs(numbers.tolist(), [(video, depth[number]) for number in numbers.tolist()], places, frames)
+
+
+def _counted(numbers: NDArray[np.float64], frames: int) -> NDArray[np.int64] | None:
+    """The frames (N,) of a video that depth images with these numbers (N,) belong to; None if the numbers do not reach its end."""
+    for step in (float(np.median(np.diff(numbers))), 1.0) if len(numbers) > 1 else ():
+        first = 0.0 if numbers[-1] == step * (frames - 1) else numbers[0]
+        places = (numbers - first) / step
+        if np.all(places == np.round(places)) and abs(places[-1] - (frames - 1)) <= 1 + _MISSING * frames:
+            return places.astype(np.int64)
+    return None
 
 
 READER = Reader("video", "rgb.mp4 or color.mkv, depth/, intrinsics.txt", recognises, open_video_folder)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images import Depth
+from idfslam.datasets.poses import Truth, at_stamps
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.ros import realsense_bag
 from idfslam.datasets.ros.bag import SUFFIXES, Bag, IndexedMessage
@@ -61,6 +61,10 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         infos = ", ".join(bag.topics(CAMERA_INFO)) or "none at all"
         advice = "name it with --topics.camera-info, or give --camera.fx --camera.fy --camera.cx --camera.cy"
         raise RecordingError(f"{path}: no {CAMERA_INFO} for {colour.name} (found {infos}): {advice}")
+    pose_topic = topics.poses
+    if pose_topic is not None and bag.types.get(pose_topic) not in _POSES:
+        found = ", ".join(bag.topics(*_POSES)) or "none"
+        raise RecordingError(f"{path}: no poses in {pose_topic} (found {found}): name another with --topics.poses")
     static = [topic for topic in bag.topics("tf2_msgs/TFMessage") if "static" in topic]
     frames = StaticFrames((message for topic in static for message in bag.messages(topic)), f"{path}: /tf_static")
     index = bag.index(colour.name, depth.name)
@@ -76,7 +80,7 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         path.stem,
         RosImages(bag, colour.name, depth.name, [(index[colour.name][i], index[depth.name][k]) for i, k in pairs]),
         timestamps=timestamps,
-        ground_truth=None if topics.poses is None else read_truth(bag, topics.poses, colour.frame, frames, timestamps),
+        ground_truth=None if pose_topic is None else lambda: read_truth(bag, pose_topic, colour.frame, frames, timestamps),
         calibration=override.over(camera).over(Calibration(depth_scale=scale)),
         depth_camera=_depth_camera(bag, colour, depth, frames, named=topics.depth is not None),
     )
@@ -117,25 +121,21 @@ def _depth_camera(bag: Bag, colour: ImageTopic, depth: ImageTopic, frames: Stati
     return DepthCameraCalibration(camera, T)
 
 
-def read_truth(
-    bag: Bag, topic: str, camera: str, frames: StaticFrames, timestamps: NDArray[np.float64]
-) -> NDArray[np.float64]:  # (N, 4, 4)
+def read_truth(bag: Bag, topic: str, camera: str, frames: StaticFrames, timestamps: NDArray[np.float64]) -> Truth:
     """The camera's poses from a topic, NaN where none is near in time.
 
     Poses of another frame are moved to the camera if /tf_static connects the two.
     """
-    if bag.types.get(topic) not in _POSES:
-        found = ", ".join(bag.topics(*_POSES)) or "none"
-        raise RecordingError(f"{bag.path}: no poses in {topic} (found {found}): name another with --topics.poses")
     entries: list[tuple[float, NDArray[np.float64]]] = []
     for message in bag.messages(topic):
         T = frames.T(message.child_frame_id, camera) if hasattr(message, "child_frame_id") else None
         header = message.header.stamp
         entries.append((header.sec + header.nanosec / 1e9, _pose(message, f"{bag.path}: {topic}") @ (np.eye(4) if T is None else T)))
+    if not entries:
+        raise RecordingError(f"{bag.path}: no messages in {topic}")
     entries.sort(key=lambda entry: entry[0])
     stamps, reference = np.array([stamp for stamp, _ in entries]), np.stack([T for _, T in entries])
-    T_wc = poses.at_stamps(stamps, reference, timestamps, TOLERANCE)
-    return poses.checked(T_wc, count=len(timestamps), source=lambda _: f"{bag.path}: {topic}")
+    return Truth(at_stamps(stamps, reference, timestamps, TOLERANCE), f"{bag.path}: {topic}")
 
 
 def _pose(message: Any, source: str) -> NDArray[np.float64]:

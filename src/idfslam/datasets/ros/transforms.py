@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import poses
+from idfslam.datasets.pose_file import from_quaternions
 from idfslam.errors import RecordingError
+from idfslam.geometry.rigid_transform import RIGID, is_rigid
 
 
 class StaticFrames:
@@ -41,10 +42,9 @@ def matrix(translation: Any, rotation: Any, source: str) -> NDArray[np.float64]:
     """(4, 4) from a translation and a quaternion; raises RecordingError, which names the source, if they are no rigid transform."""
     t = np.array([[translation.x, translation.y, translation.z]], np.float64)
     q = np.array([[rotation.x, rotation.y, rotation.z, rotation.w]], np.float64)
-    try:
-        T = poses.from_quaternions(t, q)[0]
-    except ValueError as error:
-        raise RecordingError(f"{source}: {error} in a transform") from error
+    T = from_quaternions(t, q)
     if np.isnan(T).any():
         raise RecordingError(f"{source}: a transform that is not finite")
-    return T
+    if not is_rigid(T, tolerance=RIGID)[0]:
+        raise RecordingError(f"{source}: a quaternion has length {np.linalg.norm(q):.3g}, expected 1 in a transform")
+    return np.asarray(T[0])
