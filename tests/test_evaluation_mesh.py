@@ -22,9 +22,10 @@ from idfslam.evaluation.point_triangle import nearest_distance
 from idfslam.evaluation.table import table
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.level import up_direction
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import Trajectory, save_tum
-from idfslam.pictures.mesh_renderer import Picture, looking_at, overview_pose, up_direction
+from idfslam.pictures.mesh_renderer import Picture, looking_at, overview_pose
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 

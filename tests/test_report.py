@@ -14,7 +14,7 @@ import trimesh
 from helpers.box_room import BOX, box_poses
 from idfslam.cli import command_line
 from idfslam.config import FAST
-from idfslam.report.level import from_above, level
+from idfslam.geometry.level import from_above, level
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.storage import atomic_files
@@ -162,7 +162,9 @@ def test_the_room_is_set_upright() -> None:
     """A box, its walls 30 degrees from the camera: z is up, x and y lie along the walls."""
     mesh = trimesh.creation.box(2 * BOX)
     mesh.invert()
-    R_lw = level(mesh, box_poses())
+    found = level(mesh, box_poses())
+    assert found.by_gravity
+    R_lw = found.R_lw
     np.testing.assert_allclose(R_lw @ R_lw.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(R_lw[2], [0, -1, 0], atol=1e-9)
     np.testing.assert_allclose(np.abs(R_lw).max(1), 1, atol=1e-9)  # the camera's 30 degrees are gone

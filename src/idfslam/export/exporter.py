@@ -3,23 +3,29 @@
 import itertools
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import torch
 import trimesh
+from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, FrameError, RecordingError
-from idfslam.export import colmap, nerfstudio, tsdf_grid
-from idfslam.export.formats import Format, Texture
-from idfslam.export.images import PosedImage, write_images
+from idfslam.errors import ConfigError, FrameError, RecordingError, ResultError
+from idfslam.export import colmap, memory_need, nerfstudio, tsdf_grid
+from idfslam.export.axes import Axes
+from idfslam.export.formats import Format, Lost, Texture, Up
+from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
+from idfslam.export.lost_frames import LOST, remarked, write_lost
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
+from idfslam.export.record import ExportRecord
+from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
+from idfslam.export.surface import turned
 from idfslam.export.texture import Floats, from_images, textured
 from idfslam.geometry.kitti import save_kitti
-from idfslam.geometry.trajectory import save_tum
+from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.prior_map import earlier_keyframes
 from idfslam.storage import atomic_files
@@ -27,6 +33,19 @@ from idfslam.storage import atomic_files
 log = logging.getLogger(__name__)
 
 _TEXTURED = ("obj", "glb")
+# What a format writes, or may write, in the folder of the export
+_TARGETS: dict[Format, tuple[str, ...]] = {
+    "tum": ("tum.txt", LOST),
+    "kitti": ("kitti.txt", "kitti_times.txt", LOST),
+    "nerfstudio": tuple(f"nerfstudio/{name}" for name in (COLOUR, DEPTH, nerfstudio.POINTS, nerfstudio.TRANSFORMS)),
+    "colmap": tuple(f"colmap/{name}" for name in (COLOUR, DEPTH, "sparse", LOST)),
+    "ply": ("mesh.ply",),
+    "obj": ("mesh.obj", "mesh.mtl", "mesh.png"),
+    "glb": ("mesh.glb",),
+    "points": ("points.ply",),
+    "grid": ("grid.npz",),
+    "blocks": ("blocks.npz",),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +57,16 @@ class Exporter:
     resolution: float = 0.02  # [m] cells of meshes and grids, spacing of points
     images: int | None = None  # number of frames that give images and points; None: the keyframes
     texture: Texture | None = None
+    up: Up = "z"
+    lost: Lost | None = None  # frames whose pose was not measured; None: they are in trajectories and have no images
+    overwrite: bool = False  # files of the same names that no export wrote are replaced
 
     def write(self, formats: Sequence[Format]) -> list[Path]:
-        """Writes the formats. Returns the files, or the folder for a format of many files."""
-        if not 0 < self.resolution < np.inf:
-            raise ConfigError(f"--resolution {self.resolution}, expected metres above 0, such as 0.02")
+        """Writes the formats and transform.json. Returns the formats' files, or the folder for a format of many files.
+
+        Raises ConfigError for wrong options, ResultError if a file of the user's own would be replaced.
+        """
+        check_resolution(self.resolution)
         if self.texture and not set(formats) & set(_TEXTURED):
             raise ConfigError(f"--texture with --to {' '.join(formats)}: none of these has textures; choose {' or '.join(_TEXTURED)}")
         atomic_files.prepare(self.out)
@@ -50,66 +74,106 @@ class Exporter:
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
             "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
-        return [path for name in dict.fromkeys(formats) for path in writers[name]()]
+        record = ExportRecord.of(self.out, self._axes)
+        if not self.overwrite:
+            record.refuse_to_replace(self.out / name for to in formats for name in _TARGETS[to])
+        paths: list[Path] = []
+        for to in dict.fromkeys(formats):
+            written = writers[to]()
+            files = [self.out / name for name in _TARGETS[to]] if written[0].is_dir() else written
+            record.add(to, self._axes.gltf if to == "glb" else self._axes, files)
+            paths += written
+        self._axes.tell()
+        return list(dict.fromkeys(paths))
+
+    @cached_property
+    def _axes(self) -> Axes:
+        return Axes.of(self.run, self.up)
+
+    @cached_property
+    def _frames(self) -> NDArray[np.int64]:
+        """The frames of exported trajectories."""
+        kept = self.run.measured if self.lost == "drop" else np.full(len(self.run.trajectory), True)
+        if not kept.any():
+            raise ResultError(f"{self.run.folder}: the run has no frame whose pose was measured; expected one with --lost drop")
+        return np.flatnonzero(kept)
+
+    @property
+    def _trajectory(self) -> Trajectory:
+        return Trajectory(self.run.trajectory.timestamps[self._frames], self._axes.T_ew @ self.run.trajectory.poses[self._frames])
+
+    def _lost_frames(self) -> list[Path]:
+        """lost.txt beside a trajectory: all frames whose pose was not measured, whether they are in it or not."""
+        stamps, statuses = self.run.trajectory.timestamps, self.run.statuses
+        return write_lost(self.out, "frame timestamp", ((f"{i} {stamps[i]:.6f}", statuses[i]) for i in np.flatnonzero(~self.run.measured)))
 
     def _tum(self) -> list[Path]:
+        statuses, measured = self.run.statuses, self.run.measured
         with atomic_files.replacing(self.out / "tum.txt") as part:
-            save_tum(part, self.run.trajectory)
-        return [self.out / "tum.txt"]
+            save_tum(part, self._trajectory)
+            part.write_text(remarked(part.read_text(encoding="utf-8"), [None if measured[i] else statuses[i] for i in self._frames]))
+        return [self.out / "tum.txt", *self._lost_frames()]
 
     def _kitti(self) -> list[Path]:
         paths = [self.out / "kitti.txt", self.out / "kitti_times.txt"]
         with atomic_files.replacing(paths[0]) as part:
-            save_kitti(part, self.run.trajectory.poses)
+            save_kitti(part, self._trajectory.poses)
         with atomic_files.replacing(paths[1]) as part:
-            np.savetxt(part, self.run.trajectory.timestamps, fmt="%.6f")
-        return paths
+            np.savetxt(part, self._trajectory.timestamps, fmt="%.6f")
+        return [*paths, *self._lost_frames()]
 
     def _nerfstudio(self) -> list[Path]:
         folder = self.out / "nerfstudio"
-        images = write_images(folder, self._images())
+        images = write_images(folder, self._posed_images())
         with atomic_files.replacing(folder / nerfstudio.POINTS) as part:
-            _cloud(images, self.resolution).save(part)
+            self._cloud(images).save(part)
         nerfstudio.write_transforms(folder / nerfstudio.TRANSFORMS, images)
         return [folder]
 
     def _colmap(self) -> list[Path]:
         folder = self.out / "colmap"
-        images = write_images(folder, self._images())
-        colmap.write_colmap(folder / "sparse" / "0", images, _cloud(images, self.resolution))
+        images = write_images(folder, self._posed_images())
+        colmap.write_colmap(folder / "sparse" / "0", images, self._cloud(images))
+        write_lost(folder, "image", ((image.name, image.status) for image in images if not image.measured))
         return [folder]
 
     def _ply(self) -> list[Path]:
-        return write_ply(self.out / "mesh.ply", self._mesh)
+        return write_ply(self.out / "mesh.ply", turned(self._mesh, self._axes.T_ew))
 
     def _obj(self) -> list[Path]:
-        return write_obj(self.out / "mesh.obj", self._textured)
+        return write_obj(self.out / "mesh.obj", turned(self._textured, self._axes.T_ew))
 
     def _glb(self) -> list[Path]:
-        return write_glb(self.out / "mesh.glb", self._textured)
+        return write_glb(self.out / "mesh.glb", turned(self._textured, self._axes.gltf.T_ew))
 
     def _points(self) -> list[Path]:
         with atomic_files.replacing(self.out / "points.ply") as part:
-            _cloud(self._images(), self.resolution).save(part)
+            self._cloud(self._posed_images()).save(part)
         return [self.out / "points.ply"]
 
     def _grid(self) -> list[Path]:
         with atomic_files.replacing(self.out / "grid.npz") as part:
-            tsdf_grid.save_grid(part, self.run.map, self.resolution)
+            tsdf_grid.save_grid(part, self.run.map, self.resolution, self._axes.T_ew)
         return [self.out / "grid.npz"]
 
     def _blocks(self) -> list[Path]:
+        memory_need.check_blocks(surface_area(self.run), self.run.map.field.config.truncation, self.resolution)
         with atomic_files.replacing(self.out / "blocks.npz") as part:
-            tsdf_grid.save_blocks(part, self.run.map, self.resolution)
+            tsdf_grid.save_blocks(part, self.run.map, self.resolution, self._axes.T_ew)
         return [self.out / "blocks.npz"]
 
-    def _images(self) -> Iterator[PosedImage]:
+    def _posed_images(self) -> Iterator[PosedImage]:
+        """The images of `_images` in the axes of the exports; with --lost keep those whose pose was not measured as well."""
+        return (replace(image, T_wc=self._axes.T_ew @ image.T_wc) for image in self._images(guessed=self.lost == "keep"))
+
+    def _images(self, *, guessed: bool = False) -> Iterator[PosedImage]:
         """The exported frames: the keyframes of the map that the run started in, then frames of the run's own recording.
 
-        An unreadable frame is reported and left out. Raises RecordingError if none is left.
+        guessed: with those whose pose was not measured. An unreadable frame is reported and left out.
+        Raises RecordingError if none is left.
         """
         found = False
-        for image in itertools.chain(self._earlier_images(), self._own_images()):
+        for image in itertools.chain(self._earlier_images(), self._own_images(guessed)):
             found = True
             yield image
         if not found:
@@ -120,18 +184,24 @@ class Exporter:
             for i, keyframe in enumerate(earlier_keyframes(self.run.keyframes.earlier)):
                 yield PosedImage(f"earlier_{i:06d}.png", keyframe.T_wk.numpy(), keyframe.frame)
 
-    def _own_images(self) -> Iterator[PosedImage]:
+    def _own_images(self, guessed: bool) -> Iterator[PosedImage]:
         if self.images is None and self.run.keyframes.earlier and not len(self.run.keyframes.indices):
             return  # the map that the run started in needed no keyframe of it
-        for i in map(int, self.run.frames_to_show(self.images)):
+        statuses, measured = self.run.statuses, self.run.measured
+        for i in map(int, self.run.frames_to_show(self.images, guessed=guessed)):
             try:
-                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i])
+                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i], statuses[i], bool(measured[i]))
             except FrameError as error:
                 log.warning("%s; the frame is left out", error)
 
+    def _cloud(self, images: Iterable[PosedImage]) -> PointCloud:
+        """The points of the images whose pose was measured, in the axes of the images' poses."""
+        return fuse(((image.frame, image.T_wc) for image in images if image.measured), self.resolution)
+
     @cached_property
     def _mesh(self) -> trimesh.Trimesh:
-        return self.run.map.mesh(self.resolution)
+        """In the run's world."""
+        return mesh_of_map(self.run, self.resolution)
 
     @cached_property
     def _textured(self) -> trimesh.Trimesh:
@@ -150,7 +220,3 @@ class Exporter:
         chunks = (torch.from_numpy(np.ascontiguousarray(array)).to(device).split(1 << 18) for array in (points, -normals))
         directed = field.direction_encoding is not None
         return torch.cat([field(p, d if directed else None)[1].cpu() for p, d in zip(*chunks)]).numpy()
-
-
-def _cloud(images: Iterable[PosedImage], spacing: float) -> PointCloud:
-    return fuse(((image.frame, image.T_wc) for image in images), spacing)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.frame import Frame
+from idfslam.frame import Frame, Status
 from idfslam.pictures.image_files import write_colour, write_depth
 from idfslam.storage import atomic_files
 
@@ -21,6 +21,8 @@ class PosedImage:
     name: str
     T_wc: NDArray[np.float64]  # (4, 4)
     frame: Frame
+    status: Status = Status.OK
+    measured: bool = True  # False: its pose was extrapolated or interpolated
 
 
 def write_images(folder: Path, images: Iterable[PosedImage]) -> list[PosedImage]:

@@ -1,7 +1,8 @@
 """Writes transforms.json, which nerfstudio, instant-ngp and most radiance-field programs read.
 
 Its cameras look along -z with y up (OpenGL): T_wc times diag(1, -1, -1, 1). Its pixel centres lie at half integers, so the principal
-point is half a pixel larger than here. Depth images are in millimetres, nerfstudio's default. World coordinates are unchanged.
+point is half a pixel larger than here. Depth images are in millimetres, nerfstudio's default. `status` of a frame says how its pose was
+found; other programs pass over it.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ def write_transforms(path: Path, images: Sequence[PosedImage]) -> None:
             "file_path": f"{COLOUR}/{image.name}",
             "depth_file_path": f"{DEPTH}/{image.name}",
             "transform_matrix": image.T_wc @ OPENGL,
+            "status": image.status.value,
             **({} if shared else _intrinsics(image.frame.camera)),
         }
         for image in images

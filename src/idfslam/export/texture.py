@@ -75,7 +75,9 @@ def textured(mesh: trimesh.Trimesh, shade: Shade) -> trimesh.Trimesh:
     options = {"metallicFactor": 0.0, "roughnessFactor": 1.0, "doubleSided": True}
     material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(image), **options)
     visual = trimesh.visual.TextureVisuals(layout.uv.reshape(-1, 2), material=material)
-    return trimesh.Trimesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), visual=visual, process=False)
+    smooth = np.asarray(mesh.vertex_normals)[mesh.faces].reshape(-1, 3)
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(corners.reshape(-1, 3), faces, vertex_normals=smooth, visual=visual, process=False)
 
 
 def from_images(frames: Iterable[tuple[Frame, NDArray[np.float64]]], otherwise: Shade) -> Shade:

@@ -1,4 +1,4 @@
-"""Makes meshes, pictures and videos from a saved map."""
+"""Makes pictures and videos from a saved map."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,35 +13,16 @@ from rich.progress import track
 from idfslam.errors import ConfigError, ResultError
 from idfslam.evaluation.evaluate import load_mesh
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.saved_map import load_map
+from idfslam.geometry.level import up_direction
 from idfslam.pictures.camera_paths import fly_through, load_poses, orbit
 from idfslam.pictures.image_files import write_colour, write_depth
-from idfslam.pictures.mesh_renderer import up_direction
 from idfslam.pictures.video import write_video
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.storage import atomic_files
 
-MESH_FORMATS = (".ply", ".obj", ".off", ".stl", ".glb")
 Item = TypeVar("Item")
 _ORBIT = 0.08  # radius of an orbit as a share of the room's size; larger: more parallax, nearer to the walls
-
-
-def write_mesh(folder: Path, out: Path | None = None, *, resolution: float) -> Path:
-    """Writes the mesh of a result folder's map, with cells of `resolution` [m], to `out` or the folder's mesh.ply. Returns the path.
-
-    Raises ResultError if the map is missing, ConfigError for an invalid resolution or file format.
-    """
-    if not 0 < resolution < np.inf:
-        raise ConfigError(f"--resolution {resolution}, expected metres above 0, such as 0.01")
-    path = out or folder / result_folder.MESH
-    if path.suffix not in MESH_FORMATS:
-        raise ConfigError(f"--out {path}: meshes are written as {', '.join(MESH_FORMATS)}")
-    saved = load_map(result_folder.existing(folder, result_folder.MAP))
-    atomic_files.prepare(path.parent)
-    with atomic_files.replacing(path) as part:
-        saved.mesh(resolution).export(part)
-    return path
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.level import up_direction
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
 Floats = NDArray[np.floating]
@@ -147,21 +148,6 @@ def vertex_colours(mesh: trimesh.Trimesh) -> Floats:
     if isinstance(mesh.visual, trimesh.visual.ColorVisuals) and mesh.visual.kind == "vertex":
         return np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     return np.full((len(mesh.vertices), 3), 0.75, np.float32)
-
-
-def up_direction(mesh: trimesh.Trimesh, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) the room's up direction: the mean up of the cameras (N, 4, 4), refined by the normals of floor and ceiling."""
-    up = -poses[:, :3, 1].mean(0)
-    up /= np.linalg.norm(up)
-    normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
-    for degrees in (35, 25, 15, 10, 5, 5):
-        cosine = normals @ up
-        near = np.abs(cosine) > np.cos(np.deg2rad(degrees))
-        if areas[near].sum() == 0:
-            break
-        up = ((areas * np.sign(cosine))[near, None] * normals[near]).sum(0)
-        up /= np.linalg.norm(up)
-    return up
 
 
 def looking_at(target: NDArray[np.float64], eye: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:

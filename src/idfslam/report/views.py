@@ -16,11 +16,11 @@ from idfslam.datasets import Dataset
 from idfslam.errors import FrameError
 from idfslam.export.tsdf_grid import observed_space
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.level import from_above
 from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
 from idfslam.report.figures import Plan
-from idfslam.report.level import from_above
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

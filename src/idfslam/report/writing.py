@@ -22,10 +22,11 @@ from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.evaluate import load_mesh
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, absolute_trajectory_error, matched_ground_truth
+from idfslam.export.memory_need import finest_cells
+from idfslam.geometry.level import level
 from idfslam.geometry.trajectory import load_tum
 from idfslam.report import figures
 from idfslam.report.chart import Chart
-from idfslam.report.level import level
 from idfslam.report.views import Room, comparisons
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
@@ -95,7 +96,8 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     mesh = _mesh(folder, missing)
     ate = _ate(run, recording, gt)
     metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
-    sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh) | _frames(gallery, run, recording)
+    upright = level(mesh, run.trajectory.poses)
+    sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh, upright.R_lw) | _frames(gallery, run, recording)
     page = _template().render(
         name=recording.name if recording is not None else folder.resolve().name,
         made=datetime.fromtimestamp((folder / result_folder.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
@@ -104,6 +106,8 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
         sections=sections,
         stages=sorted(metrics.get("ms_per_frame", {}).items(), key=lambda item: -item[1]),
         missing=missing,
+        by_gravity=upright.by_gravity,
+        finest=finest_cells(run.map) if (folder / result_folder.MAP).is_file() else None,
         config=_config(folder),
         extra=dict(zip(RUN_SECTIONS, _run_sections(folder))),
     )
@@ -169,10 +173,11 @@ def _charts(gallery: _Gallery, run: FinishedRun, error: Error, metrics: dict[str
     return {"error": errors, "frames": times, "stages": bars, "losses": losses}
 
 
-def _room(gallery: _Gallery, run: FinishedRun, error: Error, mesh: trimesh.Trimesh | None) -> dict[str, list[_Figure]]:
-    """The trajectory, the mesh and slices of the map."""
+def _room(
+    gallery: _Gallery, run: FinishedRun, error: Error, mesh: trimesh.Trimesh | None, R_lw: NDArray[np.float64]
+) -> dict[str, list[_Figure]]:
+    """The trajectory, the mesh and slices of the map, in level coordinates."""
     poses = run.trajectory.poses
-    R_lw = level(mesh, poses)
     truth = None
     if error is not None:
         T_est_gt = np.linalg.inv(error[0].T_gt_est)

@@ -60,21 +60,34 @@ class FinishedRun:
             raise ResultError(f"{self.folder}: its recording has {size}, the run {own} or another camera; give its own with --recording")
         return recording
 
-    def frames_to_show(self, count: int | None) -> NDArray[np.int64]:
-        """`count` frames evenly spread over the frames with a measured pose, or all of these if there are fewer. None: the keyframes.
+    @cached_property
+    def statuses(self) -> list[Status]:
+        """How the pose of each frame of the trajectory was found; `ok` for all if the folder has no frames.csv."""
+        statuses = [Status.OK] * len(self.trajectory)
+        for line in self.frames.lines if self.frames else ():
+            if line.index < len(statuses):
+                statuses[line.index] = line.status
+        return statuses
 
-        Raises ConfigError for a count below 1, ResultError if there is no such frame.
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N,) whether the pose of a frame was measured: it is neither extrapolated nor interpolated."""
+        return np.array([status not in (Status.LOST, Status.INTERPOLATED) for status in self.statuses], bool)
+
+    def frames_to_show(self, count: int | None, *, guessed: bool = False) -> NDArray[np.int64]:
+        """`count` frames evenly spread over the run, or all of them if there are fewer. None: the keyframes.
+
+        guessed: frames whose pose was not measured are among them. Raises ConfigError for a count below 1, ResultError if there is none.
         """
+        wanted = np.full(len(self.trajectory), True) if guessed else self.measured
         if count is None:
-            chosen = self.keyframes.indices
+            chosen = np.array([i for i in self.keyframes.indices if i < len(wanted) and wanted[i]], np.int64)
         elif count < 1:
             raise ConfigError(f"--images {count}, expected at least 1")
         else:
-            lines = self.frames.lines if self.frames else ()
-            guessed = [line.index for line in lines if line.status in (Status.LOST, Status.INTERPOLATED)]
-            measured = np.setdiff1d(np.arange(len(self.trajectory)), guessed)
-            places = np.linspace(0, len(measured) - 1, count).round().astype(int)
-            chosen = measured[np.unique(places)] if len(measured) else measured
+            found = np.flatnonzero(wanted)
+            places = np.linspace(0, len(found) - 1, count).round().astype(int)
+            chosen = found[np.unique(places)] if len(found) else found
         if not len(chosen):
-            raise ResultError(f"{self.folder}: the run has no {'keyframes' if count is None else 'frame whose pose was measured'}")
+            raise ResultError(f"{self.folder}: the run has no {'keyframe' if count is None else 'frame'} whose pose was measured")
         return chosen

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from idfslam.export.formats import Format, Texture
+from idfslam.export.formats import Format, Lost, Texture, Up
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,6 +20,7 @@ class Export:
     nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
     ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
     grid: T-SDF, colour and what was observed on a dense grid (npz).  blocks: the same, only near the surface.
+    All formats of one command share their axes (--up), so that poses and meshes fit; transform.json tells them.
     """
 
     folder: Positional[Path]
@@ -27,7 +28,15 @@ class Export:
     to: tuple[Format, ...]
     """One or more formats."""
     resolution: float = 0.02
-    """Cell edge of meshes and grids, and spacing of points [m]."""
+    """Cell edge of meshes and grids, and spacing of points [m]. The map has finest cells of its own (4 cm in the preset `fast`): cells
+    below half of that add vertices, not detail."""
+    up: Up = "z"
+    """Axis that points up in the files. `z`: up by gravity, as the floor shows it, the walls along x and y. `y`: the same with y up.
+    `camera`: the axes of the run's own trajectory.txt and mesh.ply (the first camera: x right, y down, z forward). In GLB files y is
+    always up, since glTF demands it."""
+    lost: Lost | None = None
+    """Frames whose pose was not measured (lost, interpolated). `keep`: they are exported and marked. `drop`: they are left out.
+    None given: trajectories keep them, marked, and posed images leave them out."""
     images: int | None = None
     """Number of frames whose images and points are exported, spread over the run; none given: the keyframes, with those of the
     map that the run started in."""
@@ -37,6 +46,8 @@ class Export:
     """New path of the recording, if it was moved after the run."""
     out: Path | None = None
     """Folder of the files; none given: export/ in the result folder."""
+    overwrite: bool = False
+    """Replace files of the same names that are not from an earlier export, or that were changed since."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.export.exporter import Exporter
@@ -44,5 +55,5 @@ class Export:
 
         out = self.out or self.folder / "export"
         run = FinishedRun(self.folder, moved=self.recording)
-        exporter = Exporter(run, out, self.resolution, self.images, self.texture)
+        exporter = Exporter(run, out, self.resolution, self.images, self.texture, self.up, self.lost, self.overwrite)
         print(*exporter.write(self.to), sep="\n")

@@ -1,0 +1,27 @@
+"""Tells apart the frames whose pose was not measured: in remarks, and in lost.txt beside files that have no room for remarks."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from idfslam.frame import Status
+from idfslam.storage import atomic_files
+
+LOST = "lost.txt"
+
+
+def write_lost(folder: Path, header: str, frames: Iterable[tuple[str, Status]]) -> list[Path]:
+    """Writes a line `NAME STATUS` for each of the frames. Without frames an earlier lost.txt is removed. Returns the paths written."""
+    path, lines = folder / LOST, [f"{name} {status.value}\n" for name, status in frames]
+    if not lines:
+        path.unlink(missing_ok=True)
+        return []
+    with atomic_files.replacing(path) as part:
+        part.write_text(f"# {header} status\n{''.join(lines)}", encoding="utf-8")
+    return [path]
+
+
+def remarked(tum: str, statuses: Sequence[Status | None]) -> str:
+    """A trajectory in TUM format with a remark before each pose (N,) that has a status here; readers pass over lines that begin with #."""
+    header, *poses = tum.splitlines(keepends=True)
+    remarks = ("" if status is None else f"# {status.value}: the next pose was not measured\n" for status in statuses)
+    return header + "".join(remark + pose for remark, pose in zip(remarks, poses, strict=True))
