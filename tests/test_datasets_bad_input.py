@@ -146,7 +146,9 @@ def test_unknown_layout(tmp_path: Path) -> None:
     refuses(tmp_path, "found an empty folder, expected one of scannet .*folder")
     (tmp_path / "video.mp4").write_bytes(b"")
     refuses(tmp_path, r"found video\.mp4")
-    refuses(tmp_path / "video.mp4", "found a file")
+    refuses(tmp_path / "video.mp4", r"a video without depth, expected a folder with it as rgb\.mp4 and with depth images in depth/")
+    (tmp_path / "notes.pdf").write_bytes(b"")
+    refuses(tmp_path / "notes.pdf", "found a file")
 
 
 @pytest.mark.parametrize("format", ["folder", "tum", "replica", "7scenes", "scannet", "icl_nuim"])

@@ -22,8 +22,8 @@ from idfslam.downloads import catalogue as module
 from idfslam.downloads.catalogue import Sequence, catalogue, find_sequence
 from idfslam.downloads.download import LEDGER, download
 from idfslam.downloads.fetch import fetch
-from idfslam.downloads.unpack import unpack
-from idfslam.errors import DownloadError
+from idfslam.errors import ArchiveError, DownloadError
+from idfslam.storage.unpack import unpack
 
 CONTENT = bytes(range(256)) * 4000  # about 1 MB
 
@@ -250,7 +250,7 @@ def test_nothing_lands_outside(tmp_path: Path, name: str, form: str) -> None:
             info = zipfile.ZipInfo("x")
             info.filename = name  # as it stands: the constructor would tidy it up
             opened.writestr(info, "evil")
-    with pytest.raises(DownloadError, match="expected files and folders inside it"):
+    with pytest.raises(ArchiveError, match="expected files and folders inside it"):
         unpack(archive, tmp_path / "folder")
     assert not list(tmp_path.rglob("*outside*"))
     assert not Path("/tmp/outside.txt").exists()
@@ -268,7 +268,7 @@ def test_links_are_left_out_and_lead_nowhere(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_devices_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DownloadError, match=r"'b' \(device\)"):
+    with pytest.raises(ArchiveError, match=r"'b' \(device\)"):
         unpack(write_tar(tmp_path / "a.tar", special("b", tarfile.CHRTYPE)), tmp_path / "folder")
 
 

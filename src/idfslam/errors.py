@@ -25,6 +25,10 @@ class ResultError(IdfSlamError):
     """A result folder that lacks what a command needs, or holds a file of another version."""
 
 
+class ArchiveError(IdfSlamError):
+    """A zip or tar file that is damaged, encrypted or made to do harm."""
+
+
 class DownloadError(IdfSlamError):
     """A public sequence that cannot be downloaded: unknown, not reachable, damaged, or its folder exists already."""
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from idfslam.datasets import video
 from idfslam.datasets.images import DEPTH_SUFFIXES, SUFFIXES, hidden
 
 # Names without case, digits and separators; of several folders the first name counts
@@ -43,6 +44,20 @@ def colour_folder(path: Path) -> Path | None:
 def depth_folder(path: Path) -> Path | None:
     """The folder of depth images, if there is one."""
     return _named(path, DEPTH_NAMES, _DEPTH_WORD, without=None)
+
+
+def has_colour(path: Path) -> bool:
+    """Whether a folder has colour images, or a video, whatever else it lacks."""
+    return colour_folder(path) is not None or bool(_files(path, SUFFIXES - {".png"} | video.SUFFIXES)) or _has(path, _COLOUR_WORD)
+
+
+def has_depth(path: Path) -> bool:
+    """Whether a folder has depth images, whatever else it lacks."""
+    return depth_folder(path) is not None or _has(path, _DEPTH_WORD)
+
+
+def _has(path: Path, word: re.Pattern[str]) -> bool:
+    return any(word.search(file.stem) for file in _files(path, SUFFIXES | DEPTH_SUFFIXES))
 
 
 def _named(path: Path, names: Sequence[str], word: re.Pattern[str], without: re.Pattern[str] | None) -> Path | None:

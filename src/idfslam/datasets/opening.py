@@ -1,12 +1,14 @@
 """Opens recordings in common layouts. Each layout is one file in `readers/` (or `ros/`) and one line in READERS."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from idfslam.datasets import generated
+from idfslam.datasets import generated, video
 from idfslam.datasets.calibration import Calibration, override
 from idfslam.datasets.camera_files import read_beside_recording
 from idfslam.datasets.generated.kidnapped import Kidnapped
+from idfslam.datasets.location import locate, without_scheme
+from idfslam.datasets.near_miss import near_miss
 from idfslam.datasets.readers import (
     azure_kinect,
     folder,
@@ -55,7 +57,8 @@ def open_recording(
 ) -> Dataset:
     """Opens a recording in a common layout, recognised from its files, or a generated recording. Images are read on request.
 
-    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), the name of a generated recording (`synthetic[:SEED][:kinect]`,
+    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), a zip or tar archive of a recording, a folder with one recording in it, a file
+        or folder that is part of one, a file:// address, the name of a generated recording (`synthetic[:SEED][:kinect]`,
         `corridor[:SEED][:kinect][:Nlaps]`), or `kidnap:` followed by one of these (see `generated.kidnapped`).
     format: one of FORMATS, if the layout is not recognised correctly.
     camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
@@ -81,16 +84,16 @@ def open_recording(
             str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
         )
     else:
-        file = absolute(path)
+        file = absolute(without_scheme(path))
         try:
-            reader = _reader(file, format)
-            dataset = _open(reader, file, user_calibration.over(read_beside_recording(file)), user_topics)
+            place, reader = _find(file, format)
+            dataset = _open(place, reader, user_calibration.over(read_beside_recording(place)), user_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
     return Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)
 
 
-def _open(reader: Reader, path: Path, calibration: Calibration, topics: Topics) -> Dataset:
+def _open(path: Path, reader: Reader, calibration: Calibration, topics: Topics) -> Dataset:
     if topics == Topics():
         return reader.open(path, calibration)
     if reader.open_topics is None:
@@ -98,14 +101,23 @@ def _open(reader: Reader, path: Path, calibration: Calibration, topics: Topics) 
     return reader.open_topics(path, calibration, topics)
 
 
-def _reader(path: Path, format: str | None) -> Reader:
+def _find(path: Path, format: str | None) -> tuple[Path, Reader]:
+    """The recording that a path names, and its reader."""
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}")
-    if format is not None:
-        return next(reader for reader in READERS if reader.name == format)
-    for reader in READERS:
-        if reader.recognises(path):
-            return reader
+    readers = [reader for reader in READERS if format in (None, reader.name)]
+    folders = [reader for reader in readers if reader.likeness is not None]
+    found = locate(path, lambda place: _recognise(place, readers), lambda place: _recognise(place, folders))
+    if found is not None or format is not None:
+        return found or (path, readers[0])
     content = ", ".join(sorted(entry.name for entry in path.iterdir())[:6]) if path.is_dir() else "a file"
+    if path.suffix.lower() in video.SUFFIXES:
+        raise RecordingError(f"{path}: a video without depth, expected a folder with it as rgb.mp4 and with depth images in depth/")
+    if similar := near_miss(path, [reader.likeness for reader in READERS if reader.likeness is not None]):
+        raise RecordingError(f"{path}: {similar}: found {content}")
     layouts = "; ".join(f"{reader.name} ({reader.layout})" for reader in READERS)
     raise RecordingError(f"{path}: not a known recording: found {content or 'an empty folder'}, expected one of {layouts}")
+
+
+def _recognise(path: Path, readers: Sequence[Reader]) -> Reader | None:
+    return next((reader for reader in readers if reader.recognises(path)), None)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.poses import ReadTruth, optional_truth
 from idfslam.datasets.provenance import STATED, Provenance, provenance
 from idfslam.datasets.topics import Topics
@@ -61,7 +62,10 @@ def reading_threads(dataset: Dataset) -> int:
 
 @dataclass(frozen=True)
 class Reader:
-    """One layout of recordings: its name for --format, its files in words, and functions that recognise and open it."""
+    """One layout of recordings: its name for --format, its files in words, and functions that recognise and open it.
+
+    likeness: what a folder of this layout must have, so that an error can name what one lacks; None for layouts of one file.
+    """
 
     name: str
     layout: str
@@ -70,6 +74,7 @@ class Reader:
     open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = (
         None  # with the topics that the user names; None: the layout has no topics
     )
+    likeness: Likeness | None = None
 
 
 class Recording:

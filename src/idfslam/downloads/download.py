@@ -10,9 +10,9 @@ from typing import Any
 
 from idfslam.downloads.catalogue import Sequence
 from idfslam.downloads.fetch import Report, discard, fetch
-from idfslam.downloads.unpack import unpack
-from idfslam.errors import DownloadError
+from idfslam.errors import ArchiveError, DownloadError
 from idfslam.storage import atomic_files
+from idfslam.storage.unpack import unpack
 
 LEDGER = "downloads.json"  # in the folder of downloads: when each sequence was downloaded, and the hash of its archive
 
@@ -47,10 +47,10 @@ def download(sequence: Sequence, out: Path, *, report: Report = lambda done, tot
         atomic_files.write_json(out / LEDGER, ledger)
         folder.parent.mkdir(parents=True, exist_ok=True)
         os.replace(_root(staging), folder)
-    except DownloadError as error:
+    except ArchiveError as error:
         if "damaged" in str(error):
             discard(archive)
-        raise
+        raise DownloadError(f"{error}: download it again") from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     discard(archive)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
-from idfslam.datasets.image_folders import find_images
+from idfslam.datasets.image_folders import find_images, has_colour, has_depth
 from idfslam.datasets.image_pairs import Pairs, pair_images
 from idfslam.datasets.images import ImageFiles, by_number, holds_floats, numbered
+from idfslam.datasets.near_miss import Likeness, Part
 from idfslam.datasets.pose_file import read_pose_file
 from idfslam.datasets.poses import Truth, read_matrix, read_stamped
 from idfslam.datasets.provenance import ASSUMED
@@ -109,4 +110,10 @@ def read_trajectory(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) 
     return Truth(T_wc, str(path), file.problems)
 
 
-READER = Reader("folder", "rgb/ or color/ and depth/, or 0001_color.png and 0001_depth.png; intrinsics.txt", recognises, open_folder)
+READER = Reader(
+    "folder",
+    "rgb/ or color/ and depth/, or 0001_color.png and 0001_depth.png; intrinsics.txt",
+    recognises,
+    open_folder,
+    likeness=Likeness("a folder of images", (Part("colour images (rgb/ or color/)", has_colour), Part("depth images (depth/)", has_depth))),
+)

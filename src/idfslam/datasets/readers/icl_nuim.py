@@ -18,6 +18,7 @@ from idfslam.datasets.camera_files import CAM_PARAMS, read_beside, read_depth_ca
 from idfslam.datasets.file_list import listed_image, listed_lines
 from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses import Truth, read_stamped
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
@@ -87,4 +88,10 @@ def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> Truth | None:
     return replace(truth, T_wc=_F @ truth.T_wc @ _F)
 
 
-READER = Reader("icl_nuim", "associations.txt, *.gt.freiburg", recognises, open_icl_nuim)
+READER = Reader(
+    "icl_nuim",
+    "associations.txt, *.gt.freiburg",
+    recognises,
+    open_icl_nuim,
+    likeness=Likeness("an ICL-NUIM sequence", (part("associations.txt"), part("*.gt.freiburg"))),
+)

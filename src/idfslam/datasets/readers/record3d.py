@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.images import Depth, decode_colour
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.pose_file import from_quaternions
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
@@ -177,4 +178,10 @@ def read_metadata(files: ExportFiles) -> Metadata:
     )
 
 
-READER = Reader("record3d", "a .r3d file, or rgbd/ and metadata of Record3D", recognises, open_record3d)
+READER = Reader(
+    "record3d",
+    "a .r3d file, or rgbd/ and metadata of Record3D",
+    recognises,
+    open_record3d,
+    likeness=Likeness("an unpacked recording of Record3D", (part("rgbd", "rgbd/"), part("metadata"))),
+)

@@ -6,6 +6,7 @@ from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_cam_params, read_depth_camera
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import ImageFiles, numbered
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_trajectory
 from idfslam.datasets.recording import FPS, Reader, Recording
@@ -33,4 +34,10 @@ def open_replica(path: Path, override: Calibration) -> Recording:
     )
 
 
-READER = Reader("replica", "results/frame*.jpg, results/depth*.png", recognises, open_replica)
+READER = Reader(
+    "replica",
+    "results/frame*.jpg, results/depth*.png",
+    recognises,
+    open_replica,
+    likeness=Likeness("a Replica scene", (part("results", "results/"),)),
+)

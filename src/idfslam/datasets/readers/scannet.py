@@ -17,6 +17,7 @@ from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_camera_file
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
@@ -220,4 +221,10 @@ class SensImages:
         return np.frombuffer(raw, "<u2").reshape(height, width)
 
 
-READER = Reader("scannet", "color/, depth/, intrinsic/ or a .sens file", recognises, open_scannet)
+READER = Reader(
+    "scannet",
+    "color/, depth/, intrinsic/ or a .sens file",
+    recognises,
+    open_scannet,
+    likeness=Likeness("an exported ScanNet scene", (part("color", "color/"), part("depth", "depth/"), part("intrinsic", "intrinsic/"))),
+)

@@ -9,6 +9,7 @@ from idfslam.datasets.calibration import Calibration, assumed_scale
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import ImageFiles, numbered
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files
 from idfslam.datasets.recording import FPS, Reader, Recording
@@ -47,4 +48,10 @@ def _sequence(path: Path) -> Path:
     return path / sequences[0]
 
 
-READER = Reader("7scenes", "frame-NNNNNN.color.png, frame-NNNNNN.depth.png", recognises, open_seven_scenes)
+READER = Reader(
+    "7scenes",
+    "frame-NNNNNN.color.png, frame-NNNNNN.depth.png",
+    recognises,
+    open_seven_scenes,
+    likeness=Likeness("a sequence of 7-Scenes", (part("frame-*.color.png"), part("frame-*.depth.png"))),
+)

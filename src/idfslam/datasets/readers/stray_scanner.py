@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_camera_file
 from idfslam.datasets.images import Depth, numbered, read_depth
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.pose_file import from_quaternions
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.recording import Reader, Recording
@@ -130,4 +131,10 @@ def _number(text: str | None) -> float:
         return float("nan")
 
 
-READER = Reader("stray", "rgb.mp4, depth/, odometry.csv of Stray Scanner", recognises, open_stray_scanner)
+READER = Reader(
+    "stray",
+    "rgb.mp4, depth/, odometry.csv of Stray Scanner",
+    recognises,
+    open_stray_scanner,
+    likeness=Likeness("a Stray Scanner folder", (part("rgb.mp4"), part("depth", "depth/"), part("odometry.csv"))),
+)

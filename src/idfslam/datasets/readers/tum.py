@@ -16,6 +16,7 @@ from idfslam.datasets.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.file_list import listed_image, listed_lines
 from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses import Truth, read_stamped
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.recording_path import names
@@ -34,7 +35,9 @@ _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "assoc
 
 
 def recognises(path: Path) -> bool:
-    return _has_lists(path) or _associations(path) is not None
+    """One list beside the folders of images suffices, to be told which list is missing: as a plain folder they would have another scale."""
+    one_list = any((path / name).is_file() for name in _LISTS) and (path / "rgb").is_dir() and (path / "depth").is_dir()
+    return _has_lists(path) or _associations(path) is not None or one_list
 
 
 def _has_lists(path: Path) -> bool:
@@ -82,7 +85,7 @@ def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]
     file = _associations(path)
     if file is None:
         missing = next(name for name in _LISTS if not (path / name).is_file())
-        raise RecordingError(f"{path}: {missing} is missing, expected rgb.txt and depth.txt, or associations.txt")
+        raise RecordingError(f"{path}: {missing} is missing, expected rgb.txt and depth.txt, or associations.txt, or --format folder")
     stamps, files = read_list(file, images=2)
     colour = 1 if "depth" in files[0][0].parent.name.lower() else 0
     return seconds(stamps[:, colour], str(file)), [(row[colour], row[1 - colour]) for row in files]
@@ -126,4 +129,6 @@ def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> Truth | No
     return read_stamped(path, timestamps) if path.is_file() else None
 
 
-READER = Reader("tum", "rgb.txt, depth.txt", recognises, open_tum)
+READER = Reader(
+    "tum", "rgb.txt, depth.txt", recognises, open_tum, likeness=Likeness("a TUM sequence", (part("rgb.txt"), part("depth.txt")))
+)

@@ -10,6 +10,7 @@ from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.image_folders import depth_folder
 from idfslam.datasets.image_pairs import Pairs, warn_left_out
 from idfslam.datasets.images import DEPTH_SUFFIXES, Depth, numbered, read_depth
+from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.readers.folder import calibrated, read_poses, usual_scale
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.video import VideoTrack
@@ -84,4 +85,10 @@ def _counted(numbers: NDArray[np.float64], frames: int) -> NDArray[np.int64] | N
     return None
 
 
-READER = Reader("video", "rgb.mp4 or color.mkv, depth/, intrinsics.txt", recognises, open_video_folder)
+READER = Reader(
+    "video",
+    "rgb.mp4 or color.mkv, depth/, intrinsics.txt",
+    recognises,
+    open_video_folder,
+    likeness=Likeness("a folder with a video", ()),  # of a folder with one of the two, `folder` says what it lacks
+)

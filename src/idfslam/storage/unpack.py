@@ -1,7 +1,7 @@
 """Unpacks untrusted archives (zip, tar): only regular files and folders, and nothing outside the target folder."""
 
 import logging
-import shutil
+import lzma
 import stat
 import tarfile
 import zipfile
@@ -11,40 +11,59 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from idfslam.errors import DownloadError
+from idfslam.errors import ArchiveError
 
 log = logging.getLogger(__name__)
 
 Member = tuple[str, str, Callable[[], IO[bytes]]]  # name; "file", "folder", "link" or "device"; a function that opens it
 
+SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 _JUNK = ("Thumbs.db", ".DS_Store", "__MACOSX")  # not unpacked: those in 7-Scenes are damaged
-_DAMAGED = (tarfile.TarError, zipfile.BadZipFile, zlib.error, EOFError)
+_DAMAGED = (tarfile.TarError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError)
+_MOST_PER_BYTE = 100  # [1] bytes unpacked from one of an archive; raised, one made to fill the disk gets further. Images give 1 to 3, raw
+#    depth up to 50. Chosen by hand
+_ALWAYS = 1 << 30  # [bytes] that any archive may unpack to; raised, likewise. Chosen by hand
 
 
 def unpack(archive: Path, folder: Path) -> None:
     """Unpacks `archive` into `folder`, and each zip file inside it into that file's folder (7-Scenes has one a sequence).
 
-    Links are left out with a warning. Raises DownloadError if the archive is damaged, holds devices or paths outside `folder`, or if the
-    disk is full.
+    Links are left out with a warning. Raises ArchiveError if the archive is damaged or encrypted, holds devices or paths outside `folder`,
+    unpacks to far more than it could hold, or if the disk is full.
     """
     try:
-        _unpack(archive, folder)
+        room = _Room(archive.name, _ALWAYS + _MOST_PER_BYTE * archive.stat().st_size)
+        _unpack(archive, folder, room)
         for inner in sorted(folder.rglob("*.zip")):
-            _unpack(inner, inner.parent)
+            _unpack(inner, inner.parent, room)
             inner.unlink()
     except _DAMAGED as error:
-        raise DownloadError(f"{archive.name}: damaged ({error}): download it again") from error
+        raise ArchiveError(f"{archive.name}: damaged ({error})") from error
+    except (NotImplementedError, RuntimeError) as error:  # zipfile's errors for unknown methods and encrypted members
+        raise ArchiveError(f"{archive.name}: {error}, expected one that is not encrypted, of a usual method: pack it again") from error
     except OSError as error:
-        raise DownloadError(f"{folder}: {error.strerror} while unpacking") from error
+        raise ArchiveError(f"{folder}: {error.strerror or error} while unpacking {archive.name}") from error
 
 
-def _unpack(archive: Path, folder: Path) -> None:
+class _Room:
+    """The bytes that an archive may still unpack to."""
+
+    def __init__(self, name: str, most: int) -> None:
+        self._name, self._left = name, most
+
+    def take(self, count: int) -> None:
+        self._left -= count
+        if self._left < 0:
+            raise ArchiveError(f"{self._name}: unpacks to more than a recording of its size can hold: nothing of it is used")
+
+
+def _unpack(archive: Path, folder: Path, room: _Room) -> None:
     for name, kind, open_member in _zip_members(archive) if _is_zip(archive) else _tar_members(archive):
         if any(part in _JUNK for part in Path(name).parts):
             continue
         target = (folder / name).resolve()
         if not target.is_relative_to(folder.resolve()) or kind == "device" or "\\" in name:
-            raise DownloadError(f"{archive.name}: holds '{name}' ({kind}), expected files and folders inside it: nothing of it is used")
+            raise ArchiveError(f"{archive.name}: holds '{name}' ({kind}), expected files and folders inside it: nothing of it is used")
         if kind == "link":
             log.warning("%s: the link '%s' is left out", archive.name, name)
         elif kind == "folder":
@@ -52,7 +71,9 @@ def _unpack(archive: Path, folder: Path) -> None:
         else:
             target.parent.mkdir(parents=True, exist_ok=True)
             with open_member() as source, target.open("wb") as copy:
-                shutil.copyfileobj(source, copy, 1 << 20)
+                while data := source.read(1 << 20):
+                    room.take(len(data))
+                    copy.write(data)
 
 
 def _is_zip(archive: Path) -> bool:
