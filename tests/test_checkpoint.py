@@ -23,6 +23,7 @@ from safetensors.torch import load_file, save_file
 from helpers.box_room import BOX_FRAMES
 from helpers.differences import differences
 from helpers.small_config import small
+from helpers.visible_files import visible_files
 from idfslam.cli import command_line
 from idfslam.config import Config, dump
 from idfslam.datasets import open_recording
@@ -34,6 +35,7 @@ from idfslam.runs.checkpoint import FORMAT, Checkpoints, fingerprint
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.runner import resume, run
 from idfslam.slam import Slam
+from idfslam.storage.ledger import Ledger
 from idfslam.storage.state import State
 
 BLANK = (5, 6)  # frames that could not be read
@@ -282,21 +284,21 @@ def whole(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return broken(box_recording, tmp_path_factory.mktemp("whole"), Slam)
 
 
-def broken(recording: Path, folder: Path, slam: Any = Mortal, every: int = 4) -> Path:
+def broken(recording: Path, folder: Path, slam: Any = Mortal, every: int = 4, *, overwrite: bool = False) -> Path:
     source = result_folder.Source(str(recording))
     config = replace(busy(), mesh=replace(busy().mesh, resolution=0.1))
-    run(open_recording(recording), config, folder, source=source, make_slam=slam, checkpoint_every=every)
+    run(open_recording(recording), config, folder, source=source, make_slam=slam, checkpoint_every=every, overwrite=overwrite)
     return folder
 
 
-def died(recording: Path, folder: Path, every: int = 4) -> Path:
+def died(recording: Path, folder: Path, every: int = 4, *, overwrite: bool = False) -> Path:
     with pytest.raises(Killed):
-        broken(recording, folder, every=every)
+        broken(recording, folder, every=every, overwrite=overwrite)
     return folder
 
 
 def same(folder: Path, other: Path) -> bool:
-    names = (result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.MESH, result_folder.CONFIG)
+    names = (result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.MESH, result_folder.MAP, result_folder.CONFIG)
     return all((folder / name).read_bytes() == (other / name).read_bytes() for name in names)
 
 
@@ -304,10 +306,10 @@ def same(folder: Path, other: Path) -> bool:
 @pytest.mark.parametrize(("every", "resumed_at"), [(4, [8]), (0, [])])
 def test_resume(box_recording: Path, whole: Path, tmp_path: Path, every: int, resumed_at: list[int]) -> None:
     died(box_recording, tmp_path, every)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([result_folder.CONFIG, *([result_folder.CHECKPOINT] if resumed_at else [])])
+    assert visible_files(tmp_path) == sorted([result_folder.CONFIG, *([result_folder.CHECKPOINT] if resumed_at else [])])
     assert resume(tmp_path, checkpoint_every=every) is not None
     assert same(tmp_path, whole)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(result_folder.FILES)
+    assert visible_files(tmp_path) == sorted(result_folder.FILES)
     metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
     assert (metrics["frames"], metrics["resumed_at"]) == (BOX_FRAMES, resumed_at)
     lines, others = (FrameLog.load(place / result_folder.FRAMES).lines for place in (tmp_path, whole))
@@ -352,9 +354,28 @@ def test_another_config_is_refused(box_recording: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_new_run_takes_the_place_of_one_that_was_not_over(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     died(box_recording, tmp_path)
-    died(box_recording, tmp_path, every=0)
+    with pytest.raises(ResultError, match=r"holds an unfinished run; continue it with --resume .*, or replace it with --overwrite"):
+        died(box_recording, tmp_path, every=0)
+    assert (tmp_path / result_folder.CHECKPOINT).exists()
+    died(box_recording, tmp_path, every=0, overwrite=True)
     assert "replaces an unfinished run" in caplog.text
-    assert [p.name for p in tmp_path.iterdir()] == [result_folder.CONFIG]
+    assert not (tmp_path / result_folder.CHECKPOINT).exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [4, 0])
+def test_a_run_that_replaces_another_is_resumed_and_the_other_stays_until_then(
+    box_recording: Path, whole: Path, tmp_path: Path, every: int
+) -> None:
+    earlier = {name: f"the earlier {name}" for name in result_folder.FILES}
+    for name, text in earlier.items():
+        (tmp_path / name).write_text(text)
+    Ledger(tmp_path).record(list(earlier))
+    died(box_recording, tmp_path, every, overwrite=True)
+    assert {name: (tmp_path / name).read_text() for name in earlier} == earlier
+    assert resume(tmp_path) is not None
+    assert same(tmp_path, whole)
+    assert visible_files(tmp_path) == sorted(result_folder.FILES)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from helpers.box_room import BOX_FRAMES, box_poses
 from helpers.live_cameras import HandFed, PulledOut, SeeingSlam, SlowSlam, capture
+from helpers.visible_files import visible_files
 from idfslam.cli import command_line
 from idfslam.config import FAST, Config
 from idfslam.datasets import open_recording
@@ -29,6 +30,7 @@ from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_feed
 from idfslam.slam import Slam
 from idfslam.slam.warm_up import made_up
+from idfslam.storage.ledger import Ledger
 
 
 def run_live(name: str, folder: Path, slam: Any = SeeingSlam) -> Run:
@@ -139,7 +141,7 @@ def test_a_replay_keeps_pace_stamps_and_truth(box_recording: Path) -> None:
 @pytest.mark.slow
 def test_a_run_that_keeps_up(box_recording: Path, tmp_path: Path) -> None:
     done = run_live(f"replay@0.5:{box_recording}", tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
+    assert visible_files(tmp_path) == sorted(result_folder.FILES)
     assert len(done.trajectory) == BOX_FRAMES
     assert metrics_of(tmp_path)["dropped_frames"] == 0
     assert metrics_of(tmp_path)["ate_m"]["rmse"] < 1e-6
@@ -188,7 +190,7 @@ def test_ctrl_c_writes_the_results_so_far(box_recording: Path, tmp_path: Path, c
     assert len(done.trajectory) == 3
     assert metrics_of(tmp_path)["interrupted"] is True
     assert "interrupted after frame 2: writing" in caplog.text
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
+    assert visible_files(tmp_path) == sorted(result_folder.FILES)
 
 
 def test_a_camera_that_is_pulled_out_leaves_results(box_recording: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -202,8 +204,10 @@ def test_a_camera_that_is_pulled_out_leaves_results(box_recording: Path, tmp_pat
 
 def test_a_camera_that_never_gave_a_frame_leaves_the_folder_alone(box_recording: Path, tmp_path: Path) -> None:
     (tmp_path / result_folder.MESH).write_text("of an earlier run")
+    Ledger(tmp_path).record([result_folder.MESH])
     with pytest.raises(CameraError, match="the cable is out"):
-        run(LiveStream(PulledOut(open_recording(box_recording), after=0)), FAST, tmp_path, make_slam=SeeingSlam)
+        run(LiveStream(PulledOut(open_recording(box_recording), after=0)), FAST, tmp_path, make_slam=SeeingSlam, overwrite=True)
+    assert visible_files(tmp_path) == [result_folder.MESH]
     assert (tmp_path / result_folder.MESH).read_text() == "of an earlier run"
 
 

@@ -14,10 +14,12 @@ import trimesh
 from helpers.box_room import BOX, box_poses
 from idfslam.cli import command_line
 from idfslam.config import FAST
+from idfslam.errors import ResultError
 from idfslam.geometry.level import from_above, level
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 VOID = {"meta", "img", "br", "link", "hr"}
 PICTURES = {
@@ -114,7 +116,8 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     result_folder.write_config(folder, FAST, result_folder.Source(str(tmp_path / "gone")))
     atomic_files.write_json(folder / result_folder.METRICS, {"submaps": 3})
     (folder / result_folder.PICTURES).mkdir()
-    (folder / result_folder.PICTURES / "mesh_1.png").write_bytes(b"of an earlier run")
+    (folder / result_folder.PICTURES / "mesh_1.png").write_bytes(b"of an earlier report")
+    Ledger(folder).record([f"{result_folder.PICTURES}/mesh_1.png"])
     (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")
     write_report(folder)
     text = (folder / result_folder.REPORT).read_text()
@@ -132,12 +135,13 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_without_report_takes_an_earlier_one_away(reported: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [result_folder.REPORT, "pictures/mesh_1.png"])
+def test_what_somebody_else_put_in_the_reports_place_stays(reported: Path, tmp_path: Path, name: str) -> None:
     folder = shutil.copytree(reported, tmp_path / "again")
-    (folder / result_folder.PICTURES / "mine.png").write_bytes(b"mine")
-    result_folder.remove_stale(folder, written=set(result_folder.FILES))
-    assert not (folder / result_folder.REPORT).exists()
-    assert [path.name for path in (folder / result_folder.PICTURES).iterdir()] == ["mine.png"]
+    (folder / name).write_bytes(b"mine")
+    with pytest.raises(ResultError, match=f"{name}: was changed since idf-slam wrote it, so it is not replaced; move it away"):
+        write_report(folder)
+    assert (folder / name).read_bytes() == b"mine"
 
 
 def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from helpers.box_room import BOX_FRAMES, box_poses
+from helpers.visible_files import visible_files
 from idfslam.cli.tables import print_evaluation
 from idfslam.compute.torch_threads import limit_torch_threads
 from idfslam.config import FAST, PAPER, Config, load
@@ -95,14 +96,14 @@ class InterruptedSlam(KnownSlam):
         return super().process(frame)
 
 
-def run_known(recording: Path, folder: Path, slam: Any = KnownSlam) -> Run:
+def run_known(recording: Path, folder: Path, slam: Any = KnownSlam, *, overwrite: bool = False) -> Run:
     source = result_folder.Source(str(recording))
-    return run(open_source(source), FAST, folder, source=source, make_slam=slam)
+    return run(open_source(source), FAST, folder, source=source, make_slam=slam, overwrite=overwrite)
 
 
 def test_a_run_writes_every_file(box_recording: Path, tmp_path: Path) -> None:
     done = run_known(box_recording, tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(result_folder.FILES)
+    assert visible_files(tmp_path / "out") == sorted(result_folder.FILES)
     trajectory = load_tum(tmp_path / "out" / result_folder.TRAJECTORY)
     assert len(trajectory) == BOX_FRAMES
     assert np.allclose(trajectory.timestamps, np.arange(BOX_FRAMES) / 30, atol=1e-6)
@@ -183,20 +184,18 @@ def test_ctrl_c_writes_the_results_so_far(box_recording: Path, tmp_path: Path) -
     done = run_known(box_recording, tmp_path, InterruptedSlam)
     assert len(done.trajectory) == 4  # frames 0 to 3: the one in hand is finished
     assert done.metrics["interrupted"] is True
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(result_folder.FILES)
+    assert visible_files(tmp_path) == sorted(result_folder.FILES)
     assert signal.getsignal(signal.SIGINT) is usual
     assert evaluate_folder(tmp_path).frames == 4
 
 
-def test_divergence_keeps_the_poses_and_no_map_of_an_earlier_run(box_recording: Path, tmp_path: Path) -> None:
-    run_known(box_recording, tmp_path)
-    (tmp_path / "notes.txt").write_text("mine")
+def test_divergence_keeps_the_poses(box_recording: Path, tmp_path: Path) -> None:
     with pytest.raises(DivergedError, match="keyframe 6"):
         run_known(box_recording, tmp_path, DivergingSlam)
     assert len(load_tum(tmp_path / result_folder.TRAJECTORY)) == 6
-    assert not (tmp_path / result_folder.MAP).exists()
-    assert not (tmp_path / result_folder.MESH).exists()
-    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert visible_files(tmp_path) == sorted(
+        {result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.CONFIG, result_folder.PICTURE, result_folder.FRAMES}
+    )
 
 
 def test_a_recording_without_any_usable_frame_is_an_error(tmp_path: Path, box_recording: Path) -> None:

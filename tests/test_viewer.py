@@ -24,6 +24,7 @@ from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.camera import Camera
 from idfslam.runs import result_folder
 from idfslam.runs.runner import run
+from idfslam.storage.ledger import Ledger
 from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
 
 
@@ -118,7 +119,8 @@ def test_a_run_that_fails_keeps_what_was_shown(box_recording: Path, tmp_path: Pa
 
 def test_a_run_without_a_viewer_leaves_no_recording_of_an_earlier_one(box_recording: Path, tmp_path: Path) -> None:
     (tmp_path / result_folder.RECORDING).write_bytes(b"earlier")
-    run(open_recording(box_recording), FAST, tmp_path, make_slam=KnownSlam, viewer=NullViewer())  # type: ignore[arg-type]
+    Ledger(tmp_path).record([result_folder.RECORDING])
+    run(open_recording(box_recording), FAST, tmp_path, make_slam=KnownSlam, viewer=NullViewer(), overwrite=True)  # type: ignore[arg-type]
     assert not (tmp_path / result_folder.RECORDING).exists()
 
 
@@ -131,7 +133,8 @@ def test_a_viewer_changes_nothing(box_recording: Path, tmp_path: Path) -> None:
         mesh=replace(FAST.mesh, resolution=0.1),
     )
     shown = viewer()
-    poses = [run(open_recording(box_recording, frames=8), small, tmp_path, viewer=each).trajectory.poses for each in (NullViewer(), shown)]
+    recording = open_recording(box_recording, frames=8)
+    poses = [run(recording, small, tmp_path / name, viewer=each).trajectory.poses for name, each in (("a", NullViewer()), ("b", shown))]
     assert np.array_equal(*poses)
 
 

@@ -19,7 +19,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
-from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 OVERVIEW, VIEWS = "overview.png", "views.png"
 _VIEWS = 4
@@ -30,13 +30,21 @@ _DEPTH_VIEWS = 200  # for depth L1, a fifth of those of `eval`; more: slower, a 
 
 
 def demo(
-    config: Config, folder: Path, *, room: int, frames: int, report: bool = True, console: Console | None = None
+    config: Config,
+    folder: Path,
+    *,
+    room: int,
+    frames: int,
+    report: bool = True,
+    overwrite: bool = False,
+    console: Console | None = None,
 ) -> tuple[Run, Evaluation, list[Path]]:
     """Runs SLAM on `frames` frames of the synthetic room number `room`. Returns the run, its errors and the paths of the pictures.
 
     The first picture shows the room from outside with the camera's path. The others are the report's; without `report` there is one,
     of frames next to the rendered map.
-    Raises ConfigError for more frames than the tour of the room has, ResultError if the folder cannot be written to.
+    overwrite: results in `folder` may be replaced. Raises ConfigError for more frames than the tour of the room has, ResultError as `run`
+    does.
     """
     source = result_folder.Source(f"synthetic:{room}", frames=frames)
     with compiling_ahead(config) as wait_until_compiled:
@@ -44,18 +52,18 @@ def demo(
         recording[0]  # compiles what renders it
         with Prerendered(recording, most=_AHEAD) as prerendered:
             wait_until_compiled()
-        done = run(prerendered, config, folder, source=source, console=console)
+        done = run(prerendered, config, folder, source=source, overwrite=overwrite, console=console)
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     saved, poses = load_map(folder / result_folder.MAP), done.trajectory.poses
     keyframes = result_folder.read_keyframes(folder).indices
     view = _view(recording, poses, saved, int(len(poses) * _SHOWN), _WIDE)
-    with atomic_files.replacing(folder / OVERVIEW) as part:
+    with Ledger(folder).replacing(OVERVIEW) as part:
         draw_overview(part, done.mesh, poses, keyframes, recording.camera, view)
     if report:
         write_report(folder, recording=recording)
         return done, evaluation, [folder / OVERVIEW, folder / result_folder.PICTURES]
     chosen = np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist()
-    with atomic_files.replacing(folder / VIEWS) as part:
+    with Ledger(folder).replacing(VIEWS) as part:
         draw_views(part, [_view(recording, poses, saved, i, _SMALL) for i in chosen])
     return done, evaluation, [folder / OVERVIEW, folder / VIEWS]
 

@@ -17,7 +17,9 @@ from idfslam.evaluation.trajectory_error import absolute_trajectory_error, match
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, is_rotation_determined, load_tum
-from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
+
+FILES = ("evaluation.json", "trajectory.png", "error.png")  # that an evaluation writes
 
 log = logging.getLogger(__name__)
 
@@ -46,9 +48,11 @@ def evaluate(
     samples: points on each surface. views: for depth L1.
 
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
-    unknown protocol.
+    unknown protocol, and `ResultError` if another's file is in the place of one that is written.
     """
     find_protocol(protocol)  # an unknown one fails before anything is computed
+    ledger = Ledger(folder)
+    ledger.refuse_foreign(FILES)
     estimate = load_result_trajectory(folder)
     truth = matched_ground_truth(estimate, gt_trajectory, tolerance=tolerance)
     result = evaluate_poses(estimate.poses, truth)
@@ -75,10 +79,11 @@ def evaluate(
             result = replace(result, mesh=mesh)
         except ResultError as error:  # such as a trajectory so wrong that no mesh is in view: the trajectory's error is still worth knowing
             log.warning("%s: the mesh is not evaluated: %s", folder, error)
-    result.save(folder / "evaluation.json")
-    with atomic_files.replacing(folder / "trajectory.png") as part:
+    with ledger.replacing(FILES[0]) as part:
+        result.save(part)
+    with ledger.replacing(FILES[1]) as part:
         plot_trajectory(part, estimate.poses, truth, T_gt_est=ate.T_gt_est, keyframes=keyframes)
-    with atomic_files.replacing(folder / "error.png") as part:
+    with ledger.replacing(FILES[2]) as part:
         plot_error(part, ate, estimate.timestamps)
     return result
 

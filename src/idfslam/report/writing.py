@@ -31,7 +31,8 @@ from idfslam.report.views import Room, comparisons
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import read_metrics
-from idfslam.storage import atomic_files
+from idfslam.storage import atomic_files, output_folder
+from idfslam.storage.ledger import Ledger
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +51,7 @@ class _Figure:
 class _Gallery:
     """Collects the pictures of the page and writes them as files, too."""
 
-    folder: Path
+    ledger: Ledger
     written: list[Path] = field(default_factory=list)
 
     def chart(self, name: str, caption: str, chart: Chart | None) -> list[_Figure]:
@@ -71,10 +72,10 @@ class _Gallery:
         return _Figure(Markup('<img src="data:image/webp;base64,{}" {} alt="{}">').format(data, size, caption), caption)
 
     def _write(self, name: str, data: bytes) -> None:
-        path = self.folder / f"{name}.png"
-        with atomic_files.replacing(path) as part:
+        name = f"{result_folder.PICTURES}/{name}.png"
+        with self.ledger.replacing(name) as part:
             part.write_bytes(data)
-        self.written.append(path)
+        self.written.append(self.ledger.folder / name)
 
 
 def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path | None = None, gt: Path | None = None) -> list[Path]:
@@ -83,16 +84,22 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     recording: the run's recording, if it is already open. moved: its path, if it is no longer the one in config.yaml.
     gt: true trajectory in TUM format, instead of the recording's own. Sections are left out if the recording cannot be read, or if the run
     was interrupted or diverged before their data existed.
-    Raises ResultError if the folder holds no trajectory or cannot be written to.
+    Raises ResultError if the folder holds no trajectory, cannot be written to or is in use, or if another's file is in the report's place.
     """
     run = FinishedRun(folder, moved=moved)
-    atomic_files.prepare(folder / result_folder.PICTURES)
-    result_folder.remove_pictures(folder)
-    atomic_files.prepare(folder / result_folder.PICTURES)
-    missing: list[str] = []
+    with output_folder.locked(folder):
+        ledger, names = result_folder.ledger(folder), result_folder.report_files(folder)
+        ledger.refuse_foreign(names)
+        ledger.remove(names)
+        atomic_files.prepare(folder / result_folder.PICTURES)
+        return _write(run, ledger, recording=recording, gt=gt)
+
+
+def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: Path | None) -> list[Path]:
+    folder, missing = run.folder, list[str]()
     if recording is None:
         recording = _recording(run, missing)
-    gallery = _Gallery(folder / result_folder.PICTURES)
+    gallery = _Gallery(ledger)
     mesh = _mesh(folder, missing)
     ate = _ate(run, recording, gt)
     metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
@@ -111,7 +118,7 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
         config=_config(folder),
         extra=dict(zip(RUN_SECTIONS, _run_sections(folder))),
     )
-    with atomic_files.replacing(folder / result_folder.REPORT) as part:
+    with ledger.replacing(result_folder.REPORT) as part:
         part.write_text(page, encoding="utf-8")
     return [folder / result_folder.REPORT, *gallery.written]
 

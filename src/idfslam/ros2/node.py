@@ -14,6 +14,7 @@ import logging
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +47,8 @@ class Parameters:
     depth_scale: float = 1000.0  # units per metre of 16-bit depth; 32FC1 is in metres
     preset: str = "fast"
     config: str = ""  # a YAML file whose values override the preset's
-    out: str = "results/ros2"  # the result folder
+    out: str = ""  # the result folder; empty: results/ros2, with a number if that is taken
+    overwrite: bool = False  # replace the results in `out`
     map_frame: str = "map"
     camera_frame: str = ""  # empty: the frame in the colour image's header
     publish_tf: bool = True
@@ -78,17 +80,18 @@ class SlamNode:
     def __init__(self, ros: SimpleNamespace) -> None:
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.config import load, preset
+        from idfslam.runs.run_folder import claimed, result_folder_for
         from idfslam.runs.run_state import RunState
         from idfslam.slam import Slam
-        from idfslam.storage import atomic_files
 
         self._ros, self.node = ros, ros.rclpy.create_node("idf_slam")
         given = {f.name: self.node.declare_parameter(f.name, f.default).value for f in fields(Parameters)}
         self.parameters = Parameters(**given)
-        self._folder = Path(self.parameters.out)
-        atomic_files.prepare(self._folder)
-        path = self.parameters.config
-        config = load(Path(path), base=self.parameters.preset) if path else preset(self.parameters.preset)
+        p = self.parameters
+        config = load(Path(p.config), base=p.preset) if p.config else preset(p.preset)
+        self._claim = ExitStack()
+        out = result_folder_for("ros2", Path(p.out) if p.out else None, overwrite=p.overwrite, report=False)
+        self._folder = self._claim.enter_context(claimed(out, overwrite=p.overwrite))
         limit_torch_threads(config.field.encoding)
         self._state = RunState(Slam(config))
         self._received, self.dropped = ReceivedFrames(), 0
@@ -176,10 +179,14 @@ class SlamNode:
             self._closing, self._newest = True, None
             self._arrived.notify()
         self._worker.join()
+        with self._claim:
+            self._end()
+
+    def _end(self) -> None:
         if self._state.slam.stored_keyframes():
             self._state.slam.finish()
             self._write()
-            log.warning("%d frames, %d dropped: results in %s", len(self._received.stamps), self.dropped, self._folder)
+            log.warning("%d frames, %d dropped: results in %s", len(self._received.stamps), self.dropped, self._folder.path)
         else:
             log.warning("no frame with depth came on %s and %s: no results", self.parameters.colour_topic, self.parameters.depth_topic)
 
@@ -189,8 +196,9 @@ class SlamNode:
 
         slam, received = self._state.slam, self._received
         metrics = run_metrics(slam, received, self._state.meter, interrupted=False) | {"dropped_frames": self.dropped}
-        writer = ResultWriter(self._folder, slam, received, slam.config)
+        writer = ResultWriter(self._folder.partial, slam, received, slam.config)
         writer.write_all(slam.mesh(), self._state.frame_log, metrics)
+        self._folder.swap()
 
 
 def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float) -> Any:

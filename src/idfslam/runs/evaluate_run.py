@@ -14,6 +14,7 @@ from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.live import is_live, replayed_path
 from idfslam.runs import result_folder
 from idfslam.runs.source import open_source
+from idfslam.storage import output_folder
 
 log = logging.getLogger(__name__)
 
@@ -43,17 +44,19 @@ def evaluate_folder(
     trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
     surface = load_mesh(gt_mesh) if gt_mesh is not None else recording.surface() if recording is not None and gt is None else None
     record = result_folder.read_keyframes(folder)
-    return evaluate(
-        folder,
-        gt_trajectory=trajectory,
-        gt_mesh=surface,
-        camera=record.camera,
-        sensor_range=_readings(folder, recording) if surface is not None and rules.sensor_limited else None,
-        protocol=protocol,
-        keyframes=record.indices,
-        samples=samples,
-        views=views,
-    )
+    with output_folder.locked(folder):
+        result_folder.ledger(folder)
+        return evaluate(
+            folder,
+            gt_trajectory=trajectory,
+            gt_mesh=surface,
+            camera=record.camera,
+            sensor_range=_readings(folder, recording) if surface is not None and rules.sensor_limited else None,
+            protocol=protocol,
+            keyframes=record.indices,
+            samples=samples,
+            views=views,
+        )
 
 
 def _recording(folder: Path) -> Dataset | None:

@@ -19,7 +19,7 @@ from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
-from idfslam.viewer.rerun_program import RECORDING
+from idfslam.storage.ledger import Ledger
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
@@ -78,22 +78,18 @@ def writing(folder: Path) -> Iterator[None]:
         raise ResultError(f"{error.filename or folder}: cannot be written ({error.strerror or error}); {advice}") from error
 
 
-def remove_stale(folder: Path, *, written: set[str]) -> None:
-    """Removes the result files of an earlier run that are not in `written`, and nothing else."""
-    for name in {*FILES, *EVALUATION_FILES, REPORT, RECORDING} - written:
-        (folder / name).unlink(missing_ok=True)
-    if REPORT not in written:
-        remove_pictures(folder)
+def ledger(folder: Path) -> Ledger:
+    """The ledger of a result folder. In one without (a copy without hidden files, an older version) the files of a run count as its own."""
+    found = Ledger(folder)
+    if not found.marks and all((folder / name).is_file() for name in (TRAJECTORY, KEYFRAMES, CONFIG)):
+        found.record([name for name in FILES if (folder / name).is_file()])
+    return found
 
 
-def remove_pictures(folder: Path) -> None:
-    """Removes the pictures of a report, and their folder if it is then empty."""
-    pictures = folder / PICTURES
-    for path in pictures.glob("*.png"):
-        if _PICTURE.fullmatch(path.name):
-            path.unlink()
-    if pictures.is_dir() and not any(pictures.iterdir()):
-        pictures.rmdir()
+def report_files(folder: Path) -> set[str]:
+    """The names of report.html and of the files in pictures/ that are named as a report's pictures."""
+    pictures = {f"{PICTURES}/{path.name}" for path in (folder / PICTURES).glob("*.png") if _PICTURE.fullmatch(path.name)}
+    return {REPORT, *pictures}
 
 
 def write_config(folder: Path, config: Config, source: Source | None) -> None:

@@ -20,7 +20,7 @@ from idfslam.storage import atomic_files
 
 
 class ResultWriter:
-    """Writes each file whole or not at all, and remembers which ones it wrote, so that files of an earlier run can be removed.
+    """Writes each file whole or not at all.
 
     recording: what the frames came from. source: how to open it again; None for frames that came from no file. prior: the map that the run
     started in. The methods raise OSError where a file cannot be written.
@@ -38,16 +38,13 @@ class ResultWriter:
     ) -> None:
         self._folder, self._slam, self._recording = folder, slam, recording
         self._config, self._source, self._prior = config, source, prior
-        self._written: set[str] = set()
 
-    def write_all(self, mesh: trimesh.Trimesh, frame_log: FrameLog, metrics: dict[str, Any], *, keep: frozenset[str] = frozenset()) -> None:
-        """Every file of a complete run; metrics.json comes last. Other files of an earlier run are removed, except those in `keep`."""
+    def write_all(self, mesh: trimesh.Trimesh, frame_log: FrameLog, metrics: dict[str, Any]) -> None:
+        """Every file of a complete run."""
         self.write_poses()
         self.write_map(mesh)
         self.write_frames(frame_log)
         atomic_files.write_json(self._folder / result_folder.METRICS, metrics)
-        self._written.add(result_folder.METRICS)
-        self.remove_stale(keep=keep)
 
     def write_poses(self) -> None:
         """The trajectory and its picture, the keyframes, and the config."""
@@ -58,7 +55,6 @@ class ResultWriter:
         result_folder.write_config(self._folder, self._config, self._source)
         with atomic_files.replacing(self._folder / result_folder.PICTURE) as part:
             self._draw_trajectory(part, keyframes)
-        self._written |= {result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.CONFIG, result_folder.PICTURE}
 
     def write_map(self, mesh: trimesh.Trimesh) -> None:
         """The mesh and the neural map."""
@@ -66,18 +62,12 @@ class ResultWriter:
             mesh.export(part)
         with atomic_files.replacing(self._folder / result_folder.MAP) as part:
             self._slam.save_map(part)
-        self._written |= {result_folder.MESH, result_folder.MAP}
 
     def write_frames(self, frame_log: FrameLog) -> None:
         """The log of frames, with each frame's final status."""
         frame_log.set_final_statuses(self._slam.statuses())
         with atomic_files.replacing(self._folder / result_folder.FRAMES) as part:
             frame_log.save(part)
-        self._written.add(result_folder.FRAMES)
-
-    def remove_stale(self, *, keep: frozenset[str] = frozenset()) -> None:
-        """Removes the result files of an earlier run that this writer did not replace, except those in `keep`."""
-        result_folder.remove_stale(self._folder, written=self._written | keep)
 
     def _keyframes(self) -> result_folder.KeyframeRecord:
         """The run's own keyframes, and the prior map's at their present poses. A run starts with the prior map's, so these come first."""

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import trimesh
@@ -17,17 +18,17 @@ from idfslam.errors import DivergedError, FrameError, RecordingError, ResultErro
 from idfslam.frame import Frame
 from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import LiveStream, is_live
-from idfslam.runs import result_folder
+from idfslam.runs import result_folder, run_folder
 from idfslam.runs.checkpoint import Checkpoints, fingerprint
 from idfslam.runs.metrics import keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.result_writer import ResultWriter, trajectory_of
+from idfslam.runs.run_folder import RunFolder
 from idfslam.runs.run_state import RunState
 from idfslam.runs.source import open_source, read_frames
 from idfslam.slam import Slam
 from idfslam.slam.warm_up import warm_up
-from idfslam.storage import atomic_files
 from idfslam.viewer.rerun_viewer import NullViewer, Viewer
 
 log = logging.getLogger(__name__)
@@ -56,6 +57,7 @@ def run(
     make_slam: Callable[[Config], Slam] = Slam,
     checkpoint_every: int = 0,
     resume: bool = False,
+    overwrite: bool = False,
     viewer: Viewer = _NO_VIEWER,
 ) -> Run:
     """Runs SLAM on a recording or a live camera, writes the results to `folder` and shows them in `viewer`.
@@ -63,70 +65,65 @@ def run(
     Every frame of a recording is processed; of a live camera, always the newest one.
     source: how the recording was opened, for config.yaml. prior: a saved map to start in. console: where progress is shown.
     checkpoint_every: frames between checkpoints; 0: none. resume: continue from the checkpoint in `folder`, or from the first frame if
-    there is none. Checkpoints exist for recordings only, and only without `prior`.
+    there is none. Checkpoints exist for recordings only, and only without `prior`. overwrite: results in `folder` are replaced once those
+    of this run are complete; until then they stay.
 
     The first Ctrl-C ends the run after the current frame, with a checkpoint and all results so far; a second one ends it at once. An
     unreadable frame is reported and counts as lost. The number of torch's threads is left as it is.
 
-    Raises, before the first frame, ResultError if the folder cannot be written to or its checkpoint is of another run; later ResultError if
-    a file cannot be written, CameraError if a camera gives no frame, and, after the poses so far are written, DivergedError for a loss that
-    is not finite and RecordingError if no frame has depth or the recording disappears.
+    Raises, before the first frame, ResultError if the folder cannot be written to, is in use, holds results (without `overwrite`) or
+    anything else than results, or if its checkpoint is of another run; later ResultError if a file cannot be written, CameraError if a
+    camera gives no frame, and, after the poses so far are written, DivergedError for a loss that is not finite and RecordingError if no
+    frame has depth or the recording disappears.
     """
-    atomic_files.prepare(folder)
-    slam = _new_slam(recording, config, prior, make_slam, console)
-    state, writer = RunState(slam), ResultWriter(folder, slam, recording, config, source=source, prior=prior)
-    checkpoints = _checkpoints(recording, config, folder, prior, checkpoint_every)
-    with (
-        viewer.opened(folder, recording.name),
-        checkpoints,
-        stop_on_interrupt() as stop,
-        ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar,
-    ):
-        if resume:
-            _restore(state, checkpoints, recording, bar)
-        else:
-            _clear(folder, config, source if checkpoints.enabled else None, viewer.files)
-        try:
-            for frame, readable in read_frames(recording, source, first=state.meter.frames):
-                result = state.process(frame, readable=readable, viewer=viewer)
-                bar.update(result, frames_per_second=state.meter.frames_per_second)
-                if checkpoints.due(state.meter.frames, stopping=stop.is_set()):
-                    checkpoints.save(state.meter.frames, state.state())
-                if stop.is_set():
-                    log.warning("interrupted after frame %d: writing the results so far", frame.index)
-                    break
-            bar.describe("refining")
-            _finish(slam, recording)
-        except (DivergedError, RecordingError):
-            writer.write_poses()
-            writer.write_frames(state.frame_log)
-            writer.remove_stale(keep=viewer.files)
-            raise
-        metrics = run_metrics(slam, recording, state.meter, interrupted=stop.is_set()) | _camera_metrics(recording)
-        bar.describe("writing")
-        mesh = slam.mesh(config.mesh.resolution)
-        viewer.finish(slam, mesh)
+    with run_folder.claimed(folder, overwrite=overwrite, resume=resume, writes=viewer.files) as place:
+        state = RunState(_new_slam(recording, config, prior, make_slam, console))
+        writer = ResultWriter(place.partial, state.slam, recording, config, source=source, prior=prior)
+        checkpoints = _checkpoints(recording, config, folder, prior, checkpoint_every)
+        with (
+            viewer.opened(place.partial, recording.name),
+            checkpoints,
+            stop_on_interrupt() as stop,
+            ProgressBar(None if isinstance(recording, LiveStream) else len(recording), console) as bar,
+        ):
+            if resume:
+                _restore(state, checkpoints, recording, bar)
+            elif checkpoints.enabled and source is not None:
+                with result_folder.writing(folder):
+                    result_folder.write_config(place.partial, config, source)
+            try:
+                _process(state, recording, source, viewer, checkpoints, stop, bar)
+            except (DivergedError, RecordingError):
+                _write_poses(writer, state, place)
+                raise
+            metrics = run_metrics(state.slam, recording, state.meter, interrupted=stop.is_set()) | _camera_metrics(recording)
+            bar.describe("writing")
+            mesh = state.slam.mesh(config.mesh.resolution)
+            viewer.finish(state.slam, mesh)
+            with result_folder.writing(folder):
+                writer.write_all(mesh, state.frame_log, metrics)
         with result_folder.writing(folder):
-            writer.write_all(mesh, state.frame_log, metrics, keep=viewer.files)
+            place.swap()
         if not stop.is_set():
             checkpoints.remove()
-    return Run(folder, trajectory_of(slam, recording), mesh, metrics)
+    return Run(folder, trajectory_of(state.slam, recording), mesh, metrics)
 
 
-def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None) -> Run | None:
+def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None, viewer: Viewer = _NO_VIEWER) -> Run | None:
     """Continues the interrupted run of a result folder, with the values in its config.yaml; None if that run is complete.
 
     The results are those of a run without the interruption. Raises ResultError for a folder without a run of a recording, and what `run`
     raises.
     """
-    config, source = result_folder.read_config(folder)
+    config, source = result_folder.read_config(run_folder.config_folder(folder))
     if source is None:
         raise ResultError(f"{folder / result_folder.CONFIG}: names no recording, so the run cannot be resumed; start a new one")
-    if (folder / result_folder.METRICS).exists() and not (folder / result_folder.CHECKPOINT).exists():
+    if not run_folder.is_unfinished(folder):
         return None
     if is_live(source.path):
         raise ResultError(f"{folder}: is a run of a live camera ({source.path}), which cannot be resumed; start a new one")
-    return run(open_source(source), config, folder, source=source, console=console, checkpoint_every=checkpoint_every, resume=True)
+    shown: dict[str, Any] = {"console": console, "viewer": viewer}
+    return run(open_source(source), config, folder, source=source, checkpoint_every=checkpoint_every, resume=True, **shown)
 
 
 def _new_slam(
@@ -154,16 +151,36 @@ def _checkpoints(recording: Dataset | LiveStream, config: Config, folder: Path, 
     return Checkpoints(folder, fingerprint(config, recording, resolve_device(config.device, config.preset)), every=every)
 
 
-def _clear(folder: Path, config: Config, source: result_folder.Source | None, keep: frozenset[str]) -> None:
-    """Removes the checkpoint of an earlier run. With a `source` the other results go too, and config.yaml is written for `resume`."""
-    checkpoint = folder / result_folder.CHECKPOINT
-    if checkpoint.exists():
-        log.warning("%s: replaces an unfinished run, which --resume would have continued", folder)
-        checkpoint.unlink()
-    if source is not None:  # a live camera may give no frame at all: then the earlier results stay
-        result_folder.remove_stale(folder, written=set(keep))
-        with result_folder.writing(folder):
-            result_folder.write_config(folder, config, source)
+def _process(
+    state: RunState,
+    recording: Dataset | LiveStream,
+    source: result_folder.Source | None,
+    viewer: Viewer,
+    checkpoints: Checkpoints,
+    stop: Event,
+    bar: ProgressBar,
+) -> None:
+    """All frames from the state's next one on, with checkpoints, and the last refinement."""
+    for frame, readable in read_frames(recording, source, first=state.meter.frames):
+        result = state.process(frame, readable=readable, viewer=viewer)
+        bar.update(result, frames_per_second=state.meter.frames_per_second)
+        if checkpoints.due(state.meter.frames, stopping=stop.is_set()):
+            checkpoints.save(state.meter.frames, state.state())
+        if stop.is_set():
+            log.warning("interrupted after frame %d: writing the results so far", frame.index)
+            break
+    bar.describe("refining")
+    _finish(state.slam, recording)
+
+
+def _write_poses(writer: ResultWriter, state: RunState, place: RunFolder) -> None:
+    """The poses so far of a run that failed. Without any keyframe they mean nothing, and nothing is kept."""
+    if state.slam.stored_keyframes():
+        with result_folder.writing(place.path):
+            writer.write_poses()
+            writer.write_frames(state.frame_log)
+    else:
+        place.discard()
 
 
 def _restore(state: RunState, checkpoints: Checkpoints, recording: Dataset | LiveStream, bar: ProgressBar) -> None:

@@ -1,5 +1,6 @@
 """Atomic writing of files: each is written under a temporary name and then renamed, so that no reader sees a half-written file."""
 
+import errno
 import json
 import math
 import os
@@ -13,6 +14,7 @@ import numpy as np
 from idfslam.errors import ResultError
 
 _PART = ".part-"  # prefix of the names of files that are being written
+_SHOWN = 200  # characters of a path in a message; more: a longer line
 
 
 def prepare(folder: Path) -> None:
@@ -26,7 +28,15 @@ def prepare(folder: Path) -> None:
         for part in folder.glob(f"{_PART}*"):
             part.unlink()
     except OSError as error:
-        raise ResultError(f"{folder}: results cannot be written there ({error.strerror}); choose another folder with --out") from error
+        raise unusable(folder, error) from error
+
+
+def unusable(folder: Path, error: OSError) -> ResultError:
+    """The error of a folder that cannot be written to."""
+    name = str(folder)
+    shown = name if len(name) <= _SHOWN else f"{name[: _SHOWN // 2]}...{name[-_SHOWN // 2 :]}"
+    found = "is a file" if error.errno in (errno.EEXIST, errno.ENOTDIR) else error.strerror or str(error)
+    return ResultError(f"{shown}: results cannot be written there ({found}); choose another folder with --out")
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
@@ -16,8 +16,10 @@ class Demo:
     """SLAM on a room that the package generates itself: run, evaluation and pictures, no files needed."""
 
     values: Values = FAST
-    out: Path = Path("results/demo")
-    """Result folder."""
+    out: Path | None = None
+    """Result folder, a new or an empty one; none given: results/demo, with a number if that is taken."""
+    overwrite: bool = False
+    """Replace the results in --out; they stay until the new ones are complete."""
     frames: int = 240
     """Number of frames of the walk through the room."""
     room: int = 0
@@ -31,9 +33,12 @@ class Demo:
         from idfslam.cli.tables import print_evaluation, print_files, print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.demo.demo import demo
+        from idfslam.runs.run_folder import result_folder_for
 
         limit_torch_threads(values.field.encoding)
-        done, evaluation, pictures = demo(values, self.out, room=self.room, frames=self.frames, report=self.report, console=console)
+        folder = result_folder_for("demo", self.out, overwrite=self.overwrite, report=self.report)
+        options: dict[str, Any] = {"report": self.report, "overwrite": self.overwrite, "console": console}
+        done, evaluation, pictures = demo(values, folder, room=self.room, frames=self.frames, **options)
         print_run(done, output())
-        print_evaluation(evaluation, self.out, output())
-        print_files(self.out, [path.name for path in pictures], output())
+        print_evaluation(evaluation, folder, output())
+        print_files(folder, [path.name for path in pictures], output())

@@ -71,7 +71,9 @@ class OutputFlags:
     """The result folder."""
 
     out: Path | None = None
-    """Result folder; none given: results/ and the recording's name."""
+    """Result folder, a new or an empty one; none given: results/ and the recording's name, with a number if that is taken."""
+    overwrite: bool = False
+    """Replace the results in --out; they stay until the new ones are complete."""
     report: bool = True
     """Write report.html with its pictures at the end."""
 
@@ -131,6 +133,7 @@ class Run:
         from idfslam.report.writing import write_report
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
+        from idfslam.runs.run_folder import result_folder_for
         from idfslam.runs.runner import run
         from idfslam.runs.source import open_feed
 
@@ -143,30 +146,37 @@ class Run:
         )
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
-        folder = self.output.out or Path("results") / recording.name
         prior = None if self.map is None else load_prior(self.map)
-        viewer, every = self._viewer(console), self.checkpoints.checkpoint_every
-        done = run(recording, values, folder, source=source, prior=prior, console=console, checkpoint_every=every, viewer=viewer)
+        viewer, every, overwrite = self._viewer(console), self.checkpoints.checkpoint_every, self.output.overwrite
+        folder = result_folder_for(recording.name, self.output.out, overwrite=overwrite, report=self.output.report)
+        options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
+        done = run(recording, values, folder, source=source, console=console, **options)
         if self.output.report:
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
 
     def _go_on(self, folder: Path, console: "Console") -> None:
-        given = list(_changed(replace(self, checkpoints=CheckpointFlags()), Run()))
+        output_flags = OutputFlags(report=self.output.report)
+        of_any_run = replace(Run(), output=output_flags, live_view=self.live_view, checkpoints=self.checkpoints)
+        given = list(_changed(self, of_any_run))
         if given:
             found = ", ".join(given)
             wrong_usage(f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {found})", "run")
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
+        from idfslam.report.writing import write_report
         from idfslam.runs.result_folder import read_config
+        from idfslam.runs.run_folder import config_folder
         from idfslam.runs.runner import resume
 
-        limit_torch_threads(read_config(folder)[0].field.encoding)
-        done = resume(folder, checkpoint_every=self.checkpoints.checkpoint_every, console=console)
+        limit_torch_threads(read_config(config_folder(folder))[0].field.encoding)
+        done = resume(folder, checkpoint_every=self.checkpoints.checkpoint_every, console=console, viewer=self._viewer(console))
         if done is None:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
-        else:
-            print_run(done, output())
+            return
+        if self.output.report:
+            write_report(folder)
+        print_run(done, output())
 
     def _viewer(self, console: "Console") -> "Viewer":
         from idfslam.viewer.rerun_program import has_display
