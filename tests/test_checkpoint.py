@@ -18,6 +18,7 @@ import torch
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from helpers.box_room import BOX_FRAMES
@@ -228,9 +229,44 @@ def test_a_truncated_checkpoint_is_refused(kept: Checkpoints) -> None:
     assert kept.read() is not None
 
 
+def test_every_flipped_bit_is_refused(kept: Checkpoints) -> None:
+    """In the header's length, the header with the state, the checksum, and the tensors; nothing is deleted."""
+    whole = kept.path.read_bytes()
+    end = 8 + int.from_bytes(whole[:8], "little")
+    places = {*range(8), *range(8, end, 7), whole.index(b'"sha256":"') + 12, *range(end, len(whole), 97), len(whole) - 1}
+    for place in sorted(places):
+        for bit in (0, 3, 7):
+            flipped = bytearray(whole)
+            flipped[place] ^= 1 << bit
+            kept.path.write_bytes(flipped)
+            with pytest.raises(ResultError, match=r"checkpoint\.safetensors: ") as caught:
+                kept.read()
+            assert "\n" not in str(caught.value)
+            assert kept.path.read_bytes() == flipped
+
+
+@pytest.mark.parametrize("change", ["more", "dropped", "shape", "dtype", "no checksum", "random"])
+def test_another_structure_is_refused(kept: Checkpoints, change: str) -> None:
+    tensors, metadata = load_file(kept.path), safe_open(kept.path, "pt").metadata()
+    values = tensors["values"]
+    if change == "dropped":
+        del tensors["values"]
+    tensors |= {"more": {"more": values.clone()}, "shape": {"values": values[:9].clone()}, "dtype": {"values": values.half()}}.get(
+        change, {}
+    )
+    save_file(tensors, kept.path, {k: v for k, v in metadata.items() if change != "no checksum" or k != "sha256"})
+    if change == "random":
+        kept.path.write_bytes(np.random.default_rng(0).bytes(5000))
+    with pytest.raises(ResultError, match="is damaged"):
+        kept.read()
+
+
 def test_another_format_is_refused(kept: Checkpoints) -> None:
     save_file(load_file(kept.path), kept.path, {"format": "99"})
     with pytest.raises(ResultError, match=f"checkpoint format 99, expected {FORMAT}"):
+        kept.read()
+    save_file(load_file(kept.path), kept.path, {"format": str(FORMAT - 1), "made": json.dumps(MADE)})  # before there were checksums
+    with pytest.raises(ResultError, match=f"checkpoint format {FORMAT - 1}, expected {FORMAT}"):
         kept.read()
     save_file(load_file(kept.path), kept.path, {"format": str(FORMAT), "made": json.dumps(MADE)})
     with pytest.raises(ResultError, match="is damaged"):

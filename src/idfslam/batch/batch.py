@@ -13,7 +13,9 @@ from idfslam.batch.executor import INTERRUPTED, Executor
 from idfslam.config import Config, dump
 from idfslam.errors import ResultError
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
+from idfslam.runs.run_folder import open_for_runs
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 REPORT, VALUES = "batch.json", "values.yaml"
 DONE, FAILED = "done", "failed"
@@ -37,15 +39,28 @@ class Row:
 
 
 def batch(
-    jobs: Sequence[BatchJob], config: Config, folder: Path, executor: Executor, *, report: Callable[[str], None] = lambda line: None
+    jobs: Sequence[BatchJob],
+    config: Config,
+    folder: Path,
+    executor: Executor,
+    *,
+    overwrite: bool = False,
+    report: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:
     """Runs every job with its flags over `config`. Results go to FOLDER/NAME, and FOLDER/batch.json is rewritten after each run.
 
     If a run fails, its row says why and the others continue. After Ctrl-C no further run is started, running ones write their results so
-    far, and the rows of all jobs are returned. Raises ResultError if the folder cannot be written to.
+    far, and the rows of all jobs are returned. overwrite: earlier results of the jobs are replaced, each when its run is complete.
+    Raises ResultError, before the first run, if the folder cannot be written to, is in use, or holds anything but results, and without
+    `overwrite` if it holds results of a job.
     """
-    atomic_files.prepare(folder)
-    with atomic_files.replacing(folder / VALUES) as part:
+    with open_for_runs(folder, [job.name for job in jobs], [REPORT, VALUES], overwrite=overwrite) as ledger:
+        return _run_all(jobs, config, ledger, executor, report)
+
+
+def _run_all(jobs: Sequence[BatchJob], config: Config, ledger: Ledger, executor: Executor, report: Callable[[str], None]) -> list[Row]:
+    folder = ledger.folder
+    with ledger.replacing(VALUES) as part:
         part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
     rows = {job.name: Row(job.name, job.path, INTERRUPTED, INTERRUPTED, attempts=0) for job in jobs}
     lock = threading.Lock()
@@ -54,7 +69,8 @@ def batch(
         row = _run(executor, job, folder.absolute())
         with lock:
             rows[job.name] = row
-            atomic_files.write_json(folder / REPORT, [asdict(r) for r in rows.values() if r.attempts])
+            with ledger.replacing(REPORT) as part:
+                atomic_files.write_json(part, [asdict(r) for r in rows.values() if r.attempts])
         return row
 
     try:
@@ -67,7 +83,8 @@ def batch(
 
 def _run(executor: Executor, job: BatchJob, folder: Path) -> Row:
     out = folder / job.name
-    outcome = executor.run_module("idfslam.cli", "run", job.path, "--out", str(out), "--config", str(folder / VALUES), *job.flags)
+    given = ["--out", str(out), "--overwrite", "--config", str(folder / VALUES)]  # a retry replaces what a killed process has left
+    outcome = executor.run_module("idfslam.cli", "run", job.path, *given, *job.flags)
     row = partial(Row, job.name, job.path, seconds=outcome.seconds, where=outcome.host, attempts=outcome.attempts)
     if outcome.error is not None:
         return row(INTERRUPTED if outcome.error == INTERRUPTED else FAILED, outcome.error)

@@ -20,6 +20,7 @@ from idfslam.runs.metrics import keyframe_counts, pose_errors
 from idfslam.runs.source import read_frames
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 REPORT, TABLE = "odometry.json", "odometry.md"
 COLUMNS = (
@@ -67,6 +68,7 @@ def bench_odometry(
         raise ConfigError(f"--seeds {seeds}, expected at least 1")
     opened = [(spec, _open_with_poses(spec)) for spec in parse_recordings(recordings)]
     if folder is not None:
+        Ledger(folder).refuse_foreign([REPORT, TABLE])
         atomic_files.prepare(folder)
     results: dict[str, Any] = {"machine": machine(), "preset": config.preset, "rows": []}
     grids = dict.fromkeys((config.tracker.grid, 1))
@@ -78,8 +80,9 @@ def bench_odometry(
         results["rows"].append(row)
         report(" ".join(_cells(row)[:4]) + ": " + ", ".join(_result_text(run) for run in runs))
         if folder is not None:
-            atomic_files.write_json(folder / REPORT, results)
-            with atomic_files.replacing(folder / TABLE) as part:
+            with Ledger(folder).replacing(REPORT) as part:
+                atomic_files.write_json(part, results)
+            with Ledger(folder).replacing(TABLE) as part:
                 part.write_text(markdown(results), encoding="utf-8")
     return results
 

@@ -24,6 +24,7 @@ from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame
 from idfslam.pretraining.validation import pose_error
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 from idfslam.tracking.correspondences import Correspondences, estimate_pose, is_valid
 from idfslam.tracking.features import FeatureExtractor, untrained_extractor
 from idfslam.tracking.frame_features import FrameFeatures, reduced
@@ -216,6 +217,7 @@ def bench_pairs(
     opened = {entry.name: open_recording(entry.path, frames=entry.frames) for entry in parse_recordings(recordings)}
     samples = [sample(recording, gap, pairs) for recording in opened.values() for gap in gaps]
     if folder is not None:
+        Ledger(folder).refuse_foreign([REPORT, TABLE])
         atomic_files.prepare(folder)
     rows = []
     for taken in samples:
@@ -228,11 +230,13 @@ def bench_pairs(
         ]
         report(f"{taken.recording.name}: {len(taken.starts)} pairs {taken.gap} frames apart")
         if folder is not None:
-            draw_matches(folder / f"matches-{taken.recording.name}-{taken.gap}.png", picture)
+            with Ledger(folder).replacing(f"matches-{taken.recording.name}-{taken.gap}.png") as part:
+                draw_matches(part, picture)
     found = {"machine": machine(), "preset": config.preset, "rows": rows}
     if folder is not None:
-        atomic_files.write_json(folder / REPORT, found)
-        with atomic_files.replacing(folder / TABLE) as part:
+        with Ledger(folder).replacing(REPORT) as part:
+            atomic_files.write_json(part, found)
+        with Ledger(folder).replacing(TABLE) as part:
             part.write_text(markdown(found), encoding="utf-8")
     return found
 

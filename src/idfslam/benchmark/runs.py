@@ -25,6 +25,7 @@ from idfslam.errors import ConfigError, IdfSlamError, ResultError
 from idfslam.runs import result_folder
 from idfslam.runs.meter import BLOCK
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
+from idfslam.runs.run_folder import open_for_runs
 from idfslam.storage import atomic_files
 
 REPORT, TABLE, VALUES = "bench.json", "bench.md", "values.yaml"
@@ -82,6 +83,7 @@ def bench(
     frames: int | None = None,
     mesh: bool = True,
     against: str | None = None,
+    overwrite: bool = False,
     report: Callable[[str], None] = lambda line: None,
     executor: Executor | None = None,
 ) -> dict[str, Any]:
@@ -89,9 +91,11 @@ def bench(
 
     Results go to FOLDER/NAME-SEED. FOLDER/bench.json and FOLDER/bench.md are rewritten after each recording. frames: of each recording;
     None: all. mesh: evaluate the surface if the true one is known. against: "open3d" also runs Open3D's dense SLAM on the same frames.
-    report: receives a line after each run. executor: where the seeds run; None: on this machine, one at a time, which is the only way to
-    measure speed. If a run fails, the report says why and the others continue. Returns the values of bench.json.
-    Raises ConfigError or RecordingError, before the first run, for recordings or values that cannot be run.
+    overwrite: earlier results in `folder` are replaced. report: receives a line after each run. executor: where the seeds run; None: on
+    this machine, one at a time, which is the only way to measure speed. If a run fails, the report says why and the others continue.
+    Returns the values of bench.json.
+    Raises ConfigError or RecordingError, before the first run, for recordings or values that cannot be run, and ResultError for a folder
+    that cannot be written to, is in use, holds anything but results, or holds results that are not to be replaced.
     """
     if seeds < 1 or (frames is not None and frames < 1):
         raise ConfigError(f"--seeds {seeds} --frames {frames}, expected at least 1")
@@ -100,27 +104,34 @@ def bench(
         from idfslam.benchmark.open3d_baseline import require_open3d
 
         require_open3d()
-    atomic_files.prepare(folder)
-    (folder / VALUES).write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
     results: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "recordings": []}
-    with executor or LocalExecutor() as opened:
+    names = [f"{spec.name}-{config.seed + i}" for spec in specs for i in range(seeds)]
+    baselines = [_open3d_file(spec) for spec in specs] if against else []
+    files = [VALUES, REPORT, TABLE, *baselines]
+    with open_for_runs(folder, names, files, overwrite=overwrite) as ledger, executor or LocalExecutor() as opened:
+        with ledger.replacing(VALUES) as part:
+            part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
         for spec in specs:
             baseline = _run_open3d(opened, spec, folder, report) if against else None
             run_seed = partial(_run, opened, spec, folder=folder, mesh=mesh, report=report)
             runs = sorted(opened.map_unordered(run_seed, range(config.seed, config.seed + seeds)), key=itemgetter("seed"))
             results["recordings"].append({**asdict(spec), "runs": runs, **summary(runs), "open3d": baseline})
-            atomic_files.write_json(folder / REPORT, results)
-            with atomic_files.replacing(folder / TABLE) as part:
+            with ledger.replacing(REPORT) as part:
+                atomic_files.write_json(part, results)
+            with ledger.replacing(TABLE) as part:
                 part.write_text(markdown(results), encoding="utf-8")
+            ledger.record([name for name in baselines if (folder / name).is_file()])
     return results
 
 
 def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
     """One run and its evaluation: the measured values, or the reason of the failure."""
     out = folder / f"{spec.name}-{seed}"
-    values = ["--config", str(folder / VALUES), "--seed", str(seed)]
+    values = ["--config", str(folder / VALUES), "--seed", str(seed), "--no-report", "--overwrite"]
     try:
-        _run_module(executor, "idfslam.cli", "run", spec.path, "--out", str(out), *_frames_flag(spec), "--no-report", *values)
+        _run_module(
+            executor, "idfslam.cli", "run", spec.path, "--out", str(out), "--overwrite", *_frames_flag(spec), "--no-report", *values
+        )
         metrics = read_metrics(out)
         evaluation: dict[str, Any] = {}
         if mesh and ate_rmse(metrics) is not None:
@@ -136,7 +147,7 @@ def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, me
 
 
 def _run_open3d(executor: Executor, spec: RecordingSpec, folder: Path, report: Callable[[str], None]) -> dict[str, Any]:
-    out = folder / f"{spec.name}-open3d.json"
+    out = folder / _open3d_file(spec)
     try:
         _run_module(executor, "idfslam.benchmark.open3d_baseline", spec.path, "--out", str(out), *_frames_flag(spec))
     except BenchError as error:
@@ -145,6 +156,10 @@ def _run_open3d(executor: Executor, spec: RecordingSpec, folder: Path, report: C
     measured: dict[str, Any] = loads(out.read_text(encoding="utf-8"))
     report(f"{spec.name}, Open3D: {headline(measured['frames'], measured['frames_per_second'], measured.get('ate_m'))}")
     return measured
+
+
+def _open3d_file(spec: RecordingSpec) -> str:
+    return f"{spec.name}-open3d.json"
 
 
 def _frames_flag(spec: RecordingSpec) -> list[str]:

@@ -26,7 +26,7 @@ from idfslam.storage import atomic_files
 
 log = logging.getLogger(__name__)
 
-_COLOUR, _DEPTH = COLOUR_FOLDERS[0], "depth"
+_COLOUR, _DEPTH, _INTRINSICS = COLOUR_FOLDERS[0], "depth", "intrinsics.txt"
 _UNITS = 1000  # units of depth per metre
 _ENCODING = {".jpg": [cv2.IMWRITE_JPEG_QUALITY, 95], ".png": [cv2.IMWRITE_PNG_COMPRESSION, 1]}  # 1: fastest
 _WRITERS = 2  # threads that encode and write; raised, more frames a second are stored and more cores are used
@@ -73,12 +73,12 @@ def record(
 
 def _prepare(folder: Path, stream: LiveStream) -> None:
     """Makes the folders and writes the camera's file."""
-    if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS) if (folder / name).exists()]:
+    if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS, _INTRINSICS) if (folder / name).exists()]:
         raise ResultError(f"{folder}: holds a recording already ({found[0]}); choose another folder with --out")
     atomic_files.prepare(folder)
     for name in (_COLOUR, _DEPTH):
         (folder / name).mkdir()
-    with atomic_files.replacing(folder / "intrinsics.txt") as part:
+    with atomic_files.replacing(folder / _INTRINSICS) as part:
         np.savetxt(part, stream.camera.matrix().numpy(), fmt="%.10g")
 
 

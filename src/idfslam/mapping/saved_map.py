@@ -22,6 +22,7 @@ from idfslam.mapping.fused import sdf_function, tracer
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
+from idfslam.storage.safetensors_file import ordered
 
 FORMAT = 3  # format of the file, counted up with each change that older versions cannot read
 _ONE_CAMERA = 2  # the format before, in which all views have one camera
@@ -86,7 +87,7 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
     """Writes a map as one safetensors file. The tables of a feature grid, and depths in millimetres, have 16 bits.
 
     As many views are written as fit, evenly spread. Those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
-    Metadata: `format`, `field` and `cameras` (JSON), and `precision` (how numbers are rounded).
+    Metadata: `format`, `field` and `cameras` (JSON), and `precision` (how numbers are rounded). Equal maps give equal files.
     """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
     config = field.config
@@ -103,7 +104,7 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
         tensors[f"views.{i}.T_wc"] = torch.from_numpy(np.stack([kept[k].T_wc for k in members]))
     precision = "field.encoding.tables: float16; views.*.depth: uint16 [mm]"
     metadata = {"field": json.dumps(asdict(config)), "cameras": json.dumps([asdict(camera) for camera in cameras]), "precision": precision}
-    path.write_bytes(save(tensors, {"format": str(FORMAT), **metadata}))
+    path.write_bytes(ordered(save(tensors, {"format": str(FORMAT), **metadata})))
 
 
 def load_map(path: Path) -> SavedMap:

@@ -22,10 +22,11 @@ from idfslam.config import Config, dump
 from idfslam.datasets import Dataset
 from idfslam.errors import ResultError
 from idfslam.runs import result_folder
-from idfslam.storage import atomic_files
+from idfslam.storage import atomic_files, safetensors_file
 from idfslam.storage.state import State
 
-FORMAT = 7  # counts up whenever the state of a part changes its form
+_SHOWN = 200  # characters of a library's error in a message; more: a longer line
+FORMAT = 8  # counts up whenever the state of a part changes its form
 
 log = logging.getLogger(__name__)
 
@@ -73,6 +74,7 @@ class Checkpoints:
         tensors: dict[str, Tensor] = {}
         tree = _split(state, "", tensors)
         metadata = {"format": str(FORMAT), "frames": str(frames), "made": json.dumps(self._fingerprint), "state": json.dumps(tree)}
+        metadata["sha256"] = safetensors_file.UNKNOWN
         self._pending = self._pool.submit(self._write, frames, tensors, metadata)
 
     def wait(self) -> None:
@@ -90,20 +92,27 @@ class Checkpoints:
         if not self.path.exists():
             return None
         try:
+            intact = safetensors_file.is_intact(self.path)
+            if intact is False:
+                raise ValueError("its checksum is not that of its content")
             with safe_open(self.path, "pt") as file:
                 metadata = file.metadata() or {}
                 if metadata.get("format") != str(FORMAT):
                     found = f"checkpoint format {metadata.get('format', 'none')}, expected {FORMAT}"
                     raise ResultError(f"{self.path}: {found}; resume with the version of idf-slam that wrote it, or start a new run")
+                if intact is None:
+                    raise ValueError("it has no checksum")
                 self._compare(json.loads(metadata["made"]))
                 return _join(json.loads(metadata["state"]), lambda name: file.get_tensor(name).clone())  # a copy is aligned as torch's own
         except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ResultError(f"{self.path}: is damaged ({type(error).__name__}: {error}); start a new run") from error
+            found = " ".join(str(error).split())[:_SHOWN] or type(error).__name__
+            raise ResultError(f"{self.path}: is damaged ({found}); start a new run") from error
 
     def _write(self, frames: int, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
         try:
             with atomic_files.replacing(self.path, durable=True) as part:
                 save_file(tensors, part, metadata)
+                safetensors_file.seal(part)
         except (OSError, SafetensorError) as error:
             kept = "the previous one stays" if self.path.exists() else "there is none yet"
             log.warning(

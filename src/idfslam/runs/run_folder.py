@@ -7,7 +7,7 @@ and the earlier ones go. A run that is killed leaves the hidden folder with its 
 import logging
 import os
 import shutil
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -28,23 +28,54 @@ def is_unfinished(folder: Path) -> bool:
     return (folder / result_folder.CONFIG).exists() and not (folder / result_folder.METRICS).exists()
 
 
+def refuse_results(folder: Path) -> None:
+    """Raises ResultError for a folder with results or an unfinished run."""
+    if is_unfinished(folder):
+        raise ResultError(f"{folder}: holds an unfinished run; continue it with --resume {folder}, or replace it with --overwrite")
+    if Ledger(folder).names:
+        raise ResultError(f"{folder}: holds results already; replace them with --overwrite, or choose another folder with --out")
+
+
 def config_folder(folder: Path) -> Path:
     """Where the config.yaml of the run that `resume` continues lies."""
     partial = folder / output_folder.PARTIAL
     return partial if (partial / result_folder.CONFIG).is_file() else folder
 
 
+@contextmanager
+def open_for_runs(folder: Path, runs: Iterable[str], files: Collection[str], *, overwrite: bool) -> Iterator[Ledger]:
+    """Locks a folder for several runs, each in a folder of its own inside, and for files about all of them.
+
+    Raises ResultError, before anything is changed, as `claimed` does, also for what is in the folders of the runs.
+    """
+    output_folder.refuse_foreign(folder)
+    for name in runs:
+        output_folder.refuse_foreign(folder / name)
+        if not overwrite:
+            refuse_results(folder / name)
+    with output_folder.locked(folder):
+        ledger = Ledger(folder)
+        ledger.refuse_foreign(files)
+        ledger.record()
+        yield ledger
+
+
+def folder_for(name: str, out: Path | None, *, overwrite: bool) -> Path:
+    """`out`, or else results/NAME, with a number behind it if that is taken and not to be overwritten."""
+    if out is not None or overwrite:
+        return out or Path("results") / name
+    folder = output_folder.free_name(Path("results") / name)
+    if folder.name != name:
+        log.info("results/%s is taken: the results go to %s", name, folder)
+    return folder
+
+
 def result_folder_for(name: str, out: Path | None, *, overwrite: bool, report: bool) -> Path:
-    """The folder for the results of a recording: `out`, or else results/NAME, with a number behind it if that is taken.
+    """The folder for the results of a recording, as `folder_for`.
 
     Raises ResultError for a folder that holds anything but results, or another's file in the place of the report.
     """
-    if out is None and not overwrite:
-        folder = output_folder.free_name(Path("results") / name)
-        if folder.name != name:
-            log.info("results/%s is taken: the results go to %s", name, folder)
-        return folder
-    folder = out or Path("results") / name
+    folder = folder_for(name, out, overwrite=overwrite)
     output_folder.refuse_foreign(folder)
     if report:
         Ledger(folder).refuse_foreign(result_folder.report_files(folder))
@@ -114,7 +145,7 @@ def claimed(path: Path, *, overwrite: bool = False, resume: bool = False, writes
     made = not path.exists()
     with output_folder.locked(path):
         if not overwrite and not resume:
-            _refuse_results(path)
+            refuse_results(path)
         ledger = Ledger(path)
         edited = {result_folder.CONFIG} if resume else set()  # a run may be resumed with the new path of its recording
         ledger.refuse_foreign({*result_folder.FILES, *writes} - edited)
@@ -131,13 +162,6 @@ def claimed(path: Path, *, overwrite: bool = False, resume: bool = False, writes
         finally:
             with suppress(OSError):
                 folder.leave()
-
-
-def _refuse_results(path: Path) -> None:
-    if is_unfinished(path):
-        raise ResultError(f"{path}: holds an unfinished run; continue it with --resume {path}, or replace it with --overwrite")
-    if Ledger(path).names:
-        raise ResultError(f"{path}: holds results already; replace them with --overwrite, or choose another folder with --out")
 
 
 def _has_results_of_another(path: Path, resume: bool) -> bool:

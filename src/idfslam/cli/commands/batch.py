@@ -22,8 +22,10 @@ class Batch:
     """Recordings (or synthetic[:SEED][:kinect]; PATH@FRAMES takes the first FRAMES), or lists of recordings. A list is a .yaml file, or a
     .txt file with a recording on each line, followed by options of `run` (`/data/office frames=500 camera.fx=525`)."""
     values: Values = FAST
-    out: Path = Path("results/batch")
-    """Folder of the results: a folder for each recording, and batch.json."""
+    out: Path | None = None
+    """Folder of the results: a folder for each recording, and batch.json; none given: results/batch, with a number if that is taken."""
+    overwrite: bool = False
+    """Replace the results in --out, each when its run is complete."""
     workers: int | None = None
     """Runs at the same time; none given: one per core, as far as memory allows. The runs share the cores equally."""
     cluster: str | None = None
@@ -40,10 +42,12 @@ class Batch:
         from idfslam.batch.batch_file import read_batch
         from idfslam.batch.open_executor import open_executor
         from idfslam.cli.tables import print_batch
+        from idfslam.runs.run_folder import folder_for
 
         items = read_batch(self.recordings, values)
         report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
         with open_executor(self.cluster, self.workers, jobs=len(items), gpus=self.gpus, retries=self.retries) as executor:
-            rows = batch(items, values, self.out, executor, report=report)
-        print_batch(rows, self.out, output())
-        check_done(rows, self.out)
+            folder = folder_for("batch", self.out, overwrite=self.overwrite)
+            rows = batch(items, values, folder, executor, overwrite=self.overwrite, report=report)
+        print_batch(rows, folder, output())
+        check_done(rows, folder)

@@ -27,8 +27,10 @@ class Bench:
     """Number of frames of each recording; none given: all, or one tour of a generated recording."""
     against: Literal["open3d"] | None = None
     """Baseline that is measured on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
-    out: Path = Path("results/bench")
-    """Folder of the results, with bench.json and bench.md."""
+    out: Path | None = None
+    """Folder of the results, with bench.json and bench.md; none given: results/bench, with a number if that is taken."""
+    overwrite: bool = False
+    """Replace the results in --out, each when its run is complete."""
     mesh: bool = True
     """Evaluate the mesh where the true surface is known."""
     workers: int = 1
@@ -42,11 +44,19 @@ class Bench:
         from idfslam.batch.open_executor import open_executor
         from idfslam.benchmark.runs import REPORT, TABLE, bench, check_finished
         from idfslam.cli.tables import print_files
+        from idfslam.runs.run_folder import folder_for
 
-        options: dict[str, Any] = {"seeds": self.seeds, "frames": self.frames, "mesh": self.mesh, "against": self.against}
+        options: dict[str, Any] = {
+            "seeds": self.seeds,
+            "frames": self.frames,
+            "mesh": self.mesh,
+            "against": self.against,
+            "overwrite": self.overwrite,
+        }
         executor = open_executor(self.cluster, self.workers, jobs=self.seeds)
         report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
-        found = bench(self.recordings, values, self.out, **options, report=report, executor=executor)
-        print((self.out / TABLE).read_text(encoding="utf-8"))
-        print_files(self.out, (REPORT, TABLE), output())
-        check_finished(found, self.out)
+        folder = folder_for("bench", self.out, overwrite=self.overwrite)
+        found = bench(self.recordings, values, folder, **options, report=report, executor=executor)
+        print((folder / TABLE).read_text(encoding="utf-8"))
+        print_files(folder, (REPORT, TABLE), output())
+        check_finished(found, folder)
