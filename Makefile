@@ -18,7 +18,7 @@ demo: $(STAMP)
 
 # Numba keeps what it has compiled in src/. A demo of two frames has the kernels compiled once, so that no test waits for them.
 $(COMPILED): $(STAMP)
-	$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
+	$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --overwrite --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
 	@touch $(COMPILED)
 
 # Two processes, each with test modules of its own: much of the time goes into compiling kernels and starting programs, on one core.

@@ -25,19 +25,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from safetensors.numpy import load_file
 
 import idfslam.runs.runner  # noqa: F401 (imported here for all processes)
 from idfslam.cli import command_line
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.runs import result_folder
+from idfslam.runs.run_folder import is_unfinished
 
-COMPARED = (
-    result_folder.TRAJECTORY,
-    result_folder.KEYFRAMES,
-    result_folder.MESH,
-)  # byte by byte; the map by its tensors: metadata has no order
+COMPARED = (result_folder.TRAJECTORY, result_folder.KEYFRAMES, result_folder.MESH, result_folder.MAP)  # byte by byte
 
 
 def write_room(folder: Path, frames: int) -> Path:
@@ -78,16 +74,14 @@ def stage(folder: Path) -> str:
     if (folder / result_folder.METRICS).exists():
         return "results written"
     if not (folder / result_folder.CHECKPOINT).exists():
-        return "no checkpoint yet" if (folder / result_folder.CONFIG).exists() else "not begun"
+        return "no checkpoint yet" if is_unfinished(folder) else "not begun"
     half = (folder / f".part-{result_folder.CHECKPOINT}").exists()
     return "while one was written" if half else "after a checkpoint"
 
 
 def differing(folder: Path, whole: Path) -> list[str]:
-    """The results of a run that are not those of the unbroken one; by numpy: torch's threads would be missed in processes forked later."""
-    names = [name for name in COMPARED if (folder / name).read_bytes() != (whole / name).read_bytes()]
-    ours, theirs = (load_file(place / result_folder.MAP) for place in (folder, whole))
-    return names if all(np.array_equal(ours[name], theirs[name]) for name in theirs) else [*names, result_folder.MAP]
+    """The results of a run that are not those of the unbroken one."""
+    return [name for name in COMPARED if (folder / name).read_bytes() != (whole / name).read_bytes()]
 
 
 def main() -> None:
@@ -112,7 +106,7 @@ def main() -> None:
         while kills < arguments.kills:
             folder, runs = place / f"run{runs}", runs + 1
             while True:
-                flags = ("--resume", folder) if (folder / result_folder.CONFIG).exists() else (recording, *mesh, "--out", folder)
+                flags = ("--resume", folder) if is_unfinished(folder) else (recording, *mesh, "--out", folder)
                 wait = chance.uniform(0, seconds / 3) if kills < arguments.kills else None
                 if in_process(idf_slam, *flags, *every, wait=wait):
                     break

@@ -20,6 +20,7 @@ from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
+from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"

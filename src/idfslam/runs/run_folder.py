@@ -154,6 +154,7 @@ def claimed(path: Path, *, overwrite: bool = False, resume: bool = False, writes
             _forget_unfinished(path)
         try:
             ledger.record()
+            atomic_files.prepare(path)
             atomic_files.prepare(folder.partial)
         except OSError as error:
             raise atomic_files.unusable(path, error) from error
