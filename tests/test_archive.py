@@ -1,5 +1,10 @@
 """Images and features put away and had again."""
 
+import errno
+import os
+import resource
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +16,12 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.tracking.frame_features import FrameFeatures
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
+
+
+@pytest.fixture(autouse=True)
+def no_room_is_kept_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk that the tests run on may be nearly full."""
+    monkeypatch.setattr("idfslam.graph.archive.LEFT_FREE", 0)
 
 
 def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
@@ -80,3 +91,64 @@ def test_features_can_be_kept_after_the_images_were_put_away() -> None:
     assert keyframes[0].depth.shape == (48, 64)
     assert keyframes[1].features is None
     assert torch.equal(keyframes[0].features.trunk, features(0).trunk)
+
+
+def test_the_file_lies_in_the_folder_that_is_set_and_is_not_seen(tmp_path: Path) -> None:
+    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
+    archive.folder = tmp_path
+    for k in keyframes:
+        k.keep_in(archive)
+    assert archive._file is not None
+    assert os.fstat(archive._file.fileno()).st_dev == tmp_path.stat().st_dev
+    assert list(tmp_path.iterdir()) == []  # deleted with the process, however that ends
+
+
+def stay_in_memory(archive: Archive, count: int = 4) -> list[Keyframe]:
+    """Keyframes handed to an archive without room: all images and features stay, and stay exact."""
+    keyframes = [keyframe(i, eight_bits=True) for i in range(count)]
+    for k in keyframes:
+        k.keep_features(features(k.index))
+        k.keep_in(archive)
+    for k in keyframes:
+        assert torch.equal(k.depth, keyframe(k.index, eight_bits=True).depth)
+        assert torch.equal(k.features.trunk, features(k.index).trunk)
+    return keyframes
+
+
+def test_a_folder_that_is_gone_leaves_images_in_memory(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    archive = Archive(1)
+    archive.folder = tmp_path / "gone"
+    stay_in_memory(archive)
+    assert caplog.messages == [f"{archive.folder}: No such file or directory; the images of further keyframes stay in memory"]
+
+
+def test_no_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    def none() -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/nonexistent']")
+
+    monkeypatch.setattr("tempfile.gettempdir", none)
+    stay_in_memory(Archive(1))
+    assert len(caplog.messages) == 1
+    assert "the folder of temporary files: No usable temporary directory" in caplog.text
+
+
+def test_room_is_left_on_the_disk(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr("idfslam.graph.archive.LEFT_FREE", 1 << 62)
+    archive = Archive(1)
+    stay_in_memory(archive)
+    assert archive._file is None
+    assert "would be left on the disk; the images of further keyframes stay in memory" in caplog.text
+
+
+def test_a_disk_that_becomes_full_keeps_what_is_there(caplog: pytest.LogCaptureFixture) -> None:
+    """A file that cannot grow stands for the disk: the third keyframe is written half."""
+    archive, limits = Archive(1), resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (115_000, limits[1]))
+        keyframes = stay_in_memory(archive)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert archive.full
+    assert [k._images_at is not None for k in keyframes] == [True, True, False, False]
+    assert len(caplog.messages) == 1
+    assert "File too large; the images of further keyframes stay in memory" in caplog.text

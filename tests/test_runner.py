@@ -74,6 +74,8 @@ class KnownSlam:
         assert self.finished
         return trimesh.creation.box((3.0, 2.2, 3.6))
 
+    def archive_in(self, folder: Path) -> None: ...
+
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")
 

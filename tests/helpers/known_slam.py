@@ -61,5 +61,7 @@ class KnownSlam:
         box.visual.vertex_colors = np.tile(np.array(RED, np.uint8), (len(box.vertices), 1))
         return box
 
+    def archive_in(self, folder: Path) -> None: ...
+
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")

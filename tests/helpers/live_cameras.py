@@ -116,6 +116,8 @@ class SeeingSlam:
     def mesh(self, resolution: float) -> Any:
         return trimesh.creation.box((3.0, 2.2, 3.6))
 
+    def archive_in(self, folder: Path) -> None: ...
+
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")
 

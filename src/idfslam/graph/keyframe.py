@@ -122,14 +122,19 @@ class Keyframe:
         archive.used(self.host, self)
 
     def put_away(self) -> None:
-        """Releases images and features from memory. They never change, so each is written to the archive once."""
+        """Releases images and features from memory. They never change, so each is written to the archive once.
+
+        What the archive has no room for stays in memory.
+        """
         assert self._archive is not None
-        if self._images is not None and self._images_at is None:
+        if self._images is not None and self._images_at is None and not self._archive.full:
             self._images_at = self._archive.write(_reduced_to_bytes(self._images.frame))
-        if self._features is not None and self._features_at is None:
+        if self._features is not None and self._features_at is None and not self._archive.full:
             tensors, unpack = self._features.packed()
-            self._features_at = self._archive.write(tensors), unpack
-        self._images = self._features = None
+            stored = self._archive.write(tensors)
+            self._features_at = None if stored is None else (stored, unpack)
+        self._images = None if self._images_at else self._images
+        self._features = None if self._features_at else self._features
 
     def state(self) -> State:
         """Pose and relations, and a checksum of the images."""

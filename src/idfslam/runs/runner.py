@@ -77,7 +77,7 @@ def run(
     frame has depth or the recording disappears.
     """
     with run_folder.claimed(folder, overwrite=overwrite, resume=resume, writes=viewer.files) as place:
-        state = RunState(_new_slam(recording, config, prior, make_slam, console))
+        state = RunState(_new_slam(recording, config, prior, make_slam, console, place.partial))
         writer = ResultWriter(place.partial, state.slam, recording, config, source=source, prior=prior)
         checkpoints = _checkpoints(recording, config, folder, prior, checkpoint_every)
         with (
@@ -132,16 +132,20 @@ def _new_slam(
     prior: PriorMap | None,
     make_slam: Callable[[Config], Slam],
     console: Console | None,
+    archive: Path,
 ) -> Slam:
-    """The SLAM system, in the prior map if there is one. For a live camera everything is compiled before its first frame."""
+    """The SLAM system, in the prior map if there is one. For a live camera everything is compiled before its first frame.
+
+    archive: the folder for the images that are not kept in memory.
+    """
     if isinstance(recording, LiveStream):
         if console is not None:
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
         warm_up(config, make_slam)
-    if prior is None:
-        return make_slam(config)
-    slam = make_slam(replace(config, field=prior.saved.field.config))  # the saved field keeps its own shape
-    slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
+    slam = make_slam(config if prior is None else replace(config, field=prior.saved.field.config))  # the saved field keeps its own shape
+    slam.archive_in(archive)
+    if prior is not None:
+        slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
     return slam
 
 
