@@ -40,7 +40,10 @@ NEAR = {
     ),
     "Stray Scanner without depth": (made("rgb.mp4", "odometry.csv"), "looks like a Stray Scanner folder without depth/"),
     "TUM without depth": (without(write_tum, "depth.txt", "depth"), r"looks like a TUM sequence without depth\.txt"),
-    "TUM without a list": (without(write_tum, "depth.txt"), r"depth\.txt is missing, expected rgb\.txt and depth\.txt, or associations\.txt, or --format folder"),
+    "TUM without a list": (
+        without(write_tum, "depth.txt"),
+        r"depth\.txt is missing, expected rgb\.txt and depth\.txt, or associations\.txt, or --format folder",
+    ),
     "colour alone": (
         without(write_folder, "depth"),
         r"looks like a folder of images without depth images \(depth/\), expected colour images \(rgb/ or color/\) and depth images",

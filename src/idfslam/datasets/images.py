@@ -37,7 +37,12 @@ class ImageFiles:
             image = decode_colour(_read(colour), str(colour))
             return image, decode_raw(_read(depth), image.shape[:2], str(depth))
         raw = read_depth(depth)  # first, because it detects swapped folders
-        return decode_colour(_read(colour), str(colour)), raw
+        return self.colour(i), raw
+
+    def colour(self, i: int) -> NDArray[np.uint8]:
+        """(H, W, 3) BGR of pair i."""
+        path = self.pairs[i][0]
+        return decode_colour(_read(path), str(path))
 
 
 def read_depth(path: Path) -> Depth:

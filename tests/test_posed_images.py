@@ -1,0 +1,212 @@
+"""Recordings that state camera and pose of each frame: transforms.json, Polycam, 3D Scanner App."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers.recordings import HEIGHT, WIDTH, colour_image, depth_image, pose, write_folder
+from idfslam.datasets import open_recording
+from idfslam.errors import RecordingError
+from idfslam.export.images import PosedImage, write_images
+from idfslam.export.nerfstudio import write_transforms
+from idfslam.geometry.camera import Camera
+
+UP = np.diag([1.0, -1.0, -1.0, 1.0])  # between axes x right, y down, z forward and x right, y up, z backward
+K = {"fl_x": 15.0, "fl_y": 15.0, "cx": 8.0, "cy": 6.0, "w": WIDTH, "h": HEIGHT}  # pixel centres at half integers
+CAMERA = Camera(WIDTH, HEIGHT, 15.0, 15.0, 7.5, 5.5)
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), image)
+
+
+def write_nerfstudio(path: Path, *, frames: int = 3, change: Callable[[dict], object] = lambda values: None) -> Path:
+    entries = []
+    for i in range(frames):
+        write_image(path / f"images/frame_{i:05d}.png", colour_image(i))
+        write_image(path / f"depth/frame_{i:05d}.png", depth_image(1000))
+        files = {"file_path": f"./images/frame_{i:05d}.png", "depth_file_path": f"depth/frame_{i:05d}.png"}
+        entries.append({**files, "transform_matrix": (pose(i) @ UP).tolist()})
+    values = {"camera_model": "OPENCV", **K, "frames": entries}
+    change(values)
+    (path / "transforms.json").write_text(json.dumps(values))
+    return path
+
+
+def write_nerf_capture(path: Path) -> Path:
+    """Names without a suffix, depth in 10 m / 65535, the frames in no order, stamps."""
+    entries = []
+    for i in (2, 0, 1):
+        write_image(path / f"images/{i}.png", colour_image(i))
+        write_image(path / f"images/{i}.depth.png", depth_image(6553.5))
+        entries.append({"file_path": f"images/{i}", "depth_path": f"images/{i}.depth.png", "timestamp": 50 + i / 10, **K})
+        entries[-1]["transform_matrix"] = (pose(i) @ UP).tolist()
+    (path / "transforms.json").write_text(json.dumps({"integer_depth_scale": 10 / 65535, "frames": entries}))
+    return path
+
+
+def check(path: Path, *, depth: float = 1.0) -> None:
+    recording = open_recording(path)
+    assert len(recording) == 3 and recording.camera == CAMERA
+    for i in range(3):
+        assert recording[i].colour[6, 8, 0] == pytest.approx((10 + i) / 255, abs=2.5 / 255)
+        assert recording[i].depth[6, 8] == pytest.approx(depth, abs=1e-4) and recording[i].depth[0, 0] == 0
+    assert recording.ground_truth is not None
+    np.testing.assert_allclose(recording.ground_truth, [pose(i) for i in range(3)], atol=1e-6)
+
+
+def test_nerfstudio(tmp_path: Path) -> None:
+    path = write_nerfstudio(tmp_path / "room")
+    check(path)
+    np.testing.assert_allclose(open_recording(path).timestamps, [0, 1 / 30, 2 / 30])
+    assert len(open_recording(path / "transforms.json")) == 3
+
+
+def test_nerf_capture(tmp_path: Path) -> None:
+    check(write_nerf_capture(tmp_path / "room"))
+    np.testing.assert_allclose(open_recording(tmp_path / "room").timestamps, [50, 50.1, 50.2])
+
+
+def test_what_export_writes_is_read_again(tmp_path: Path) -> None:
+    original = open_recording(write_folder(tmp_path / "room"))
+    images = [PosedImage(f"{i:06d}.png", pose(i), original[i]) for i in range(3)]
+    write_transforms(tmp_path / "export/transforms.json", write_images(tmp_path / "export", images))
+    check(tmp_path / "export")
+    again = open_recording(tmp_path / "export")
+    for i in range(3):
+        np.testing.assert_allclose(again[i].colour, original[i].colour, atol=1e-6)
+        np.testing.assert_allclose(again[i].depth, original[i].depth, atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["depth_unit_scale_factor", "integer_depth_scale"])
+def test_the_stated_unit_of_depth_counts_and_the_users_wins(unit: str, tmp_path: Path) -> None:
+    path = write_nerfstudio(tmp_path / "room", change=lambda values: values.update({unit: 0.0005}))
+    check(path, depth=0.5)
+    assert open_recording(path, depth_scale=500)[0].depth[6, 8] == pytest.approx(2)
+    assert open_recording(path, camera={"fx": 20.0}).camera == Camera(WIDTH, HEIGHT, 20.0, 15.0, 7.5, 5.5)
+
+
+def test_float_depth_is_metres(tmp_path: Path) -> None:
+    path = write_nerfstudio(tmp_path / "room")
+    text = (path / "transforms.json").read_text()
+    for i in range(3):
+        np.save(path / f"depth/frame_{i:05d}.npy", depth_image(1000) / np.float32(1000))
+        text = text.replace(f"depth/frame_{i:05d}.png", f"depth/frame_{i:05d}.npy")
+    (path / "transforms.json").write_text(text)
+    check(path)
+
+
+def test_frames_without_files_or_of_another_camera_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_nerfstudio(tmp_path / "room", frames=5, change=lambda values: values["frames"][4].update(fl_x=30.0))
+    (path / "depth/frame_00003.png").unlink()
+    check(path)
+    assert "1 image is left out: depth/frame_00003.png is missing" in caplog.text
+    assert "1 image is left out: frame_00004.png is of another camera" in caplog.text
+
+
+def test_distortion_is_removed_and_a_fisheye_refused(tmp_path: Path) -> None:
+    straight = open_recording(write_nerfstudio(tmp_path / "a"))
+    bent = open_recording(write_nerfstudio(tmp_path / "b", change=lambda values: values.update(k1=-0.3)))
+    assert straight.camera == bent.camera
+    assert (straight[0].depth > 0).all() != (bent[0].depth > 0).all() or not np.array_equal(straight[0].depth, bent[0].depth)
+    fisheye = write_nerfstudio(tmp_path / "c", change=lambda values: values.update(k1=-0.3, camera_model="OPENCV_FISHEYE"))
+    with pytest.raises(RecordingError, match="camera_model OPENCV_FISHEYE, expected OPENCV or PINHOLE: undistort the images"):
+        open_recording(fisheye)
+
+
+def test_without_depth_the_near_miss_is_named(tmp_path: Path) -> None:
+    def drop(values: dict) -> None:
+        for frame in values["frames"]:
+            del frame["depth_file_path"]
+
+    path = write_nerfstudio(tmp_path / "room", change=drop)
+    assert len(open_recording(path, camera={"fx": 15.0, "fy": 15.0, "cx": 7.5, "cy": 5.5})) == 3  # images/ and depth/: a plain folder
+    (path / "depth").rename(tmp_path / "elsewhere")
+    with pytest.raises(RecordingError, match=r"looks like a folder of nerfstudio without depth images \(depth_file_path in it\)"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda values: values.update(frames=5),
+        lambda values: values.update(frames=[{"depth_file_path": 5}]),
+        lambda values: values.update(frames=["depth_file_path"]),
+        lambda values: values.update(fl_x="wide"),
+        lambda values: values.update(fl_x=[1]),
+        lambda values: values.update(fl_x=float("nan")),
+        lambda values: values.update(w=10**400),
+        lambda values: values["frames"][0].update(file_path="../" * 3000),
+        lambda values: values["frames"][0].update(file_path="a\0b"),
+        lambda values: values["frames"][0].update(transform_matrix=[[1, 2], [3]]),
+        lambda values: values["frames"][0].update(timestamp="noon"),
+    ],
+)
+def test_malformed_files_are_one_line(change: Callable[[dict], object], tmp_path: Path) -> None:
+    path = write_nerfstudio(tmp_path / "room", change=change)
+    try:
+        recording = open_recording(path)
+        assert len(recording) in (2, 3) and recording.ground_truth is not None
+    except RecordingError as error:
+        assert "\n" not in str(error)
+
+
+# ----- apps whose depth is smaller than colour
+
+
+def write_polycam(path: Path, *, corrected: bool = True) -> Path:
+    """Colour of 64x48, depth and confidence of 16x12; the last row of depth is a guess."""
+    prefix, folder = "corrected_" if corrected else "", path / "keyframes"
+    confidence = np.full((12, 16), 255, np.uint8)
+    confidence[-1] = 0
+    for i in range(3):
+        stamp = 4872498736 + 100_000 * i
+        write_image(folder / f"{prefix}images/{stamp}.jpg", colour_image(i, (64, 48)))
+        write_image(folder / f"depth/{stamp}.png", depth_image(1000, (16, 12)))
+        write_image(folder / f"confidence/{stamp}.png", confidence)
+        T = pose(i) @ UP
+        values = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48, "timestamp": stamp}
+        values |= {f"t_{r}{c}": T[r, c] for r in range(3) for c in range(4)}
+        (folder / f"{prefix}cameras").mkdir(exist_ok=True)
+        (folder / f"{prefix}cameras/{stamp}.json").write_text(json.dumps(values))
+    return path
+
+
+def write_scanner_app(path: Path) -> Path:
+    for i in range(4):
+        write_image(path / f"depth_{i:05d}.png", depth_image(1000, (16, 12)))
+        write_image(path / f"conf_{i:05d}.png", np.array([[0] * 16 if row == 11 else [2] * 16 for row in range(12)], np.uint8))
+        state = {
+            "intrinsics": [60, 0, 31.5, 0, 60, 23.5, 0, 0, 1],
+            "cameraPoseARFrame": (pose(i) @ UP).ravel().tolist(),
+            "time": 7 + i / 10,
+        }
+        (path / f"frame_{i:05d}.json").write_text(json.dumps(state))
+        if i < 3:
+            write_image(path / f"frame_{i:05d}.jpg", colour_image(i, (64, 48)))
+    return path
+
+
+@pytest.mark.parametrize("write", [write_polycam, lambda path: write_polycam(path, corrected=False), write_scanner_app])
+def test_depth_smaller_than_colour(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    recording = open_recording(write(tmp_path / "room"))
+    assert len(recording) == 3 and recording.camera == Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    np.testing.assert_allclose(np.diff(recording.timestamps), 0.1, atol=1e-6)
+    depth = recording[1].depth
+    assert depth.shape == (48, 64)
+    np.testing.assert_allclose(depth[8:40], 1, rtol=1e-5)
+    np.testing.assert_array_equal(depth[46:], 0)  # of low confidence
+    assert recording.ground_truth is not None
+    np.testing.assert_allclose(recording.ground_truth, [pose(i) for i in range(3)], atol=1e-6)
+
+
+def test_polycam_without_depth_is_named(tmp_path: Path) -> None:
+    path = write_polycam(tmp_path / "room")
+    (path / "keyframes/depth").rename(tmp_path / "elsewhere")
+    with pytest.raises(RecordingError, match="looks like Polycam's raw data without keyframes/depth"):
+        open_recording(path)
