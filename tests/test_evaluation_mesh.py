@@ -347,4 +347,4 @@ def test_damaged_meshes(tmp_path: Path, content: bytes) -> None:
 
 
 def test_the_command_offers_every_protocol() -> None:
-    assert get_args(get_type_hints(Eval)["protocol"]) == tuple(PROTOCOLS)
+    assert get_args(get_args(get_type_hints(Eval)["protocol"])[0]) == tuple(PROTOCOLS)

@@ -42,6 +42,11 @@ class Status(str, Enum):
     LOST = "lost"  # no pose was confirmed: the last motion was extrapolated
     INTERPOLATED = "interpolated"  # was lost; after relocalisation the pose was interpolated between the confirmed ones before and after
 
+    @property
+    def measured(self) -> bool:
+        """Whether the frame's images gave its pose. Other poses are made up; before the first depth they are those of the first camera."""
+        return self in (Status.OK, Status.DEGENERATE)
+
 
 @dataclass(frozen=True)
 class FrameResult:

@@ -43,6 +43,7 @@ class RunOptions:
     start: int = 0
     frames: int = 0
     stride: int = 1
+    truth: bool = True
     format: str = ""
     camera: CameraOptions = CameraOptions()
 

@@ -13,7 +13,7 @@ from idfslam.downloads.catalogue import Sequence
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.table import table
 from idfslam.runs import result_folder
-from idfslam.runs.metrics import ate_rmse
+from idfslam.runs.metrics import ate_rmse, measured_ate_rmse
 from idfslam.runs.runner import Run
 
 
@@ -25,7 +25,9 @@ def print_run(run: Run, console: Console) -> None:
         f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, peak memory {m['peak_memory_mb']:.0f} MiB",
     ]
     if (ate := ate_rmse(m)) is not None:
-        lines.append(f"ATE RMSE {ate * 100:.2f} cm")
+        measured = measured_ate_rmse(m)
+        rest = f"; {measured[0] * 100:.2f} cm over the {measured[1]} frames with a measured pose" if measured else ""
+        lines.append(f"ATE RMSE {ate * 100:.2f} cm{rest}")
     console.print("\n".join(lines), highlight=False)
     print_files(
         run.folder,

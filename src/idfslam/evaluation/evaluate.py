@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
 from idfslam.evaluation.depth_range import DepthRange
-from idfslam.evaluation.evaluation import Evaluation
+from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol, mesh_error
 from idfslam.evaluation.plots import plot_error, plot_trajectory
-from idfslam.evaluation.trajectory_error import absolute_trajectory_error, matched_ground_truth, relative_pose_error
+from idfslam.evaluation.trajectory_error import (
+    AbsoluteTrajectoryError,
+    RelativePoseError,
+    absolute_trajectory_error,
+    matched_ground_truth,
+    relative_pose_error,
+)
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, is_rotation_determined, load_tum
@@ -34,6 +40,7 @@ def evaluate(
     protocol: str = "seen",
     tolerance: float = TOLERANCE,
     keyframes: NDArray[np.int64] | None = None,
+    measured: NDArray[np.bool_] | None = None,
     samples: int = SAMPLES,
     views: int = VIEWS,
     seed: int = 0,
@@ -45,6 +52,7 @@ def evaluate(
 
     camera: of the recording; with sensor_range, the depths that the sensor read, it decides which surface the recording could show.
     tolerance: largest difference of stamps [s] that belong together. keyframes: indices (K,) of the frames to mark in the plot.
+    measured: (N,) whether the pose of each frame was measured; None: unknown.
     samples: points on each surface. views: for depth L1.
 
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
@@ -55,7 +63,7 @@ def evaluate(
     ledger.refuse_foreign(FILES)
     estimate = load_result_trajectory(folder)
     truth = matched_ground_truth(estimate, gt_trajectory, tolerance=tolerance)
-    result = evaluate_poses(estimate.poses, truth)
+    result = evaluate_poses(estimate.poses, truth, measured=measured)
     ate = result.ate
     if gt_mesh is not None:
         if camera is None:
@@ -88,15 +96,36 @@ def evaluate(
     return result
 
 
-def evaluate_poses(estimate: NDArray[np.float64], truth: NDArray[np.float64], *, deltas: tuple[int, ...] = (1, 30)) -> Evaluation:
+def evaluate_poses(
+    estimate: NDArray[np.float64],
+    truth: NDArray[np.float64],
+    *,
+    deltas: tuple[int, ...] = (1, 30),
+    measured: NDArray[np.bool_] | None = None,
+) -> Evaluation:
     """ATE and RPE of camera-to-world poses (N, 4, 4) [m] against true ones (N, 4, 4), NaN where a frame has no truth.
 
     deltas: the distances in frames over which RPE is measured; one for which there is no pair of frames with truth is left out.
+    measured: (N,) whether the pose of each frame was measured: the errors of these frames are told apart. None: unknown.
     Raises `TrajectoryError` if no frame has ground truth.
     """
+    ate, rpe = _errors(estimate, truth, deltas)
+    return Evaluation(len(estimate), ate, rpe, None, None if measured is None else _measured(estimate, truth, deltas, measured))
+
+
+def _errors(
+    estimate: NDArray[np.float64], truth: NDArray[np.float64], deltas: tuple[int, ...]
+) -> tuple[AbsoluteTrajectoryError, tuple[RelativePoseError, ...]]:
     errors = [relative_pose_error(estimate, truth, delta=delta) for delta in deltas]
-    rpe = tuple(error for error in errors if error is not None)
-    return Evaluation(len(estimate), absolute_trajectory_error(estimate, truth), rpe, None)
+    return absolute_trajectory_error(estimate, truth), tuple(error for error in errors if error is not None)
+
+
+def _measured(
+    estimate: NDArray[np.float64], truth: NDArray[np.float64], deltas: tuple[int, ...], measured: NDArray[np.bool_]
+) -> PoseErrors | None:
+    """The errors of the frames whose pose was measured, aligned over these alone; None if none of them has ground truth."""
+    known = np.where(measured[:, None, None], truth, np.nan)
+    return PoseErrors(int(measured.sum()), *_errors(estimate, known, deltas)) if np.isfinite(known).all((1, 2)).any() else None
 
 
 def load_result_trajectory(folder: Path) -> Trajectory:

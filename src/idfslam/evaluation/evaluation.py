@@ -10,13 +10,12 @@ from idfslam.storage import atomic_files
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
-    """The errors of one run."""
+class PoseErrors:
+    """The errors of the poses of some frames."""
 
-    frames: int  # of the trajectory, with and without ground truth
+    frames: int  # with and without ground truth
     ate: AbsoluteTrajectoryError
     rpe: tuple[RelativePoseError, ...]  # one for each distance in frames for which there are pairs of frames
-    mesh: MeshError | None  # None: no true mesh was given, or nothing of the mesh counts under the protocol
 
     def to_dict(self) -> dict[str, Any]:
         """All errors under keys that name their units (metres, degrees), as values that JSON has."""
@@ -25,6 +24,21 @@ class Evaluation:
         for rpe in self.rpe:
             pairs = {"pairs": len(rpe.frames)}
             values[f"rpe_{rpe.delta}"] = {**pairs, "translation_m": asdict(rpe.translation), "rotation_deg": asdict(rpe.rotation)}
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(PoseErrors):
+    """The errors of one run."""
+
+    mesh: MeshError | None  # None: no true mesh was given, or nothing of the mesh counts under the protocol
+    measured: PoseErrors | None = None  # of the frames whose pose was measured; None: unknown, or none of them has ground truth
+
+    def to_dict(self) -> dict[str, Any]:
+        """All errors under keys that name their units (metres, degrees), as values that JSON has."""
+        values = super().to_dict()
+        if self.measured is not None:
+            values["measured"] = self.measured.to_dict()
         if self.mesh is not None:
             values["mesh"] = asdict(self.mesh)
         return values

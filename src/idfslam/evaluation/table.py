@@ -3,7 +3,7 @@
 from rich.markup import escape
 from rich.table import Table
 
-from idfslam.evaluation.evaluation import Evaluation
+from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.mesh_error import MeshError
 
 
@@ -12,17 +12,25 @@ def table(evaluation: Evaluation) -> Table:
     result = Table(title=f"{evaluation.frames} frames", title_justify="left")
     for column in ("error", "RMSE", "mean", "median", "max", "std"):
         result.add_column(column, justify="left" if column == "error" else "right")
-    rows = [(f"ATE [cm], {len(evaluation.ate.frames)} frames", evaluation.ate.translation, 100.0)]
-    for rpe in evaluation.rpe:
-        frames = "1 frame" if rpe.delta == 1 else f"{rpe.delta} frames"
-        rows += [(f"RPE over {frames} [cm]", rpe.translation, 100.0), (f"RPE over {frames} [deg]", rpe.rotation, 1.0)]
-    for name, s, unit in rows:
-        result.add_row(escape(name), *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
+    _add_poses(result, evaluation, "frames")
+    if evaluation.measured is not None and evaluation.measured.frames < evaluation.frames:
+        result.add_section()
+        _add_poses(result, evaluation.measured, "frames with a measured pose")
     if evaluation.mesh is not None:
         result.add_section()
         for name, text in _mesh_rows(evaluation.mesh):
             result.add_row(escape(f"{name}, protocol {evaluation.mesh.protocol}"), "", text)
     return result
+
+
+def _add_poses(result: Table, errors: PoseErrors, kind: str) -> None:
+    """The rows of ATE and RPE; `kind` says of which frames."""
+    rows = [(f"ATE [cm], {len(errors.ate.frames)} {kind}", errors.ate.translation, 100.0)]
+    for rpe in errors.rpe:
+        frames = "1 frame" if rpe.delta == 1 else f"{rpe.delta} frames"
+        rows += [(f"RPE over {frames} [cm]", rpe.translation, 100.0), (f"RPE over {frames} [deg]", rpe.rotation, 1.0)]
+    for name, s, unit in rows:
+        result.add_row(escape(name), *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
 
 
 def _mesh_rows(mesh: MeshError) -> list[tuple[str, str]]:

@@ -8,9 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from idfslam.errors import IdfSlamError
-from idfslam.geometry.rigid_transform import is_rigid, rotation_error
+from idfslam.geometry.rigid_transform import RIGID, is_rigid, rotation_error
 
-_RIGID = 1e-3  # [1] largest entry of |R^T R - I| of a pose; raised, damaged rotations pass. Files with four decimals stay below it
 _UNIT = 0.01  # [1] difference of a quaternion's norm from 1 in a file; raised, lines with swapped columns pass. Chosen by hand
 _TUM_HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
@@ -55,7 +54,7 @@ def _check_poses(timestamps: NDArray[np.float64], poses: NDArray[np.float64]) ->
     if not finite.all():
         i = int(np.argmin(finite))
         raise TrajectoryError(f"pose {i} (time {timestamps[i]}) is not finite; leave out frames without a pose")
-    rigid = is_rigid(poses, tolerance=_RIGID)
+    rigid = is_rigid(poses, tolerance=RIGID)
     if not rigid.all():
         i = int(np.argmin(rigid))
         R, last_row = poses[i, :3, :3], poses[i, 3].tolist()

@@ -44,6 +44,7 @@ def open_live(
     start: int = 0,
     frames: int | None = None,
     stride: int = 1,
+    truth: bool = True,
 ) -> LiveStream:
     """Opens a live camera by its name (see NAMES), as a stream of at most `frames` frames (None: no limit).
 
@@ -65,7 +66,9 @@ def open_live(
     from idfslam.live.replay import Replay
 
     speed = _speed(name)
-    recording = open_recording(path, format=format, camera=camera, depth_scale=depth_scale, topics=topics, start=start, stride=stride)
+    recording = open_recording(
+        path, format=format, camera=camera, depth_scale=depth_scale, topics=topics, start=start, stride=stride, truth=truth
+    )
     return LiveStream(Replay(recording, speed=speed), frames=frames)
 
 

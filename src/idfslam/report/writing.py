@@ -20,11 +20,11 @@ from PIL import Image
 from idfslam.config import PRESETS, RUN_SECTIONS, dump, read_yaml
 from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
-from idfslam.evaluation.evaluate import load_mesh
+from idfslam.evaluation.evaluate import evaluate_poses, load_mesh
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, absolute_trajectory_error, matched_ground_truth
+from idfslam.evaluation.truth_file import read_truth
 from idfslam.export.memory_need import finest_cells
 from idfslam.geometry.level import level
-from idfslam.geometry.trajectory import load_tum
 from idfslam.report import figures
 from idfslam.report.chart import Chart
 from idfslam.report.views import Room, comparisons
@@ -150,7 +150,7 @@ def _mesh(folder: Path, missing: list[str]) -> trimesh.Trimesh | None:
 def _ate(run: FinishedRun, recording: Dataset | None, gt: Path | None) -> tuple[AbsoluteTrajectoryError, NDArray[np.float64]] | None:
     """The absolute trajectory error and the truth (N, 4, 4), NaN where it is unknown; None without any truth."""
     if gt is not None:
-        truth = matched_ground_truth(run.trajectory, load_tum(gt))
+        truth = matched_ground_truth(run.trajectory, read_truth(gt, run.trajectory))
     elif recording is not None and recording.ground_truth is not None:
         truth = recording.ground_truth[: len(run.trajectory)]
     else:
@@ -227,6 +227,14 @@ def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> d
     return {"views": rows}
 
 
+def _measured(run: FinishedRun, truth: NDArray[np.float64]) -> list[tuple[str, str, str]]:
+    """The card of the error over the frames whose pose was measured; none where these are all frames, or unknown."""
+    if run.measured.all():
+        return []
+    errors = evaluate_poses(run.trajectory.poses, truth, measured=run.measured).measured
+    return [] if errors is None else [("ATE, measured", f"{errors.ate.translation.rmse * 100:.2f}", f"cm, {errors.frames} measured poses")]
+
+
 def _cards(run: FinishedRun, error: Error, metrics: dict[str, Any], mesh: trimesh.Trimesh | None) -> list[tuple[str, str, str]]:
     """The cards at the top of the page: label, value, unit or remark."""
     path = np.linalg.norm(np.diff(run.trajectory.positions, axis=0), axis=-1).sum()
@@ -237,6 +245,7 @@ def _cards(run: FinishedRun, error: Error, metrics: dict[str, Any], mesh: trimes
     if error is not None:
         s = error[0].translation
         cards.append(("ATE RMSE", f"{s.rmse * 100:.2f}", f"cm, largest {s.max * 100:.2f} cm"))
+        cards += _measured(run, error[1])
     if "lost_frames" in metrics:
         cards.append(("lost frames", f"{metrics['lost_frames']}", f"and {metrics.get('degenerate_frames', 0)} degenerate"))
     if metrics.get("submaps", 1) > 1:

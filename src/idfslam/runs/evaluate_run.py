@@ -10,11 +10,15 @@ from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol
-from idfslam.geometry.trajectory import Trajectory, load_tum
+from idfslam.evaluation.truth_file import read_truth
+from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import is_live, replayed_path
 from idfslam.runs import result_folder
+from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.source import open_source
 from idfslam.storage import output_folder
+
+_PROTOCOL = "seen"
 
 log = logging.getLogger(__name__)
 
@@ -24,25 +28,30 @@ def evaluate_folder(
     *,
     gt: Path | None = None,
     gt_mesh: Path | None = None,
-    protocol: str = "seen",
+    protocol: str | None = None,
     recording: Dataset | None = None,
     samples: int = SAMPLES,
     views: int = VIEWS,
 ) -> Evaluation:
     """Measures the errors of the results in `folder`, and writes evaluation.json, trajectory.png and error.png there.
 
-    gt: true trajectory in TUM format, matched by time stamp; None: the recording's own. gt_mesh: true mesh [m] in the frame of the true
+    gt: file of the true trajectory, see `read_truth`; None: the recording's own. gt_mesh: true mesh [m] in the frame of the true
     trajectory; None: the surface of a generated recording if `gt` is None too, else the mesh is not evaluated.
+    protocol: of the mesh; None: `seen`. One that is named without a true mesh is a warning.
     recording: the recording of the run, if it is already open; None: the one in config.yaml is opened.
     samples: points on each surface. views: for depth L1.
     Raises ResultError if results or ground truth are missing, RecordingError if the recording is missing and `gt` is not given.
     """
-    result_folder.existing(folder, result_folder.TRAJECTORY)
-    rules = find_protocol(protocol)
+    run = FinishedRun(folder)
+    rules = find_protocol(protocol or _PROTOCOL)
     if recording is None and gt is None:
         recording = _recording(folder)
-    trajectory = _recorded_truth(folder, recording) if gt is None else load_tum(gt)
+    trajectory = _recorded_truth(folder, recording) if gt is None else read_truth(gt, run.trajectory)
     surface = load_mesh(gt_mesh) if gt_mesh is not None else recording.surface() if recording is not None and gt is None else None
+    if surface is None and protocol is not None:
+        log.warning(
+            "%s: --protocol %s needs a true mesh, and there is none: give --gt-mesh; only the poses are evaluated", folder, protocol
+        )
     record = result_folder.read_keyframes(folder)
     with output_folder.locked(folder):
         result_folder.ledger(folder)
@@ -52,8 +61,9 @@ def evaluate_folder(
             gt_mesh=surface,
             camera=record.camera,
             sensor_range=_readings(folder, recording) if surface is not None and rules.sensor_limited else None,
-            protocol=protocol,
+            protocol=rules.name,
             keyframes=record.indices,
+            measured=run.measured if run.frames is not None else None,
             samples=samples,
             views=views,
         )
@@ -65,7 +75,7 @@ def _recording(folder: Path) -> Dataset | None:
     if source is not None and is_live(source.path):
         path = replayed_path(source.path)
         source = None if path is None else replace(source, path=path, frames=None)
-    return None if source is None else open_source(source)
+    return None if source is None else open_source(replace(source, truth=True))  # also where the run left it unread
 
 
 def _recorded_truth(folder: Path, recording: Dataset | None) -> Trajectory:

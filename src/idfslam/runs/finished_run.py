@@ -72,7 +72,7 @@ class FinishedRun:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(N,) whether the pose of a frame was measured: it is neither extrapolated nor interpolated."""
-        return np.array([status not in (Status.LOST, Status.INTERPOLATED) for status in self.statuses], bool)
+        return np.array([status.measured for status in self.statuses], bool)
 
     def frames_to_show(self, count: int | None, *, guessed: bool = False) -> NDArray[np.int64]:
         """`count` frames evenly spread over the run, or all of them if there are fewer. None: the keyframes.

@@ -48,7 +48,8 @@ def pose_errors(slam: "Slam", recording: FrameSource, *, live: bool = False) -> 
     if recording.ground_truth is None:
         return None
     truth = recording.ground_truth[: len(poses)]
-    return evaluate_poses(poses, truth) if np.isfinite(truth).all((1, 2)).any() else None
+    measured = np.array([status.measured for status in slam.statuses()], bool)
+    return evaluate_poses(poses, truth, measured=measured) if np.isfinite(truth).all((1, 2)).any() else None
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
@@ -64,6 +65,12 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 def ate_rmse(metrics: Mapping[str, Any]) -> float | None:
     """The RMSE [m] of the absolute trajectory error in metrics.json; None for a recording without ground truth."""
     return metrics["ate_m"]["rmse"] if "ate_m" in metrics else None
+
+
+def measured_ate_rmse(metrics: Mapping[str, Any]) -> tuple[float, int] | None:
+    """The same [m] over the frames whose pose was measured, and how many these are; None where all frames are, or it is unknown."""
+    measured = metrics.get("measured")
+    return (measured["ate_m"]["rmse"], measured["frames"]) if measured and measured["frames"] < metrics["frames"] else None
 
 
 def headline(frames: int, frames_per_second: float, ate_m: float | None) -> str:

@@ -45,6 +45,7 @@ class Source:
     start: int = 0
     frames: int | None = None
     stride: int = 1
+    truth: bool = True  # False leaves the ground truth unread
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from idfslam.runs.result_folder import Source
 
 log = logging.getLogger(__name__)
 
+_NAMED = 3  # unreadable frames of which each is a warning; raised, a damaged recording fills the console. Chosen by hand
+
 
 def open_source(source: Source) -> Dataset:
     """The recording that `source` names, with the frames that it selects. Raises RecordingError or ConfigError."""
@@ -30,13 +32,20 @@ def open_feed(source: Source) -> Dataset | LiveStream:
 def read_frames(recording: Dataset | LiveStream, source: Source | None = None, *, first: int = 0) -> Iterator[tuple[Frame, bool]]:
     """Each frame from index `first` on, read ahead, and whether it could be read. A blank frame replaces an unreadable one.
 
-    Raises RecordingError if an unreadable frame is due to the recording's files being gone, which shows when `source` is an absolute path.
+    The first unreadable frames are warnings of their own, the others are counted in one at the end. Raises RecordingError if an unreadable
+    frame is due to the recording's files being gone, which shows when `source` is an absolute path.
     """
+    unreadable = 0
     for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording, first=first):
         if isinstance(frame, Frame):
             yield frame, True
         elif source is not None and Path(source.path).is_absolute() and not Path(source.path).exists():
             raise RecordingError(f"{source.path}: is gone since frame {i}; bring it back, then continue with `idf-slam run --resume`")
         else:
-            log.warning("%s; the frame is treated as lost", frame)
+            unreadable += 1
+            if unreadable <= _NAMED:
+                rest = "" if unreadable < _NAMED else "; further ones are counted at the end"
+                log.warning("%s; the frame is treated as lost%s", frame, rest)
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
+    if unreadable > _NAMED:
+        log.warning("%s: %d frames could not be read and are treated as lost", recording.name, unreadable)

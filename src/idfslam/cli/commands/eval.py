@@ -19,11 +19,12 @@ class Eval:
     folder: Positional[Path]
     """Result folder."""
     gt: Path | None = None
-    """True trajectory in TUM format, camera-to-world; none given: the recording's own."""
+    """True trajectory, camera-to-world: TUM (stamp tx ty tz qx qy qz qw), EuRoC's csv, or matrices of 12 or 16 numbers (KITTI), one for
+    each frame. None given: the recording's own."""
     gt_mesh: Path | None = None
     """True mesh [m], in the frame of the true trajectory; none given: that of a generated recording, or none is evaluated."""
-    protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] = "seen"
-    """Protocol of the mesh evaluation: which part of the true surface counts, and how it is sampled."""
+    protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] | None = None
+    """Protocol of the mesh evaluation: which part of the true surface counts, and how it is sampled; none given: `seen`."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.cli.tables import print_evaluation

@@ -17,7 +17,7 @@ class Report:
     folder: Positional[Path]
     """Result folder."""
     gt: Path | None = None
-    """True trajectory in TUM format, camera-to-world; none given: the recording's own, where it has one."""
+    """True trajectory, camera-to-world, in any form that `eval` takes; none given: the recording's own, where it has one."""
     recording: Path | None = None
     """New path of the recording, if it was moved after the run."""
 

@@ -30,6 +30,8 @@ class RecordingFlags:
     """Distance between two frames that are used; 2 takes every second frame."""
     format: str | None = None
     """Layout of the recording; none given: recognised by its files."""
+    truth: bool = True
+    """Read the recording's ground truth, for the errors at the end; `--no-truth` leaves it unread."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +143,8 @@ class Run:
         scale = camera.pop("depth_scale", None)
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
         part = self.recording
-        source = Source(
-            absolute_path(str(self.path)), part.format, camera or None, scale, topics or None, part.start, part.frames, part.stride
-        )
+        place, frames = absolute_path(str(self.path)), (part.start, part.frames, part.stride, part.truth)
+        source = Source(place, part.format, camera or None, scale, topics or None, *frames)
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
         prior = None if self.map is None else load_prior(self.map)
