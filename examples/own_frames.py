@@ -7,10 +7,7 @@ import sys
 
 import numpy as np
 
-from idfslam.config import FAST
-from idfslam.frame import Frame
-from idfslam.geometry.camera import Camera
-from idfslam.slam import Slam
+from idfslam import Camera, Frame, Slam
 
 CAMERA = Camera(width=160, height=120, fx=140.0, fy=140.0, cx=79.5, cy=59.5)  # pixel centres at integers
 HALF = np.array([0.6, 0.45, 1.5])  # half the sides of the room [m]: five walls in view, so that every direction is held
@@ -27,16 +24,10 @@ def grab(i: int) -> tuple[np.ndarray, np.ndarray]:
     return (colour * 255).astype(np.uint8), (depth * 1000).astype(np.uint16)
 
 
-slam = Slam(FAST)
+slam = Slam()
 for i in range(int(sys.argv[1]) if len(sys.argv) > 1 else 30):
     colour, depth = grab(i)
-    frame = Frame(
-        index=i,
-        timestamp=i / 30,  # [s]
-        colour=colour.astype(np.float32) / 255,  # RGB in 0..1
-        depth=depth.astype(np.float32) / 1000,  # z-depth [m], 0 = no reading
-        camera=CAMERA,
-    )
+    frame = Frame.from_images(colour, depth, CAMERA, index=i, timestamp=i / 30, depth_scale=1000)  # 1000 units of depth are a metre
     result = slam.process(frame)
     print(f"frame {i}: {result.status.value}, x = {result.T_wc[0, 3]:.3f} m, expected {0.01 * i:.3f} m")
 slam.finish()

@@ -179,7 +179,8 @@ class DepthImages:
         depth = self.depths[i]
         if isinstance(depth, FrameError):
             raise depth
-        return Frame(i, i / 10, np.zeros((*depth.shape, 3), np.float32), depth, self.camera)
+        camera = self.camera.resized(depth.shape[1], depth.shape[0])
+        return Frame(i, i / 10, np.zeros((*depth.shape, 3), np.float32), depth, camera)
 
     def surface(self) -> trimesh.Trimesh:
         return room()

@@ -36,7 +36,7 @@ class Round:
         return len(self.timestamps)
 
     def __getitem__(self, i: int) -> Frame:
-        depth = np.full((6, 8), 1 + i, np.float32)
+        depth = np.full((6, 8), (1 + i) / 8, np.float32)
         return Frame(i, float(self.timestamps[i]), np.ones((6, 8, 3), np.float32), depth, self.camera)
 
     def surface(self) -> None:
@@ -101,9 +101,9 @@ def test_frames_stamps_and_truth() -> None:
             assert not frame.depth.any() and not frame.colour.any()
             assert np.isnan(dataset.ground_truth[i]).all()
         else:
-            assert (frame.depth == 1 + shown).all()
+            assert (frame.depth == (1 + shown) / 8).all()
             np.testing.assert_array_equal(dataset.ground_truth[i], base.ground_truth[shown])
-    assert dataset[-1].depth[0, 0] == 600
+    assert dataset[-1].depth[0, 0] == 600 / 8
     np.testing.assert_array_equal(dataset.order, Kidnapped(base, times=2, frames=4, seed=3).order)
     assert (dataset.order[204] != Kidnapped(base, times=2, frames=4, seed=4).order[204]).any()
     base.ground_truth = None

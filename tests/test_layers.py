@@ -33,4 +33,4 @@ def test_the_contracts_hold_for_all_packages(contracts: dict[str, dict[str, Any]
 
 def test_the_root_holds_what_all_packages_share() -> None:
     files = {path.name for path in (ROOT / "src/idfslam").iterdir() if path.is_file()}
-    assert files == {"__init__.py", "__init__.pyi", "errors.py", "frame.py", "py.typed"}
+    assert files == {"__init__.py", "__init__.pyi", "errors.py", "frame.py", "frame_images.py", "py.typed"}

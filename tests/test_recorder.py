@@ -16,6 +16,7 @@ from idfslam.cli import command_line
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError
 from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
 from idfslam.live import LiveStream, open_live
 from idfslam.live.recorder import bgr, millimetres, record
 
@@ -47,11 +48,11 @@ def test_jpeg_is_near_and_small(box_recording: Path, tmp_path: Path) -> None:
 
 
 def test_what_images_cannot_hold_is_no_reading() -> None:
-    frame = Frame(
-        0, 0.0, np.zeros((1, 4, 3), np.float32), np.array([[1.2344, 65.534, 65.535, 80.0]], np.float32), capture(0).retrieve(0).camera
-    )
+    camera = Camera(4, 1, 4.0, 4.0, 1.5, 0.0)
+    frame = Frame(0, 0.0, np.zeros((1, 4, 3), np.float32), np.array([[1.2344, 65.534, 65.535, 80.0]], np.float32), camera)
     assert millimetres(frame).tolist() == [[1234, 65534, 0, 0]]
-    assert bgr(Frame(0, 0.0, np.array([[[1.0, 0.5, 0.0]]], np.float32), frame.depth, frame.camera)).tolist() == [[[0, 128, 255]]]
+    orange = np.tile(np.array([1.0, 0.5, 0.0], np.float32), (1, 4, 1))
+    assert bgr(Frame(0, 0.0, orange, frame.depth, camera)).tolist() == [[[0, 128, 255]] * 4]
 
 
 def test_stops_after_seconds(box_recording: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from helpers.small_config import small
 from idfslam.datasets import open_recording
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, FrameError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry import se3
 from idfslam.slam import Slam
@@ -133,3 +133,28 @@ def test_without_frames_there_is_nothing() -> None:
 def test_a_gpu_that_is_not_there() -> None:
     with pytest.raises(ConfigError, match="--device cuda: this torch finds no CUDA device"):
         Slam(replace(small(), device="cuda"))
+
+
+def test_frames_that_do_not_continue_the_run_are_refused(box_recording: Path, caplog: pytest.LogCaptureFixture) -> None:
+    data, slam = open_recording(box_recording), Slam(small())
+    with pytest.raises(FrameError, match=r"frame has index 3, expected 0: number the frames 0, 1, 2 \.\.\. without gaps"):
+        slam.process(data[3])
+    slam.process(data[0])
+    with pytest.raises(FrameError, match="frame has index 0, expected 1"):
+        slam.process(data[0])
+    with pytest.raises(FrameError, match=r"frame 1 is of Camera.*, expected Camera.* as before: use one camera for a run"):
+        slam.process(replace(data[1], camera=replace(data.camera, fx=99.0)))
+    slam.process(replace(data[1], timestamp=-1.0))
+    slam.process(replace(data[2], timestamp=-2.0))
+    assert caplog.messages == ["frame 1 has the time stamp -1.000000 s, expected more than 0.000000 s"]  # once
+
+
+def test_nothing_mapped_is_said() -> None:
+    slam = Slam(small())
+    slam.finish()
+    for ask in (lambda: slam.mesh(0.02), lambda: slam.save_map(Path("map.safetensors"))):
+        with pytest.raises(ResultError, match="nothing is mapped after 0 frames: process at least one frame with depth first"):
+            ask()
+    for resolution in (0.0, -0.02, float("nan")):
+        with pytest.raises(ConfigError, match=r"resolution is .*, expected metres above 0"):
+            slam.mesh(resolution)

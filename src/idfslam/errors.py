@@ -1,8 +1,15 @@
 """Errors that a user can correct. Each message says what was found, what was expected and what to do."""
 
+_HALF = 800  # characters at either end of a message that are shown; raised, messages are longer. Chosen by hand
+
 
 class IdfSlamError(Exception):
     """Base of all errors that a user can correct; the command line prints the message and exits with status 1."""
+
+    def __str__(self) -> str:
+        """The message in one line, without its middle if it is very long: it may quote what a file or another package says."""
+        text = " ".join(super().__str__().split())
+        return text if len(text) <= 2 * _HALF else f"{text[:_HALF]} ... {text[-_HALF:]}"
 
 
 class RecordingError(IdfSlamError):
@@ -14,7 +21,7 @@ class CameraError(IdfSlamError):
 
 
 class FrameError(IdfSlamError):
-    """One frame of a recording that cannot be read; the run continues and treats the frame as lost."""
+    """One frame that cannot be used: unreadable in a recording, where the run counts it as lost, or made of images that are none."""
 
 
 class ConfigError(IdfSlamError):

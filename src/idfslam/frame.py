@@ -1,26 +1,71 @@
 """Frames, the input of SLAM, and the result for each of them."""
 
+import math
+import operator
 import zlib
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from idfslam.errors import FrameError
+from idfslam.frame_images import checked_colour, checked_depth, colour_from, depth_from
 from idfslam.geometry.camera import Camera
+
+FPS = 30.0  # [Hz] assumed where there are no time stamps
 
 _CHECKED_ROWS = 8  # every eighth row of an image enters its checksum; raised, checksums are faster and miss more. Chosen by hand
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One RGB-D image without distortion; depth is registered to colour."""
+    """One RGB-D image without distortion; depth is registered to colour.
 
-    index: int
+    The arrays are as SLAM takes them; `Frame.from_images` converts those of cameras. Depth that is NaN, infinite or negative becomes 0.
+    Raises FrameError if a value is none of a frame: another type, shape, size or range.
+    """
+
+    index: int  # frames of a run are numbered 0, 1, 2 ...
     timestamp: float  # [s]
     colour: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
     depth: NDArray[np.float32]  # (H, W) z-depth [m], 0 = no reading
     camera: Camera
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, Camera):
+            raise FrameError(f"camera is {type(self.camera).__name__}, expected a Camera(width, height, fx, fy, cx, cy)")
+        checked = {
+            "index": _checked_index(self.index),
+            "timestamp": _checked_timestamp(self.timestamp),
+            "colour": checked_colour(self.colour, self.camera),
+            "depth": checked_depth(self.depth, self.camera),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)  # the way to set what is frozen
+
+    @staticmethod
+    def from_images(
+        colour: ArrayLike,
+        depth: ArrayLike,
+        camera: Camera,
+        *,
+        index: int = 0,
+        timestamp: float | None = None,
+        depth_scale: float | None = None,
+        bgr: bool = False,
+    ) -> "Frame":
+        """A frame from images as cameras give them: numpy arrays, or what `numpy.asarray` takes (PIL images, tensors of a CPU).
+
+        colour: (H, W, 3) RGB, (H, W, 4) with alpha, which is dropped, or (H, W) grey; uint8, uint16, or floats from 0 to 1.
+        depth: (H, W), registered to colour and of its size; integers or floats. No reading: 0, negative, NaN, infinity, 65535 of uint16.
+        index: 0 for the first frame of a run, 1 for the next, and so on. timestamp: [s]; None: `index` / 30.
+        depth_scale: units of depth per metre; None: 1000 for integers (millimetres), 1 for floats (metres).
+        bgr: colour is BGR or BGRA, as OpenCV has it. Raises FrameError if the images are none of these.
+        """
+        number = _checked_index(index)
+        stamp = number / FPS if timestamp is None else timestamp
+        return Frame(number, stamp, colour_from(colour, camera, bgr=bgr), depth_from(depth, camera, depth_scale=depth_scale), camera)
 
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
@@ -32,6 +77,26 @@ class Frame:
         """CRC-32 of some rows of its images; a resumed run checks with it that the recording has not changed."""
         colour, depth = (image[::_CHECKED_ROWS].tobytes() for image in (self.colour, self.depth))
         return zlib.crc32(depth, zlib.crc32(colour))
+
+
+def _checked_index(index: int) -> int:
+    try:
+        number = operator.index(index)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise FrameError(f"index is {index!r}, expected 0 for the first frame, 1 for the next, and so on")
+    return number
+
+
+def _checked_timestamp(timestamp: float) -> float:
+    try:
+        stamp = float(timestamp)
+    except (TypeError, ValueError, OverflowError):
+        stamp = math.nan
+    if not math.isfinite(stamp):
+        raise FrameError(f"timestamp is {timestamp!r}, expected seconds as a finite number")
+    return stamp
 
 
 class Status(str, Enum):

@@ -93,11 +93,11 @@ def _run(executor: Executor, job: BatchJob, folder: Path) -> Row:
     except ResultError:
         return row(FAILED, f"{out} is not visible from this machine; expected --out on a file system that all nodes share")
     return row(
-        INTERRUPTED if metrics["interrupted"] else DONE,
-        frames=metrics["frames"],
+        INTERRUPTED if metrics.get("interrupted") else DONE,
+        frames=metrics.get("frames"),
         ate_m=ate_rmse(metrics),
-        frames_per_second=metrics["frames_per_second"],
-        lost_frames=metrics["lost_frames"],
+        frames_per_second=metrics.get("frames_per_second"),
+        lost_frames=metrics.get("lost_frames"),
     )
 
 

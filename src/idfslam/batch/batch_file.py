@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.config import Config, check, update
 from idfslam.datasets import generated
 from idfslam.errors import ConfigError
+from idfslam.storage.plain_values import one_line, shown
+from idfslam.storage.text_file import read_text
+from idfslam.storage.yaml_text import parse_yaml
 
 _SUFFIXES = (".txt", ".yaml", ".yml")
 
@@ -100,9 +101,11 @@ def _read_entries(argument: str) -> Iterator[_ListEntry]:
         yield _ListEntry(argument, argument)
         return
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); expected a list of recordings") from error
+        text = read_text(path)
+    except (OSError, ValueError) as error:  # ValueError: no path at all
+        raise ConfigError(f"{one_line(argument)}: cannot be read ({shown(error)}); expected a list of recordings") from error
+    if "\0" in text:
+        raise ConfigError(f"{path}: holds a NUL, expected text: a list of recordings")
     entries = list(_text_entries(path, text) if path.suffix == ".txt" else _yaml_entries(path, text))
     if not entries:
         raise ConfigError(f"{path}: lists no recordings, expected one on each line, with options such as frames=500")
@@ -121,15 +124,16 @@ def _text_entries(path: Path, text: str) -> Iterator[_ListEntry]:
         pairs = [word.partition("=") for word in words[1:]]
         wrong = [name for name, mark, _ in pairs if not mark]
         if wrong:
-            raise ConfigError(f"{where}: '{wrong[0]}', expected NAME=VALUE; put a path with spaces in quotes")
-        yield _ListEntry(where, words[0], _nested({name: yaml.safe_load(value) for name, _, value in pairs}, where))
+            raise ConfigError(f"{where}: {shown(wrong[0])}, expected NAME=VALUE; put a path with spaces in quotes")
+        yield _ListEntry(where, words[0], _nested({name: _value(value, where) for name, _, value in pairs}, where))
+
+
+def _value(text: str, where: str) -> Any:
+    return parse_yaml(text, source=where, error=ConfigError, expected="a list of recordings, or a value of one")
 
 
 def _yaml_entries(path: Path, text: str) -> Iterator[_ListEntry]:
-    try:
-        entries = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is not YAML ({' '.join(str(error).split())})") from error
+    entries = _value(text, str(path))
     if not isinstance(entries, list):
         raise ConfigError(
             f"{path}: found {type(entries).__name__}, expected a list of recordings: '- PATH' or '- {{path: PATH, frames: 500}}'"
@@ -139,7 +143,7 @@ def _yaml_entries(path: Path, text: str) -> Iterator[_ListEntry]:
         values = {"path": entry} if isinstance(entry, str) else dict(entry) if isinstance(entry, dict) else {}
         recording = values.pop("path", None)
         if not isinstance(recording, str):
-            raise ConfigError(f"{where}: {entry!r}, expected a path or a mapping with 'path'")
+            raise ConfigError(f"{where}: {shown(entry)}, expected a path or a mapping with 'path'")
         yield _ListEntry(where, recording, _nested(values, where))
 
 
@@ -159,7 +163,7 @@ def _nested(values: Mapping[Any, Any], where: str) -> dict[str, Any]:
         for section in sections:
             inner = inner.setdefault(section, {})
             if not isinstance(inner, dict):
-                raise ConfigError(f"{where}: '{section}' is given as a value and as a section")
+                raise ConfigError(f"{where}: {shown(section)} is given as a value and as a section")
         inner[last] = value
     return nested
 

@@ -1,5 +1,6 @@
 """Parses the recordings that the command line names. Each gets a unique name for its results."""
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +9,9 @@ from pathlib import Path
 from idfslam.datasets import generated
 from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.storage.plain_values import one_line
+
+_DIGITS = 9  # of a number of frames; raised, larger numbers pass. A hundred million frames are a month of a camera
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,9 @@ def _with_unique_names(specs: Sequence[RecordingSpec]) -> list[RecordingSpec]:
 
 def _parse(text: str, frames: int | None) -> RecordingSpec:
     path, mark, count = text.rpartition("@")
-    if mark and count.isdigit() and not Path(text).exists():
-        if int(count) < 1:
-            raise ConfigError(f"{text}: expected at least 1 frame after the @")
+    if mark and count.isdecimal() and not os.path.exists(text):
+        if len(count) > _DIGITS or int(count) < 1:
+            raise ConfigError(f"{one_line(text)}: expected 1 frame or more after the @, in at most {_DIGITS} digits")
         frames = int(count)
     else:
         path = text
@@ -61,7 +65,7 @@ def _parse(text: str, frames: int | None) -> RecordingSpec:
         return replace(spec, name=f"kidnap-{spec.name}", path=generated.KIDNAP + spec.path)
     if generated.kind_of(path) is not None:
         return RecordingSpec(path.replace(":", "-"), path, frames)
-    if not Path(path).exists():
-        raise RecordingError(f"{path}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
+    if not os.path.exists(path):
+        raise RecordingError(f"{one_line(path)}: no such file or folder, expected a recording, {generated.FORMS}, with @FRAMES if wanted")
     place = absolute(path)
     return RecordingSpec(place.stem if place.is_file() else place.name, str(place), frames)

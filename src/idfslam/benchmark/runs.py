@@ -8,7 +8,6 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from json import loads
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from idfslam.runs.meter import BLOCK
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.runs.run_folder import open_for_runs
 from idfslam.storage import atomic_files
+from idfslam.storage.json_file import read_json
 
 REPORT, TABLE, VALUES = "bench.json", "bench.md", "values.yaml"
 
@@ -137,7 +137,7 @@ def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, me
         if mesh and ate_rmse(metrics) is not None:
             truth = [] if spec.gt_mesh is None else ["--gt-mesh", str(spec.gt_mesh)]
             _run_module(executor, "idfslam.cli", "eval", str(out), *truth)
-            evaluation = loads((out / result_folder.EVALUATION).read_text(encoding="utf-8"))
+            evaluation = read_json(out / result_folder.EVALUATION, error=BenchError, expected="the evaluation of a run")
     except BenchError as error:
         report(f"{spec.name}, seed {seed}: failed: {error}")
         return {"seed": seed, "failed": str(error)}
@@ -153,7 +153,7 @@ def _run_open3d(executor: Executor, spec: RecordingSpec, folder: Path, report: C
     except BenchError as error:
         report(f"{spec.name}, Open3D: failed: {error}")
         return {"failed": str(error)}
-    measured: dict[str, Any] = loads(out.read_text(encoding="utf-8"))
+    measured: dict[str, Any] = read_json(out, error=BenchError, expected="the values of a run of Open3D")
     report(f"{spec.name}, Open3D: {headline(measured['frames'], measured['frames_per_second'], measured.get('ate_m'))}")
     return measured
 

@@ -5,12 +5,12 @@ from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-import yaml
-
 from idfslam.config.fields import bounds, field_types
 from idfslam.config.presets import PRESETS
 from idfslam.config.sections import Config, PretrainConfig
 from idfslam.errors import ConfigError
+from idfslam.storage import yaml_text
+from idfslam.storage.plain_values import shown
 
 AnyConfig = TypeVar("AnyConfig", Config, PretrainConfig)
 
@@ -37,6 +37,7 @@ RENAMED = {
     "loops.relearnt": "loops.relearn_updates",
 }
 """Keys of earlier versions, which are refused with their new names."""
+_LARGEST = 2**31 - 1  # of a whole number; raised, numbers pass that numpy and torch refuse in words of their own
 
 
 def dump(config: Any) -> dict[str, Any]:
@@ -66,22 +67,17 @@ def load(path: Path, *, base: str | None = None) -> Config:
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file. Raises ConfigError if it cannot be read or is something else."""
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; expected a YAML file such as a run's config.yaml") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        line = " ".join(str(error).split())
-        raise ConfigError(f"{path}: is not YAML ({line}); expected a file such as a run's config.yaml") from error
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: found {type(values).__name__}, expected a mapping of config sections")
+    values = yaml_text.read_yaml(path, error=ConfigError, expected="a file such as a run's config.yaml")
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        found = "a key that is no text" if isinstance(values, dict) else type(values).__name__
+        raise ConfigError(f"{path}: found {found}, expected a mapping of config sections")
     return values
 
 
 def preset(name: str) -> Config:
     """The preset of that name. Raises ConfigError if there is none."""
     if name not in PRESETS:
-        raise ConfigError(f"preset '{name}' does not exist; choose one of {', '.join(PRESETS)}")
+        raise ConfigError(f"preset {shown(name)} does not exist; choose one of {', '.join(PRESETS)}")
     return PRESETS[name]
 
 
@@ -97,14 +93,14 @@ def update(config: Any, values: dict[str, Any], where: Path | str, *, section: s
         if name in RENAMED:
             raise ConfigError(f"{where}: unknown key '{name}'; its name is now '{RENAMED[name]}'")
         if key not in types:
-            raise ConfigError(f"{where}: unknown key '{key}'; {type(config).__name__} has {', '.join(types)}")
+            raise ConfigError(f"{where}: unknown key {shown(key)}; {type(config).__name__} has {', '.join(types)}")
         old = getattr(config, key)
         if not is_dataclass(old):
             changes[key] = _converted(value, types[key], old, f"{where}: '{key}'")
         elif isinstance(value, dict):
             changes[key] = update(old, value, where, section=f"{name}.")
         else:
-            raise ConfigError(f"{where}: '{key}' is {value!r}, expected a section of {', '.join(get_type_hints(type(old)))}")
+            raise ConfigError(f"{where}: '{key}' is {shown(value)}, expected a section of {', '.join(get_type_hints(type(old)))}")
     return replace(config, **changes)
 
 
@@ -112,11 +108,11 @@ def _converted(value: Any, field_type: Any, old: Any, name: str) -> Any:
     """A value from YAML as its field's type. Raises ConfigError, naming `old` as an example, where it is of another type."""
     if get_origin(field_type) is Literal:
         if value not in get_args(field_type):
-            raise ConfigError(f"{name} is {value!r}; choose one of {', '.join(map(str, get_args(field_type)))}")
+            raise ConfigError(f"{name} is {shown(value)}; choose one of {', '.join(map(str, get_args(field_type)))}")
         return value
     if Path in get_args(field_type):
         if value is not None and not isinstance(value, str):
-            raise ConfigError(f"{name} is {value!r}, expected a path")
+            raise ConfigError(f"{name} is {shown(value)}, expected a path")
         return Path(value) if value else None
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
     if field_type is float and numeric:
@@ -124,7 +120,7 @@ def _converted(value: Any, field_type: Any, old: Any, name: str) -> Any:
     if get_origin(field_type) is tuple and isinstance(value, list) and all(isinstance(v, int | float) for v in value):
         return tuple(float(v) for v in value)
     if type(value) is not field_type:
-        raise ConfigError(f"{name} is {value!r}, expected a value like {old!r}")
+        raise ConfigError(f"{name} is {shown(value)}, expected a value like {old!r}")
     return value
 
 
@@ -144,8 +140,10 @@ def _check_section(section: Any, prefix: str) -> None:
             _check_section(value, f"{name}.")
             continue
         numbers = [v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, int | float)]
-        if any(not math.isfinite(v) or v < 0 for v in numbers):
-            raise ConfigError(f"{name} is {value}, expected a finite number of at least 0")
+        if any((isinstance(v, float) and not math.isfinite(v)) or v < 0 for v in numbers):
+            raise ConfigError(f"{name} is {shown(value)}, expected a finite number of at least 0")
+        if any(isinstance(v, int) and v > _LARGEST for v in numbers):
+            raise ConfigError(f"{name} is {shown(value)}, expected at most {_LARGEST}")
         for bound in bounds(field_type):
             if not all(bound.allows(v) for v in numbers):
                 raise ConfigError(f"{name} is {value}, expected {bound}")

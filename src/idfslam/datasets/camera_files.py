@@ -1,6 +1,5 @@
 """The files beside the images that state the camera: cam_params.json, then text files as in `camera_text`, then Open3D's and other JSON."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.camera_text import checked_distortion, from_matrix, parse_camera
 from idfslam.errors import RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
+from idfslam.storage.json_file import read_json
 from idfslam.storage.text_file import read_text
 
 CAM_PARAMS = "cam_params.json"
@@ -114,10 +114,7 @@ def _cam_params(folders: Sequence[Path]) -> Path | None:
 
 
 def _json(path: Path, expected: str) -> dict[str, Any]:
-    try:
-        values = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: {type(error).__name__} {error}, {expected}") from error
+    values = read_json(path, error=RecordingError, expected=expected.removeprefix("expected "))
     if not isinstance(values, dict):
         raise RecordingError(f"{path}: {type(values).__name__}, {expected}")
     return values

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idfslam.datasets import array_files
 from idfslam.datasets.file_numbers import counting_numbers
 from idfslam.errors import FrameError, RecordingError
+from idfslam.frame_images import SATURATED
 from idfslam.geometry.camera import Camera
 
 Depth = NDArray[np.uint16] | NDArray[np.float32]
@@ -20,7 +21,6 @@ SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", "
 DEPTH_SUFFIXES = frozenset({*SUFFIXES, ".pfm", ".raw", ".bin", *array_files.READERS}) - {".jpg", ".jpeg", ".webp"}
 _RAW = frozenset({".raw", ".bin"})  # numbers without a header
 _INTEGERS = frozenset({".png", ".bmp", ".ppm", ".pgm"})  # kinds of files that hold nothing else
-SATURATED = 65535  # no reading: "invalid" in 7-Scenes, the end of the range elsewhere
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 

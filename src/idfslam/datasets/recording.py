@@ -17,13 +17,12 @@ from idfslam.datasets.poses import ReadTruth, optional_truth
 from idfslam.datasets.provenance import STATED, Provenance, provenance
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
-from idfslam.frame import Frame
+from idfslam.frame import FPS, Frame
 from idfslam.geometry.camera import Camera
 
 if TYPE_CHECKING:
     import trimesh
 
-FPS = 30.0  # [Hz] assumed for recordings without time stamps
 _PROBES = 5  # frames, spread over a recording, of which one must be readable; raised, recordings with more damage open. Chosen by hand
 
 ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth]]  # i -> colour (H, W, 3) BGR, depth (H, W)
@@ -100,6 +99,9 @@ class Recording:
         self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
         self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source)
+        if not np.isfinite(timestamps).all():
+            i = int(np.isfinite(timestamps).argmin())
+            raise RecordingError(f"{name}: the time stamp of frame {i} is {timestamps[i]}, expected seconds: correct or remove the stamps")
         self._size = depth  # width, height [px] of the depth images
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         distorted = calibration.distortion is not None and any(calibration.distortion)

@@ -1,7 +1,6 @@
 """Downloads a public sequence: the archive is fetched, checked by its hash, unpacked into a temporary folder and moved into place."""
 
 import hashlib
-import json
 import os
 import shutil
 import time
@@ -12,6 +11,7 @@ from idfslam.downloads.catalogue import Sequence
 from idfslam.downloads.fetch import Report, discard, fetch
 from idfslam.errors import ArchiveError, DownloadError
 from idfslam.storage import atomic_files
+from idfslam.storage.json_file import read_json
 from idfslam.storage.unpack import unpack
 
 LEDGER = "downloads.json"  # in the folder of downloads: when each sequence was downloaded, and the hash of its archive
@@ -63,7 +63,7 @@ def read_ledger(out: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        ledger: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        ledger: dict[str, Any] = read_json(path, error=DownloadError, expected="a record that `idf-slam download` wrote: remove it")
         {entry["sha256"] for entry in ledger.values()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DownloadError(f"{path}: not as `idf-slam download` writes it ({error}): remove it") from error

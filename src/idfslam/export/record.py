@@ -6,7 +6,6 @@ exports           for each format: its own up and T_export_world, and the SHA-25
 """
 
 import hashlib
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 from idfslam.errors import ResultError
 from idfslam.export.axes import Axes
 from idfslam.storage import atomic_files
+from idfslam.storage.json_file import read_json
 
 RECORD = "transform.json"
 
@@ -34,7 +34,7 @@ class ExportRecord:
         if not path.is_file():
             return ExportRecord(folder, axes)
         try:
-            exports = json.loads(path.read_text(encoding="utf-8"))["exports"]
+            exports = read_json(path, error=ResultError, expected="the record of an earlier export")["exports"]
             for export in exports.values():
                 dict(export["files"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -3,16 +3,23 @@
 Rays have z = 1, so that the parameter along a ray is the depth.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from idfslam.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Size [px], focal lengths and principal point [px] of an undistorted image."""
+    """Size [px], focal lengths and principal point [px] of an undistorted image.
+
+    Raises ConfigError unless the size is of positive integers, the focal lengths are positive, and all values are finite.
+    """
 
     width: int
     height: int
@@ -20,6 +27,16 @@ class Camera:
     fy: float
     cx: float
     cy: float
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not (isinstance(value := getattr(self, name), int | np.integer) and not isinstance(value, bool) and value > 0):
+                raise ConfigError(f"camera: {name} is {value!r}, expected pixels, an integer above 0")
+        for name, positive in (("fx", True), ("fy", True), ("cx", False), ("cy", False)):
+            value = getattr(self, name)
+            if not isinstance(value, int | float | np.number) or not math.isfinite(value) or (positive and value <= 0):
+                expected = "a finite number above 0" if positive else "a finite number"
+                raise ConfigError(f"camera: {name} is {value!r}, expected pixels, {expected}")
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image scaled to `width` x `height`; the image's outer edges stay where they are."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
+from idfslam.storage.text_file import read_text
 
 _FPS = 30.0  # [Hz] assumed, since the format has no stamps
 
@@ -21,7 +22,7 @@ def save_kitti(path: Path, poses: NDArray[np.float64]) -> None:
 def load_kitti(path: Path) -> Trajectory:
     """Reads poses, with stamps at 30 Hz. Raises `TrajectoryError`, which names file and line."""
     rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         try:
             row = [float(word) for word in line.split()]
         except ValueError as error:

@@ -3,7 +3,6 @@
 Its cameras look along -z with y up (OpenGL), and its pixel centres are at half integers.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
+from idfslam.storage.json_file import read_json
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # T_wc @ OPENGL is the pose of the same camera with OpenGL's axes, and the other way round
 
@@ -22,12 +22,12 @@ def read_transforms(path: Path) -> tuple[NDArray[np.float64], Camera | None]:
     Raises ResultError if the file has another form.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path, error=ResultError, expected="frames with a 4 x 4 transform_matrix")
         poses = np.array([frame["transform_matrix"] for frame in values["frames"]], np.float64)
         if poses.ndim != 3 or poses.shape[1:] != (4, 4):
             raise ValueError(f"its matrices are {poses.shape}")
         return poses @ OPENGL, _camera(values)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ResultError(f"{path}: not readable as transforms.json ({error}); expected frames with a 4 x 4 transform_matrix") from error
 
 

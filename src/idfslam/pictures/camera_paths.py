@@ -13,6 +13,7 @@ from idfslam.geometry.kitti import load_kitti
 from idfslam.geometry.trajectory import load_tum
 from idfslam.geometry.transforms_json import read_transforms
 from idfslam.pictures.mesh_renderer import looking_at
+from idfslam.storage.text_file import read_text
 
 Floats = NDArray[np.float64]
 _KNOTS_PER_SECOND = 1.5  # of the splines; more: the flight follows the trajectory, and its shake, more closely
@@ -24,8 +25,8 @@ def load_poses(path: Path) -> tuple[Floats, Camera | None]:
     Raises ResultError for a missing file or another format, TrajectoryError for a damaged line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except OSError as error:
         raise ResultError(f"{path}: cannot be read as text; expected poses in TUM or KITTI format, or transforms.json") from error
     if path.suffix == ".json" or text.lstrip().startswith("{"):
         return read_transforms(path)

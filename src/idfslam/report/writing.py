@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 import logging
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -32,7 +31,9 @@ from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import read_metrics
 from idfslam.storage import atomic_files, output_folder
+from idfslam.storage.json_file import read_json
 from idfslam.storage.ledger import Ledger
+from idfslam.storage.plain_values import shown
 
 log = logging.getLogger(__name__)
 
@@ -269,12 +270,16 @@ def _evaluated(folder: Path) -> list[tuple[str, str, str]]:
         or path.stat().st_mtime < (folder / result_folder.MESH).stat().st_mtime
     ):
         return []
-    mesh = json.loads(path.read_text(encoding="utf-8")).get("mesh")
-    if not mesh:
-        return []
-    ratio = f"cm, {mesh['completion_ratio'] * 100:.0f} % within 5 cm"
-    accuracy = ("accuracy", f"{mesh['accuracy'] * 100:.2f}", f"cm, protocol {mesh['protocol']}")
-    return [accuracy, ("completion", f"{mesh['completion'] * 100:.2f}", ratio)]
+    values = read_json(path, error=ResultError, expected="what `idf-slam eval` wrote: evaluate the run again")
+    try:
+        mesh = values.get("mesh")
+        if not mesh:
+            return []
+        ratio = f"cm, {mesh['completion_ratio'] * 100:.0f} % within 5 cm"
+        accuracy = ("accuracy", f"{mesh['accuracy'] * 100:.2f}", f"cm, protocol {mesh['protocol']}")
+        return [accuracy, ("completion", f"{mesh['completion'] * 100:.2f}", ratio)]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ResultError(f"{path}: lacks an error of the mesh ({shown(error)}), expected what `idf-slam eval` wrote") from error
 
 
 def _run_sections(folder: Path) -> list[dict[str, Any]]:

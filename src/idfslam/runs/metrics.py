@@ -1,6 +1,5 @@
 """The measured values of a run in metrics.json, and reading them again."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,9 +14,13 @@ from idfslam.evaluation.evaluation import Evaluation
 from idfslam.frame import Status
 from idfslam.runs import result_folder
 from idfslam.runs.meter import Meter
+from idfslam.storage.json_file import read_json
 
 if TYPE_CHECKING:
     from idfslam.slam import Slam
+
+# Values of metrics.json that other commands show as numbers
+_NUMBERS = ("frames", "seconds", "frames_per_second", "keyframes", "lost_frames", "degenerate_frames", "submaps", "peak_memory_mb")
 
 
 def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, *, interrupted: bool) -> dict[str, Any]:
@@ -55,16 +58,31 @@ def pose_errors(slam: "Slam", recording: FrameSource, *, live: bool = False) -> 
 def read_metrics(folder: Path) -> dict[str, Any]:
     """The values of a run's metrics.json. Raises ResultError if the file is missing or damaged."""
     path = result_folder.existing(folder, result_folder.METRICS)
-    try:
-        metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{path}: cannot be read ({error}); run again into this folder") from error
-    return metrics
+    metrics = read_json(path, error=ResultError, expected="the measured values of a run: run again into this folder")
+    wrong = [name for name, value in _numbers(metrics).items() if isinstance(value, bool) or not isinstance(value, int | float)]
+    if not isinstance(metrics, dict) or wrong:
+        found = f"'{wrong[0]}' is no number" if wrong else type(metrics).__name__
+        raise ResultError(f"{path}: {found}, expected the measured values of a run: run again into this folder")
+    return {name: value for name, value in metrics.items() if value is not None}
+
+
+def _numbers(metrics: Any) -> dict[str, Any]:
+    """The values of metrics.json that must be numbers, by name."""
+    if not isinstance(metrics, dict):
+        return {}
+    found = {name: metrics[name] for name in _NUMBERS if metrics.get(name) is not None}
+    for name, inner in (("ms_per_frame", None), ("ate_m", "rmse")):
+        values = metrics.get(name, {})
+        if not isinstance(values, dict):
+            found[name] = values
+        else:
+            found |= {f"{name}.{key}": values.get(key) for key in (values if inner is None or not values else (inner,))}
+    return found
 
 
 def ate_rmse(metrics: Mapping[str, Any]) -> float | None:
     """The RMSE [m] of the absolute trajectory error in metrics.json; None for a recording without ground truth."""
-    return metrics["ate_m"]["rmse"] if "ate_m" in metrics else None
+    return metrics["ate_m"]["rmse"] if metrics.get("ate_m") else None
 
 
 def measured_ate_rmse(metrics: Mapping[str, Any]) -> tuple[float, int] | None:

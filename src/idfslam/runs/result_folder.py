@@ -1,6 +1,5 @@
 """The files in the result folder of a run. Each is written whole or not at all."""
 
-import json
 import platform
 import re
 from collections.abc import Iterator, Sequence
@@ -19,6 +18,7 @@ from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
+from idfslam.storage.json_file import read_json
 from idfslam.storage.ledger import Ledger
 from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
@@ -137,7 +137,7 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
     """Reads keyframes.json. Raises ResultError if it is missing or damaged."""
     path = existing(folder, KEYFRAMES)
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path, error=ResultError, expected="the keyframes of a run: run again into this folder")
         keyframes = values["keyframes"]
         return KeyframeRecord(
             Camera(**values["camera"]),

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.config import FAST, Config
-from idfslam.errors import RecordingError
+from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.slam.compose import BackEnd, FrontEnd, Mapper, System
+from idfslam.slam.frame_order import FrameOrder
 from idfslam.slam.history import History
 from idfslam.slam.recovery import EXAMPLES, Mode
 from idfslam.slam.tracked import Tracked
@@ -52,9 +53,14 @@ class Slam:
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if it was tracked and is no keyframe
         self._finished = False
+        self.order = FrameOrder()
 
     def process(self, frame: Frame) -> FrameResult:
-        """Tracks a frame. Then maps it if it becomes a keyframe, and otherwise updates the map or finetunes the tracker."""
+        """Tracks a frame. Then maps it if it becomes a keyframe, and otherwise updates the map or finetunes the tracker.
+
+        Raises FrameError if the frame's index is not the number of frames before it, or if its camera is another than theirs.
+        """
+        self.order.check(frame)
         with self.back_end.foreground():
             view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
             tracked = self._track(view, mode)  # Sec. V
@@ -103,7 +109,7 @@ class Slam:
         self.recovery.start_in_map(self.replay.sample(EXAMPLES))
 
     def finish(self) -> None:
-        """Ends a run: maps the last frame too, and polishes the keyframes' poses and the map."""
+        """Ends a run: maps the last frame too, and polishes the keyframes' poses and the map. Without any mapped frame there is no work."""
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
@@ -116,12 +122,24 @@ class Slam:
         self.back_end.finish()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
-        """The observed surface in cells of `resolution` [m], with vertex colours. None: the config's resolution."""
-        return mesh_of(self.mapper.learnt(), self.coverage.views(), resolution or self.config.mesh.resolution)
+        """The observed surface in cells of `resolution` [m], with vertex colours. None: the config's resolution.
+
+        Raises ResultError if nothing was mapped yet, ConfigError if the resolution is not positive.
+        """
+        cells = self.config.mesh.resolution if resolution is None else resolution
+        if not 0 < cells < np.inf:
+            raise ConfigError(f"resolution is {resolution}, expected metres above 0, such as {self.config.mesh.resolution}")
+        self._check_mapped()
+        return mesh_of(self.mapper.learnt(), self.coverage.views(), cells)
 
     def save_map(self, path: Path) -> None:
-        """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads."""
+        """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads. Raises ResultError if nothing was mapped yet."""
+        self._check_mapped()
         save_map(path, self.mapper.learnt(), self.coverage.views())
+
+    def _check_mapped(self) -> None:
+        if not self.graph.keyframes:
+            raise ResultError(f"nothing is mapped after {len(self.frames)} frames: process at least one frame with depth first")
 
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) camera-to-world poses of all processed frames. Frames move with their keyframes."""

@@ -1,12 +1,13 @@
 """Recordings that are opened by a name instead of a path: generated rooms and corridors, and `kidnap:` before any recording."""
 
+import os
 import re
-from pathlib import Path
 
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.recording import Dataset
 from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.storage.plain_values import one_line, shown
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
 NAMES = {SYNTHETIC: "synthetic[:SEED][:kinect]", CORRIDOR: "corridor[:SEED][:kinect][:Nlaps]"}
@@ -15,19 +16,25 @@ FORMS = f"{NAMES[SYNTHETIC]}, {NAMES[CORRIDOR]} or kidnap:RECORDING"
 KIDNAP = "kidnap:"
 
 _PATTERNS = {
-    SYNTHETIC: re.compile(r"synthetic(?::(?P<seed>\d+))?(?P<noise>:kinect)?"),
-    CORRIDOR: re.compile(r"corridor(?::(?P<seed>\d+))?(?P<noise>:kinect)?(?::(?P<laps>\d+)laps?)?"),
+    SYNTHETIC: re.compile(r"synthetic(?::(?P<seed>\d{1,9}))?(?P<noise>:kinect)?"),
+    CORRIDOR: re.compile(r"corridor(?::(?P<seed>\d{1,9}))?(?P<noise>:kinect)?(?::(?P<laps>\d{1,3})laps?)?"),
 }
+_LONGEST = 1_000_000  # frames; raised, more memory is needed: 130 MB for the poses of a million. Chosen by hand: nine hours of a camera
 
 
 def kind_of(path: str) -> str | None:
     """SYNTHETIC or CORRIDOR if the path is such a name and no file has it; else None."""
-    return next((kind for kind, pattern in _PATTERNS.items() if pattern.fullmatch(path) and not Path(path).exists()), None)
+    return next((kind for kind, pattern in _PATTERNS.items() if pattern.fullmatch(path) and not os.path.exists(path)), None)
 
 
 def kidnapped_path(path: str) -> str | None:
-    """RECORDING of kidnap:RECORDING; None for any other path, and if a file has that name."""
-    return path[len(KIDNAP) :] if path.startswith(KIDNAP) and path != KIDNAP and not Path(path).exists() else None
+    """RECORDING of kidnap:RECORDING; None for any other path, and if a file has that name. Raises ConfigError if RECORDING is such too."""
+    if not path.startswith(KIDNAP) or path == KIDNAP or os.path.exists(path):
+        return None
+    inner = path.removeprefix(KIDNAP)
+    if inner.startswith(KIDNAP):
+        raise ConfigError(f"{one_line(path)}: kidnapped more than once, expected {KIDNAP}RECORDING")
+    return inner
 
 
 def absolute_path(path: str) -> str:
@@ -35,17 +42,19 @@ def absolute_path(path: str) -> str:
     inner = kidnapped_path(path)
     if inner is not None:
         return KIDNAP + absolute_path(inner)
-    return str(absolute(path)) if Path(path).expanduser().exists() else path
+    return str(absolute(path)) if os.path.exists(os.path.expanduser(path)) else path
 
 
 def open_generated(path: str, kind: str, calibration: Calibration, length: int) -> Dataset:
     """The generated recording of this name. It has one tour (room) or the named laps (corridor), or `length` frames if these are more."""
     name = _PATTERNS[kind].fullmatch(path)
     if name is None:
-        raise RecordingError(f"{path}: not a {kind} {'room' if kind == SYNTHETIC else 'recording'}, expected {NAMES[kind]}")
+        raise RecordingError(f"{one_line(path)}: not a {kind} {'room' if kind == SYNTHETIC else 'recording'}, expected {NAMES[kind]}")
     if calibration != Calibration():
         what = f"a {kind} {'room' if kind == SYNTHETIC else 'recording'}"
         raise ConfigError(f"{path}: {what} has its own camera and depth, expected no override: leave the camera's values out")
+    if length > _LONGEST:
+        raise ConfigError(f"{path}: the last frame is number {shown(length)}, expected at most {_LONGEST}: choose --frames and --stride")
     seed, noise = int(name["seed"] or 0), name["noise"] is not None
     if kind == SYNTHETIC:
         from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster

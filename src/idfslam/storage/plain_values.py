@@ -1,0 +1,53 @@
+"""Limits on what files of people and other programs may hold, whatever their format."""
+
+from typing import Any
+
+from idfslam.errors import IdfSlamError
+
+LARGEST = 1 << 28  # [bytes] of a file that is read as a whole; raised, more memory is needed. 500 000 keyframes fit. Chosen by hand
+_DEEPEST = 32  # lists and mappings inside each other; raised, deeper files pass. Our own have 5. Chosen by hand
+_INTEGERS = 1 << 63  # integers beyond this are no numbers of anything here, and float() and numpy refuse the longest ones
+_LONGEST = 200  # characters of a value or a reason that a message shows; raised, messages are longer. Chosen by hand
+
+
+def check_plain(values: Any) -> None:
+    """Raises ValueError for nesting that is too deep, integers beyond 64 bits, and text with NUL or half a character."""
+    level = [values]
+    for _ in range(_DEEPEST):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner += [*value.keys(), *value.values()]
+            elif isinstance(value, list | tuple | set):
+                inner += value
+            elif isinstance(value, int):
+                if abs(value) >= _INTEGERS:
+                    raise ValueError(f"a number of {value.bit_length() // 3.32:.0f} digits")
+            elif isinstance(value, str):
+                if "\0" in value:
+                    raise ValueError("text with a NUL")
+                value.encode()  # raises UnicodeEncodeError, a ValueError
+        if not inner:
+            return
+        level = inner
+    raise ValueError(f"more than {_DEEPEST} lists and mappings inside each other")
+
+
+def shown(value: Any) -> str:
+    """A value as Python writes it, or the text of an error, in one line and cut to 200 characters."""
+    try:
+        return one_line(str(value) if isinstance(value, Exception) else repr(value))
+    except (ValueError, RecursionError):  # an integer with more digits than Python shows, a list in itself
+        return f"a {type(value).__name__} that is too long to show"
+
+
+def one_line(text: str) -> str:
+    """A text for a message, in one line and cut to 200 characters."""
+    text = " ".join(text.split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def check_size(size: int, source: str, error: type[IdfSlamError], expected: str) -> None:
+    """Raises `error` if a file has too many bytes to be read as a whole."""
+    if size > LARGEST:
+        raise error(f"{source}: {size >> 20} MB, expected {expected} of at most {LARGEST >> 20} MB: is it another file?")
