@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.images import Depth, decode_colour, decode_depth
+from idfslam.datasets.ros.rvl import decode_rvl
 from idfslam.errors import FrameError
 
 IMAGE, COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
@@ -89,13 +90,12 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int, source: str) -> N
 
 
 def _unpacked(message: Any, source: str) -> Depth:
-    """Decodes depth stored as PNG, after the header of `compressedDepth` if there is one; 32FC1 is stored as a / z + b."""
+    """Decodes depth stored as PNG or by RVL, after the header of `compressedDepth` if there is one; 32FC1 is stored as a / z + b."""
     data, packed = message.data.tobytes(), "compressedDepth" in message.format
-    if "rvl" in message.format:
-        raise FrameError(f"{source}: {message.format}, expected PNG: decompress it with `ros2 run image_transport republish`")
     if len(data) < _CONFIG.size:
         raise FrameError(f"{source}: {len(data)} bytes, expected a depth image: copy the recording again")
-    raw = decode_depth(data[_CONFIG.size :] if packed else data, source)
+    decode = decode_rvl if packed and "rvl" in message.format.lower() else decode_depth
+    raw = decode(data[_CONFIG.size :] if packed else data, source)
     if _encoding(message) != "32FC1":
         return raw
     _, a, b = _CONFIG.unpack_from(data)

@@ -32,15 +32,26 @@ _POSES = (  # types of messages that hold one pose
 
 
 def recognises(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES if path.is_file() else (path / "metadata.yaml").is_file() or bool(_files(path))
+    return _is_bag(path) if path.is_file() else (path / "metadata.yaml").is_file() or bool(_files(path))
+
+
+def _is_bag(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES or _is_unfinished(path)
+
+
+def _is_unfinished(path: Path) -> bool:
+    """Whether rosbag gave a bag this name while it recorded it."""
+    return path.name.lower().endswith(".bag.active")
 
 
 def _files(path: Path) -> list[Path]:
-    return sorted(file for file in path.glob("*") if file.suffix.lower() in SUFFIXES)
+    return sorted(file for file in path.glob("*") if _is_bag(file) and not file.name.startswith("."))
 
 
 def _bag(path: Path) -> Path:
     """The bag at a path: a file, or the folder of a ROS 2 bag."""
+    if path.is_file() and _is_unfinished(path):
+        raise RecordingError(f"{path}: rosbag did not finish this bag: run `rosbag reindex` on it, then rename it to end in .bag")
     if path.is_file() or (path / "metadata.yaml").is_file():
         return path
     files = _files(path)
@@ -48,7 +59,7 @@ def _bag(path: Path) -> Path:
         raise RecordingError(
             f"{path}: {len(files)} bags and no metadata.yaml, expected a ROS 2 bag's folder or one .bag or .mcap: name one"
         )
-    return files[0]
+    return _bag(files[0])
 
 
 def open_ros(path: Path, override: Calibration, topics: Topics | None = None) -> Recording:
