@@ -11,11 +11,12 @@ pytestmark = pytest.mark.slow
 
 BESIDE = """
 from idfslam.config import FAST
-from idfslam.demo.compile_ahead import compiled, compiling_ahead
-print(compiled())
+from idfslam.compute.cache_folder import kernels_on_disk
+from idfslam.demo.compile_ahead import compiling_ahead
+print(kernels_on_disk())
 with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())
-print(compiled())
+print(kernels_on_disk())
 with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())
 """

@@ -55,6 +55,14 @@ def prepare_caches() -> KernelCache:
     return found
 
 
+def kernels_on_disk() -> bool:
+    """Whether compiled kernels are in the cache. It looks for one that is compiled with the others, later than its source was written."""
+    folder, source = prepare_caches().folder, INSTALLATION / "mapping" / "kernels" / "numba_field.py"
+    if folder is None or not source.exists():
+        return False
+    return any(index.stat().st_mtime >= source.stat().st_mtime for index in folder.rglob("numba_field.learn-*.nbi"))
+
+
 def _kernel_cache() -> KernelCache:
     is_set = os.environ.get(VARIABLE)
     if is_set and usable(Path(is_set)):

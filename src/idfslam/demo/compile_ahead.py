@@ -7,23 +7,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import yaml
 
 from idfslam.compute.backend import Backend, backend_of
+from idfslam.compute.cache_folder import kernels_on_disk, prepare_caches
 from idfslam.compute.devices import resolve_device
 from idfslam.config import FAST, Config, dump, update
 
 _COARSE = 0.2  # [m] cells of a mesh that only serves to compile; smaller: slower
-
-
-def compiled() -> bool:
-    """Whether the kernels are on disk. It looks for one of them, which is compiled together with the others."""
-    from idfslam.mapping.kernels.numba_field import learn
-
-    folder = learn.stats.cache_path
-    return folder is not None and any(Path(folder).glob("numba_field.learn-*.nbi"))
 
 
 @contextmanager
@@ -32,7 +24,11 @@ def compiling_ahead(config: Config) -> Iterator[Callable[[], object]]:
 
     If that process fails, this one compiles each kernel at its first use.
     """
-    if backend_of(resolve_device(config.device, config.preset)) is not Backend.NUMBA or compiled():
+    if (
+        prepare_caches().folder is None
+        or kernels_on_disk()
+        or backend_of(resolve_device(config.device, config.preset)) is not Backend.NUMBA
+    ):
         yield lambda: None
         return
     command = [sys.executable, "-m", "idfslam.demo.compile_ahead"]

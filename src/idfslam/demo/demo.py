@@ -1,5 +1,6 @@
 """The demonstration: SLAM in a generated room, its evaluation against the truth, and pictures. It needs no files."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
+from idfslam.slam.warm_up import COMPILING, will_compile
 from idfslam.storage.ledger import Ledger
 
 OVERVIEW, VIEWS = "overview.png", "views.png"
@@ -47,18 +49,22 @@ def demo(
     does.
     """
     source = result_folder.Source(f"synthetic:{room}", frames=frames)
+    tell = (lambda stage: None) if console is None else partial(console.print, highlight=False, markup=False, soft_wrap=True)
+    tell(f"building the room, {COMPILING}" if will_compile(config) else "building the room")
     with compiling_ahead(config) as wait_until_compiled:
         recording = open_source(source)
         recording[0]  # compiles what renders it
         with Prerendered(recording, most=_AHEAD) as prerendered:
             wait_until_compiled()
         done = run(prerendered, config, folder, source=source, overwrite=overwrite, console=console)
+    tell("evaluating")
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     saved, poses = load_map(folder / result_folder.MAP), done.trajectory.poses
     keyframes = result_folder.read_keyframes(folder).indices
     view = _view(recording, poses, saved, int(len(poses) * _SHOWN), _WIDE)
     with Ledger(folder).replacing(OVERVIEW) as part:
         draw_overview(part, done.mesh, poses, keyframes, recording.camera, view)
+    tell("writing the report" if report else "drawing pictures")
     if report:
         write_report(folder, recording=recording)
         return done, evaluation, [folder / OVERVIEW, folder / result_folder.PICTURES]

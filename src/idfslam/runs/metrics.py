@@ -35,11 +35,16 @@ def keyframe_counts(slam: "Slam") -> dict[str, Any]:
     """Counts of keyframes, of lost frames (interpolated ones included), of degenerate frames, and `Slam.figures`."""
     count = Counter(slam.statuses())
     return {
-        "keyframes": sum(keyframe.submap == 0 for keyframe in slam.stored_keyframes()),
+        "keyframes": kept_keyframes(slam),
         "lost_frames": count[Status.LOST] + count[Status.INTERPOLATED],
         "interpolated_frames": count[Status.INTERPOLATED],
         "degenerate_frames": count[Status.DEGENERATE],
     } | slam.figures()
+
+
+def kept_keyframes(slam: "Slam") -> int:
+    """Number of stored keyframes of the first submap. Frames that became keyframes are more: some are culled."""
+    return sum(keyframe.submap == 0 for keyframe in slam.stored_keyframes())
 
 
 def pose_errors(slam: "Slam", recording: FrameSource, *, live: bool = False) -> Evaluation | None:

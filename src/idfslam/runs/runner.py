@@ -20,7 +20,7 @@ from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import LiveStream, is_live
 from idfslam.runs import result_folder, run_folder
 from idfslam.runs.checkpoint import Checkpoints, fingerprint
-from idfslam.runs.metrics import keyframe_counts, run_metrics
+from idfslam.runs.metrics import kept_keyframes, keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.result_writer import ResultWriter, trajectory_of
@@ -28,7 +28,7 @@ from idfslam.runs.run_folder import RunFolder
 from idfslam.runs.run_state import RunState
 from idfslam.runs.source import open_source, read_frames
 from idfslam.slam import Slam
-from idfslam.slam.warm_up import warm_up
+from idfslam.slam.warm_up import COMPILING, warm_up, will_compile
 from idfslam.viewer.rerun_viewer import NullViewer, Viewer
 
 log = logging.getLogger(__name__)
@@ -97,7 +97,8 @@ def run(
                 _write_poses(writer, state, place)
                 raise
             metrics = run_metrics(state.slam, recording, state.meter, interrupted=stop.is_set()) | _camera_metrics(recording)
-            bar.describe("writing")
+            bar.finish(keyframes=metrics["keyframes"], lost=metrics["lost_frames"])
+            bar.describe("writing the mesh and the map")
             mesh = state.slam.mesh(config.mesh.resolution)
             viewer.finish(state.slam, mesh)
             with result_folder.writing(folder):
@@ -167,13 +168,14 @@ def _process(
     """All frames from the state's next one on, with checkpoints, and the last refinement."""
     for frame, readable in read_frames(recording, source, first=state.meter.frames):
         result = state.process(frame, readable=readable, viewer=viewer)
-        bar.update(result, frames_per_second=state.meter.frames_per_second)
+        kept = kept_keyframes(state.slam) if result.keyframe else None
+        bar.update(result, frames_per_second=state.meter.frames_per_second, keyframes=kept)
         if checkpoints.due(state.meter.frames, stopping=stop.is_set()):
             checkpoints.save(state.meter.frames, state.state())
         if stop.is_set():
             log.warning("interrupted after frame %d: writing the results so far", frame.index)
             break
-    bar.describe("refining")
+    bar.describe("refining keyframes and map")
     _finish(state.slam, recording)
 
 

@@ -4,13 +4,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from idfslam.compute.backend import Backend, backend_of
+from idfslam.compute.cache_folder import kernels_on_disk
+from idfslam.compute.devices import resolve_device
 from idfslam.config import Config
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.slam import Slam
 
 _CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+COMPILING = "compiling kernels, once: about a minute"
 _FRAMES = 4  # made-up frames; more: nothing new is compiled
+
+
+def will_compile(config: Config) -> bool:
+    """Whether the first frames of a run wait for kernels of the feature grid to be compiled, because they are not on disk yet."""
+    device = resolve_device(config.device, config.preset)
+    return config.field.encoding == "grid" and backend_of(device) is Backend.NUMBA and not kernels_on_disk()
 
 
 def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:

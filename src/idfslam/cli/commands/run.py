@@ -153,6 +153,7 @@ class Run:
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
         done = run(recording, values, folder, source=source, console=console, **options)
         if self.output.report:
+            console.print("writing the report", highlight=False)
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
         print_run(done, output())
 
