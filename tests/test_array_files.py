@@ -188,11 +188,11 @@ def test_a_header_that_claims_too_much_asks_for_no_memory(tmp_path: Path) -> Non
             read_depth(path)
 
 
-@pytest.mark.parametrize(("suffix", "module", "extra"), [(".exr", "OpenEXR", "exr"), (".h5", "h5py", "hdf5")])
-def test_a_missing_package_is_named(suffix: str, module: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("suffix", "module"), [(".exr", "OpenEXR"), (".h5", "h5py")])
+def test_a_missing_package_is_named(suffix: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     path = with_depth(tmp_path / "room", suffix, lambda file, _: file.write_bytes(b"\x89HDF\r\n\x1a\n"), float_image())
-    with pytest.raises(ConfigError, match=rf"needs {module}: pip install 'idf-slam\[{extra}\]'"):
+    with pytest.raises(ConfigError, match=rf"needs {module}: .*-m pip install {module}$"):
         open_recording(path)
 
 

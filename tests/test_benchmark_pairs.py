@@ -16,7 +16,7 @@ from idfslam.benchmark.pairs import Tally, baselines, bench_pairs, learned, samp
 from idfslam.cli.command_line import main
 from idfslam.config import FAST, TrackerConfig
 from idfslam.datasets import open_recording
-from idfslam.errors import ConfigError, RecordingError
+from idfslam.errors import ConfigError, RecordingError, pip_install
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.pretraining.validation import pose_error
@@ -115,7 +115,7 @@ def test_rows_for_icp_are_left_out_where_it_is_not_installed(monkeypatch: pytest
     monkeypatch.setattr(module, "icp_installed", lambda: False)
     chosen = baselines(TrackerConfig(), torch.rand(1, 3, 24, 32), said.append)
     assert "GICP" not in chosen
-    assert said == ["no rows for ICP and GICP: small_gicp is not installed: pip install 'idf-slam[bench]'"]
+    assert said == [f"no rows for ICP and GICP: small_gicp is not installed: {pip_install('small_gicp')}"]
 
 
 def test_wrong_input(box_recording: Path) -> None:

@@ -472,7 +472,7 @@ def test_topics_are_for_recordings_that_have_some(tmp_path: Path, box_recording:
 def test_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = bag(tmp_path, recorded())
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[ros\]'"):
+    with pytest.raises(ConfigError, match="-m pip install rosbags"):
         open_recording(path)
 
 

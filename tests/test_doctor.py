@@ -14,6 +14,7 @@ from idfslam.cli.doctor import examine, extras
 from idfslam.compute import host
 from idfslam.compute.cache_folder import KernelCache
 from idfslam.config import FAST, PAPER
+from idfslam.errors import pip_install
 
 
 def test_this_machine_is_told_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,7 +92,7 @@ def test_extras_are_those_that_the_package_declares(monkeypatch: pytest.MonkeyPa
     assert list(found) == ["x"]
     assert found["x"]["missing"] == ["no-such-package"]
     assert found["x"]["installed"] == {"pytest": pytest.__version__}
-    assert found["x"]["install"] == "pip install 'idf-slam[x]'"
+    assert found["x"]["install"] == pip_install("pytest", "no-such-package")
 
 
 def test_machine_of_a_linux_system(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

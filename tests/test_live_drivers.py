@@ -96,7 +96,7 @@ def test_realsense_that_is_not_there() -> None:
 
 def test_without_pyrealsense_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[live\]'"):
+    with pytest.raises(ConfigError, match="-m pip install pyrealsense2"):
         open_live("realsense")
 
 

@@ -48,7 +48,7 @@ def test_lines_come_with_the_first_frame_and_every_ten_seconds(clock: Clock) -> 
             bar.update(result(i, Status.LOST if i == 7 else Status.OK), frames_per_second=10.0, keyframes=1 + i // 50)
         bar.describe("refining")
     assert text.getvalue().splitlines() == [
-        "frames 1 of 900, 10.00 frames/s, 1:30 left, keyframes 1",
+        "frames 1 of 900, 10.00 frames/s, keyframes 1",
         "frames 81 of 900, 10.00 frames/s, 1:22 left, keyframes 2, lost 1",
         "frames 161 of 900, 10.00 frames/s, 1:14 left, keyframes 4, lost 1",
         "frames 241 of 900, 10.00 frames/s, 1:06 left, keyframes 5, lost 1",

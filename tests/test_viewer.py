@@ -181,7 +181,7 @@ def test_a_port_in_use(box_recording: Path, tmp_path: Path, capsys: pytest.Captu
 def test_without_rerun(monkeypatch: pytest.MonkeyPatch, recorded_folder: Path) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     for attempt in (lambda: RerunViewer("file"), lambda: show(recorded_folder, web=True)):
-        with pytest.raises(ConfigError, match=r"pip install 'idf-slam\[viewer\]'"):
+        with pytest.raises(ConfigError, match="-m pip install rerun-sdk"):
             attempt()
 
 

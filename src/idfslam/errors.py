@@ -1,6 +1,14 @@
 """Errors that a user can correct. Each message says what was found, what was expected and what to do."""
 
+import sys
+
 _HALF = 800  # characters at either end of a message that are shown; raised, messages are longer. Chosen by hand
+
+
+def pip_install(*packages: str) -> str:
+    """The command that installs packages where this program runs: in any environment, from a clone as from a wheel."""
+    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
+    return f"{python} -m pip install {' '.join(packages)}"
 
 
 class IdfSlamError(Exception):

@@ -16,7 +16,7 @@ from typing import Any
 
 from idfslam.batch.executor import INTERRUPTED, THREAD_VARIABLES, Crash, Executor, last_line
 from idfslam.compute.host import MOST_THREADS
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, pip_install
 
 _AUTO = "auto"
 _CONNECT_TIMEOUT = 5.0  # [s] for an answer from the cluster; larger: slow networks work, a wrong address is reported later
@@ -79,7 +79,7 @@ def _connected(address: str) -> Any:
     try:
         import ray
     except ImportError:
-        raise ConfigError("--cluster needs Ray: pip install 'idf-slam[cluster]'; without it, runs use this machine's cores") from None
+        raise ConfigError(f"--cluster needs Ray: {pip_install('ray')}; without it, runs use this machine's cores") from None
     if address != _AUTO:
         _check_reachable(address)
     try:

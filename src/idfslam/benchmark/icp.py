@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, pip_install
 from idfslam.frame import Frame
 
 Variant = Literal["PLANE_ICP", "GICP"]
@@ -35,7 +35,7 @@ class IterativeClosestPoints:
 
     def __init__(self, variant: Variant) -> None:
         if not icp_installed():
-            raise ConfigError("ICP needs small_gicp, which is not installed: pip install 'idf-slam[bench]'")
+            raise ConfigError(f"ICP needs small_gicp, which is not installed: {pip_install('small_gicp')}")
         self._variant = variant
 
     def cloud(self, frame: Frame) -> Cloud:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import Dataset, open_recording
-from idfslam.errors import ConfigError, FrameError, IdfSlamError
+from idfslam.errors import ConfigError, FrameError, IdfSlamError, pip_install
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -90,7 +90,7 @@ class DenseSlam:
 def require_open3d() -> None:
     """Raises ConfigError if Open3D is not installed."""
     if find_spec("open3d") is None:
-        raise ConfigError("the comparison needs Open3D, which is not installed: pip install 'idf-slam[bench]'")
+        raise ConfigError(f"the comparison needs Open3D, which is not installed: {pip_install('open3d')}")
 
 
 def measure(recording: Dataset, config: DenseSlamConfig | None = None) -> dict[str, Any]:

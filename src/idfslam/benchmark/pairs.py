@@ -20,7 +20,7 @@ from idfslam.benchmark.match_figure import MatchPicture, draw_matches
 from idfslam.benchmark.runs import machine, markdown_table
 from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
 from idfslam.datasets import Dataset, open_recording
-from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 from idfslam.frame import Frame
 from idfslam.pretraining.validation import pose_error
 from idfslam.storage import atomic_files
@@ -192,7 +192,7 @@ def baselines(config: TrackerConfig, images: torch.Tensor, report: Callable[[str
     }
     if icp_installed():
         return found | {"ICP": DepthAlone("PLANE_ICP"), "GICP": DepthAlone("GICP")}
-    report("no rows for ICP and GICP: small_gicp is not installed: pip install 'idf-slam[bench]'")
+    report(f"no rows for ICP and GICP: small_gicp is not installed: {pip_install('small_gicp')}")
     return found
 
 

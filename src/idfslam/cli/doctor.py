@@ -16,7 +16,7 @@ from idfslam.compute.backend import backend_of
 from idfslam.compute.cache_folder import prepare_caches
 from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
 from idfslam.config import Config
-from idfslam.errors import IdfSlamError
+from idfslam.errors import IdfSlamError, pip_install
 from idfslam.mapping.fused import fusable
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InTurns
@@ -109,7 +109,7 @@ def _weights(config: Config, advice: list[str]) -> dict[str, Any]:
 
 
 def extras() -> dict[str, dict[str, Any]]:
-    """The extras that the package declares: for each, installed packages, missing packages, and the command that installs it."""
+    """The extras that the package declares: for each, installed packages, missing packages, and the command that installs them."""
     try:
         declared = requires("idf-slam") or []
     except PackageNotFoundError:  # used from its sources without being installed
@@ -119,12 +119,12 @@ def extras() -> dict[str, dict[str, Any]]:
         name, package = match["extra"], match["package"]
         if package.lower() == "idf-slam":
             continue  # an extra made of others
-        entry = found.setdefault(name, {"installed": {}, "missing": [], "install": f"pip install 'idf-slam[{name}]'"})
+        entry = found.setdefault(name, {"installed": {}, "missing": []})
         try:
             entry["installed"][package] = version(package)
         except PackageNotFoundError:
             entry["missing"].append(package)
-    return found
+    return {name: entry | {"install": pip_install(*entry["installed"], *entry["missing"])} for name, entry in found.items()}
 
 
 def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from rich.text import Text
 from idfslam.batch.batch import REPORT, Row
 from idfslam.cli.doctor import GIB, Examination
 from idfslam.downloads.catalogue import Sequence
+from idfslam.errors import pip_install
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.table import table
 from idfslam.runs import result_folder
@@ -89,7 +90,7 @@ def print_examination(examination: Examination, console: Console) -> None:
     rows += [(name, where) for name, where in e["devices"].items()]
     for name, extra in sorted(e["extras"].items()):
         installed = ", ".join(f"{package} {found}" for package, found in extra["installed"].items())
-        missing = f"{', '.join(extra['missing'])} missing: {extra['install']}" if extra["missing"] else ""
+        missing = f"{', '.join(extra['missing'])} missing: {pip_install(*extra['missing'])}" if extra["missing"] else ""
         rows.append((f"[{name}]", "; ".join(filter(None, (installed, missing)))))
     grid = Table.grid(padding=(0, 2))
     for title, text in rows:

@@ -9,7 +9,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, FrameError
+from idfslam.errors import ConfigError, FrameError, pip_install
 
 MOST_VALUES = 2**26  # [1] values of one image that is read; raised, a damaged header can claim more memory. 64 million, chosen by hand
 _DEPTH_NAMES = ("depth", "depths", "z", "depthmap", "depthimage", "rawdepth", "rawdepths", "data", "arr0", "image")  # most wanted first
@@ -57,7 +57,7 @@ def _exr(path: Path) -> NDArray[Any]:
     try:
         import OpenEXR
     except ImportError as error:
-        raise ConfigError("reading OpenEXR images needs OpenEXR: pip install 'idf-slam[exr]'") from error
+        raise ConfigError(f"reading OpenEXR images needs OpenEXR: {pip_install('OpenEXR')}") from error
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = file.channels()
         name = wanted(list(channels), ("z", "y", "depthz", "depthv", "depth", "r", "v"), str(path))
@@ -75,7 +75,7 @@ def open_hdf5(path: Path) -> Any:
     try:
         import h5py
     except ImportError as error:
-        raise ConfigError(f"reading {path.name} needs h5py: pip install 'idf-slam[hdf5]'") from error
+        raise ConfigError(f"reading {path.name} needs h5py: {pip_install('h5py')}") from error
     return h5py.File(path, "r")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm"})
 
@@ -20,7 +20,7 @@ def pyav() -> ModuleType:
     try:
         import av
     except ImportError as error:
-        raise ConfigError("reading video needs PyAV: pip install 'idf-slam[video]'") from error
+        raise ConfigError(f"reading video needs PyAV: {pip_install('av')}") from error
     return av
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.images import Undistortion, metres, rgb
-from idfslam.errors import CameraError, ConfigError
+from idfslam.errors import CameraError, ConfigError, pip_install
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.live.depth_camera import Capture
@@ -99,5 +99,5 @@ def _pyrealsense2() -> ModuleType:
     try:
         import pyrealsense2
     except ImportError as error:
-        raise ConfigError("RealSense cameras need pyrealsense2: pip install 'idf-slam[live]'") from error
+        raise ConfigError(f"RealSense cameras need pyrealsense2: {pip_install('pyrealsense2')}") from error
     return pyrealsense2  # type: ignore[no-any-return]

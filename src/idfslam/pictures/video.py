@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, ResultError
+from idfslam.errors import ConfigError, ResultError, pip_install
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ def write_video(path: Path, images: Iterable[Image], *, fps: float) -> int:
     try:
         import av  # noqa: F401
     except ImportError:
-        log.warning("PyAV is not installed: the video is MPEG-4, which browsers do not play; for H.264: pip install 'idf-slam[video]'")
+        log.warning(f"PyAV is not installed: the video is MPEG-4, which browsers do not play; for H.264: {pip_install('av')}")
         return _write_opencv(path, even, fps)
     return _write_h264(path, even, fps)
 
@@ -56,7 +56,7 @@ def _write_opencv(path: Path, images: Iterable[Image], fps: float) -> int:
             if writer is None:
                 writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (image.shape[1], image.shape[0]))
                 if not writer.isOpened():
-                    raise ResultError(f"{path}: OpenCV cannot write videos here; pip install 'idf-slam[video]'")
+                    raise ResultError(f"{path}: OpenCV cannot write videos here; {pip_install('av')}")
             writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
             count += 1
     finally:

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, pip_install
 
 
 class TrainingLog:
@@ -18,7 +18,7 @@ class TrainingLog:
         self._writer: Any = None
         if folder is not None:
             if find_spec("tensorboard") is None:
-                raise ConfigError("--log needs TensorBoard, which is not installed: pip install 'idf-slam[train]'")
+                raise ConfigError(f"--log needs TensorBoard, which is not installed: {pip_install('tensorboard')}")
             from torch.utils.tensorboard import SummaryWriter
 
             self._writer = SummaryWriter(str(folder), purge_step=first_step)  # drops curves after a resumed checkpoint

@@ -9,6 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from idfslam.frame import FrameResult, Status
 
 _WIDE = 140  # [columns] a terminal at least as wide shows every loss, a narrower one the first
+_SETTLED = 30  # frames after which the time left is estimated; fewer: compiling and the first frame count too much. Chosen by hand
 _BETWEEN_LINES = 10.0  # [s] between two lines of text; larger: shorter logs, told later. Chosen by hand
 
 
@@ -23,7 +24,7 @@ class ProgressBar:
         self._task = self._progress.add_task("frames", total=total, speed="", counts="", losses="")
         self._lines = None if console is None or in_terminal else console
         self._next_line = monotonic()  # [s]
-        self._total, self._done = total, 0
+        self._total, self._done, self._first = total, 0, 0
         self._keyframes = self._lost = 0
 
     def __enter__(self) -> "ProgressBar":
@@ -35,7 +36,7 @@ class ProgressBar:
 
     def resume(self, *, done: int, keyframes: int, lost: int) -> None:
         """Sets the counts of the frames done before the run was resumed."""
-        self._done, self._keyframes, self._lost = done, keyframes, lost
+        self._done, self._first, self._keyframes, self._lost = done, done, keyframes, lost
         self._progress.update(self._task, completed=done)
 
     def update(self, result: FrameResult, *, frames_per_second: float, keyframes: int | None) -> None:
@@ -49,9 +50,8 @@ class ProgressBar:
             shown = list(result.losses.items())[: None if self._progress.console.width >= _WIDE else 1]
             self._progress.update(self._task, losses=" ".join(f"{name} {value:.3g}" for name, value in shown))
         if self._lines is not None and monotonic() >= self._next_line:
-            left = "" if self._total is None else f", {_clock((self._total - self._done) / frames_per_second)} left"
             total = "" if self._total is None else f" of {self._total}"
-            self._line(f"frames {self._done}{total}, {speed}{left}, {counts}")
+            self._line(f"frames {self._done}{total}, {speed}{self._left(frames_per_second)}, {counts}")
 
     def finish(self, *, keyframes: int, lost: int) -> None:
         """Sets the counts at the end of the run, when submaps have been merged and lost frames interpolated."""
@@ -65,6 +65,12 @@ class ProgressBar:
 
     def _counts(self) -> str:
         return f"keyframes {self._keyframes}" + (f", lost {self._lost}" if self._lost else "")
+
+    def _left(self, frames_per_second: float) -> str:
+        """The estimated time left, if it can be told."""
+        if self._total is None or self._done - self._first < _SETTLED:
+            return ""
+        return f", {_clock((self._total - self._done) / frames_per_second)} left"
 
     def _line(self, text: str) -> None:
         if self._lines is not None:

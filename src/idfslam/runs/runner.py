@@ -139,6 +139,8 @@ def _new_slam(
 
     archive: the folder for the images that are not kept in memory.
     """
+    if console is not None and will_compile(config):
+        console.print(COMPILING, highlight=False, soft_wrap=True)
     if isinstance(recording, LiveStream):
         if console is not None:
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)

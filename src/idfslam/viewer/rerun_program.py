@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any, Literal
 
-from idfslam.errors import ConfigError
+from idfslam.errors import ConfigError, pip_install
 
 RECORDING = "recording.rrd"  # the recorded live view in a result folder
 PORT = 9090  # of the page for a browser, as in rerun; the data is served on PORT + 1
@@ -54,5 +54,5 @@ def rerun() -> Any:
     try:
         import rerun as package
     except ImportError:
-        raise ConfigError("the viewer needs rerun, which is not installed: pip install 'idf-slam[viewer]'") from None
+        raise ConfigError(f"the viewer needs rerun, which is not installed: {pip_install('rerun-sdk')}") from None
     return package

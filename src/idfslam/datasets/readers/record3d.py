@@ -21,7 +21,7 @@ from idfslam.datasets.pose_file import from_quaternions
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
-from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 
 MEDIUM = 1  # ARKit's confidence: 0 low (guessed from the image rather than measured), 1 medium, 2 high
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backwards -> x right, y down, z forward
@@ -62,7 +62,7 @@ def lzfse() -> ModuleType:
     try:
         import lzfse
     except ImportError as error:
-        raise ConfigError("reading Record3D needs lzfse: pip install 'idf-slam[phone]'") from error
+        raise ConfigError(f"reading Record3D needs lzfse: {pip_install('lzfse')}") from error
     return lzfse
 
 

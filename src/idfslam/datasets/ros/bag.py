@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class Bag:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
-            raise ConfigError("reading ROS bags and MCAP needs rosbags: pip install 'idf-slam[ros]'") from error
+            raise ConfigError(f"reading ROS bags and MCAP needs rosbags: {pip_install('rosbags')}") from error
 
         self.path, self._lock, self._errors = path, threading.Lock(), _errors()
         try:
