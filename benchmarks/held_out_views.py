@@ -33,8 +33,8 @@ def main() -> None:
     held_out = list(range(_EVERY // 2, count - 1, _EVERY))
     used = sorted(set(range(count)) - set(held_out))
     slam = Slam(replace(FAST, seed=seed))
-    for i in used:
-        slam.process(recording[i])
+    for number, i in enumerate(used):
+        slam.process(replace(recording[i], index=number))
     slam.finish()
     poses = dict(zip(used, slam.trajectory()))
     with TemporaryDirectory() as folder:
