@@ -334,7 +334,7 @@ def test_selection_numbers_from_zero_and_keeps_stamps_and_poses(tmp_path: Path) 
         ({"start": -1}, "start -1 lies outside"),
         ({"stride": 0}, "stride 0, expected at least 1"),
         ({"frames": 0}, "frames 0 .* choose 1 to 10"),
-        ({"frames": 6, "stride": 2}, "frames 6 from start 0 with stride 2: room has 10 frames, choose 1 to 5"),
+        ({"frames": -6, "stride": 2}, "frames -6 from start 0 with stride 2: room has 10 frames, choose 1 to 5"),
         ({"format": "kitti"}, "format 'kitti', expected one of"),
         ({"camera": {"focal": 5.0}}, "unknown value 'focal'"),
     ],
@@ -343,6 +343,15 @@ def test_arguments_out_of_range(arguments: dict, message: str, tmp_path: Path) -
     path = write_folder(tmp_path / "room", frames=10)
     with pytest.raises(ConfigError, match=message):
         open_recording(path, **arguments)
+
+
+def test_more_frames_than_there_are_means_all(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_folder(tmp_path / "room", frames=10)
+    assert len(open_recording(path, frames=300, start=4, stride=2)) == 3
+    assert [record.message for record in caplog.records if "asked for" in record.message] == ["room: 300 frames asked for, all 3 are taken"]
+    caplog.clear()
+    assert len(open_recording(path, frames=10)) == len(open_recording(path, frames=300, report=False)) == 10
+    assert "asked for" not in caplog.text
 
 
 def prefetch_threads() -> list[threading.Thread]:

@@ -1,9 +1,11 @@
 """Opens recordings in common layouts. Each layout is one file in `readers/` (or `ros/`) and one line in READERS."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from idfslam.datasets import generated, video
+from idfslam.datasets import generated, input_summary, video
 from idfslam.datasets.calibration import Calibration, override
 from idfslam.datasets.camera_files import read_beside_recording
 from idfslam.datasets.generated.kidnapped import Kidnapped
@@ -29,6 +31,8 @@ from idfslam.datasets.recording_path import absolute
 from idfslam.datasets.ros import reader as ros
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, RecordingError
+
+log = logging.getLogger(__name__)
 
 READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     scannet.READER,
@@ -60,6 +64,7 @@ def open_recording(
     frames: int | None = None,
     stride: int = 1,
     truth: bool = True,
+    report: bool = True,
 ) -> Dataset:
     """Opens a recording in a common layout, recognised from its files, or a generated recording. Images are read on request.
 
@@ -72,8 +77,8 @@ def open_recording(
     depth_scale: units of the depth images per metre; overrides the recording's own value.
     topics: any of colour, depth, camera_info, poses: topics of a ROS recording; the others are detected.
     start, frames, stride: every stride-th frame from `start`, at most `frames` of them (None: all), numbered from 0.
-
     truth: False leaves the ground truth unread.
+    report: log one line about what the recording was taken to be, and warn of what is implausible about it (see `input_summary`).
 
     Raises RecordingError if the recording as a whole cannot be used, ConfigError if an argument is out of range.
     """
@@ -84,7 +89,8 @@ def open_recording(
     kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
     dataset: Dataset
     if inner is not None:
-        dataset = Kidnapped(open_recording(inner, format=format, camera=camera, depth_scale=depth_scale, topics=topics, truth=truth))
+        options: dict[str, Any] = {"format": format, "camera": camera, "depth_scale": depth_scale, "topics": topics, "truth": truth}
+        dataset = Kidnapped(open_recording(inner, **options, report=False))
     elif kind is not None:
         dataset = generated.open_generated(
             str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
@@ -96,7 +102,12 @@ def open_recording(
             dataset = _open(place, reader, user_calibration.over(read_beside_recording(place)), user_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
-    return Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)
+    selection = Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)
+    if report:
+        input_summary.report(selection, dataset.timestamps)
+        if frames is not None and frames > len(selection):
+            log.warning("%s: %d frames asked for, all %d are taken", selection.name, frames, len(selection))
+    return selection
 
 
 def _open(path: Path, reader: Reader, calibration: Calibration, topics: Topics) -> Dataset:

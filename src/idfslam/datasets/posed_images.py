@@ -17,7 +17,7 @@ from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Recording, regular_stamps
 from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
-from idfslam.datasets.stamps import seconds
+from idfslam.datasets.time_stamps import in_seconds
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.transforms_json import OPENGL
 
@@ -149,6 +149,6 @@ def _ordered(frames: list[PosedFrame]) -> list[PosedFrame]:
 def _stamps(frames: Sequence[PosedFrame], source: str) -> tuple[NDArray[np.float64], str]:
     stamps = np.array([frame.stamp for frame in frames])
     if np.all(np.diff(stamps) > 0) and np.isfinite(stamps).all():
-        return seconds(stamps, source), STATED
+        return in_seconds(stamps, source), STATED
     named = name_stamps([frame.colour.stem for frame in frames])
     return (regular_stamps(len(frames)), ASSUMED) if named is None else (named, "file names")

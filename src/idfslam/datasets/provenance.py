@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-STATED, ASSUMED = "stamps", "assumed"
-"""Sources of stamps: the recording has some; it has none, and a rate is assumed."""
+STATED, ASSUMED, GENERATED = "stamps", "assumed", "generated"
+"""Sources of stamps: the recording has some; it has none, and a rate is assumed. A generated recording knows all of its values."""
 
 
 @dataclass(frozen=True)
@@ -14,6 +14,7 @@ class Provenance:
     depth_scale: float = 1.0  # units of the depth images per metre
     depth: str = ""  # empty: stated by the recording or the user; else where the default comes from
     stamps: str = STATED
+    distortion: tuple[float, ...] = ()  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]] that is removed from the images
 
 
 def provenance(dataset: object) -> Provenance | None:

@@ -14,7 +14,8 @@ from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
 from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.poses import ReadTruth, optional_truth
-from idfslam.datasets.provenance import STATED, Provenance, provenance
+from idfslam.datasets.provenance import ASSUMED, STATED, Provenance, provenance
+from idfslam.datasets.time_stamps import in_seconds, increasing
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import FPS, Frame
@@ -91,21 +92,22 @@ class Recording:
         ground_truth: ReadTruth | None,  # None: the layout has none
         calibration: Calibration,
         depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
+        random_access: bool = True,  # False: reading frames out of order is slow, as in videos
         stamps_source: str = STATED,  # ASSUMED with regular_stamps; else "file names", "timestamps.txt" ...
     ) -> None:
-        self.name, self.timestamps = name, timestamps
+        usable = increasing(in_seconds(timestamps, name), name)
+        if usable is None:
+            usable, stamps_source = regular_stamps(len(timestamps)), ASSUMED
+        self.name, self.timestamps, self.random_access = name, usable, random_access
         self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
         colour, depth = self._probe()
         self.camera = calibration.camera(*colour, name)
         self._scale = calibration.scale(name)
-        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source)
-        if not np.isfinite(timestamps).all():
-            i = int(np.isfinite(timestamps).argmin())
-            raise RecordingError(f"{name}: the time stamp of frame {i} is {timestamps[i]}, expected seconds: correct or remove the stamps")
+        lens = calibration.distortion or ()
+        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens)
         self._size = depth  # width, height [px] of the depth images
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
-        distorted = calibration.distortion is not None and any(calibration.distortion)
-        self._undistort = Undistortion(self.camera, calibration.distortion or ()) if distorted else None
+        self._undistort = Undistortion(self.camera, lens) if any(lens) else None
 
     @cached_property
     def ground_truth(self) -> NDArray[np.float64] | None:
@@ -163,9 +165,9 @@ def _size(image: NDArray[Any]) -> tuple[int, int]:
 
 
 class Selection:
-    """Every `stride`-th frame of a dataset from `start`, `frames` of them (None: all), numbered from 0.
+    """Every `stride`-th frame of a dataset from `start`, at most `frames` of them (None: all), numbered from 0.
 
-    truth: False leaves the ground truth unread. Raises ConfigError if it reaches beyond the dataset.
+    truth: False leaves the ground truth unread. Raises ConfigError if it begins beyond the dataset, or would have no frame.
     """
 
     def __init__(self, dataset: Dataset, *, start: int = 0, frames: int | None = None, stride: int = 1, truth: bool = True) -> None:
@@ -175,12 +177,12 @@ class Selection:
         if stride < 1:
             raise ConfigError(f"stride {stride}, expected at least 1")
         indices = np.arange(start, count, stride)
-        if frames is not None and not 1 <= frames <= len(indices):
+        if frames is not None and frames < 1:
             found = f"frames {frames} from start {start} with stride {stride}"
             raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")
         self._dataset, self._indices = dataset, indices[:frames]
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
-        self.provenance = provenance(dataset)
+        self.provenance, self.random_access = provenance(dataset), bool(getattr(dataset, "random_access", True))
         self.timestamps = dataset.timestamps[self._indices]
         poses = dataset.ground_truth if truth else None
         self.ground_truth = None if poses is None else poses[self._indices]

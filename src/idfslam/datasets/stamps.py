@@ -1,34 +1,12 @@
-"""Time stamps: their unit, and timestamps.txt of a plain folder.
+"""Reads timestamps.txt of a plain folder: lines `number stamp` [s] with the images' numbers, or one stamp a line in the images' order."""
 
-That file has lines `number stamp` [s] with the images' numbers, or one stamp a line in the images' order.
-"""
-
-import logging
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from idfslam.errors import RecordingError
 
-log = logging.getLogger(__name__)
-
 STAMPS = "timestamps.txt"
-_UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}  # [s]
-_LONGEST_STEP = (
-    5.0  # [s] between two frames, in the median; raised, milliseconds of 200 frames/s and more are taken for seconds. Chosen by hand
-)
-
-
-def seconds(stamps: NDArray[np.float64], source: str) -> NDArray[np.float64]:
-    """Stamps (N,) in seconds, from the unit in which frames follow each other in 5 ms to 5 s; a warning names any other than seconds."""
-    steps = np.diff(np.unique(stamps))
-    step = float(np.median(steps)) if len(steps) else 0.0
-    name, unit = next((item for item in _UNITS.items() if step * item[1] <= _LONGEST_STEP), ("seconds", 1.0))
-    if unit == 1:
-        return stamps
-    log.warning("%s: the stamps are taken for %s (%.6g from one to the next)", source, name, step)
-    return stamps * unit
 
 
 def read_stamps(path: Path, numbers: list[float]) -> dict[float, float] | None:

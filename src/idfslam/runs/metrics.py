@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from idfslam.datasets import FrameSource
+from idfslam.datasets import FrameSource, Selection
+from idfslam.datasets.input_summary import summarise
 from idfslam.errors import ResultError
 from idfslam.evaluation.evaluate import evaluate_poses
 from idfslam.evaluation.evaluation import Evaluation
@@ -27,6 +28,8 @@ def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, *, interrupt
     """The values of metrics.json: speed, memory, counts of frames and keyframes, and the pose errors where ground truth is known."""
     metrics = meter.summary(slam.timings) | {"interrupted": interrupted}
     errors, live_errors = pose_errors(slam, recording), pose_errors(slam, recording, live=True)
+    summary = summarise(recording) if isinstance(recording, Selection) else None
+    metrics |= {"input": summary.to_dict()} if summary else {}
     metrics |= keyframe_counts(slam) | ({} if errors is None else errors.to_dict())
     return metrics if live_errors is None else metrics | {"live_ate_m": live_errors.ate.translation.rmse}
 

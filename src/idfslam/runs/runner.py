@@ -124,7 +124,8 @@ def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None =
     if is_live(source.path):
         raise ResultError(f"{folder}: is a run of a live camera ({source.path}), which cannot be resumed; start a new one")
     shown: dict[str, Any] = {"console": console, "viewer": viewer}
-    return run(open_source(source), config, folder, source=source, checkpoint_every=checkpoint_every, resume=True, **shown)
+    recording = open_source(source, report=True)
+    return run(recording, config, folder, source=source, checkpoint_every=checkpoint_every, resume=True, **shown)
 
 
 def _new_slam(

@@ -16,15 +16,18 @@ log = logging.getLogger(__name__)
 _NAMED = 3  # unreadable frames of which each is a warning; raised, a damaged recording fills the console. Chosen by hand
 
 
-def open_source(source: Source) -> Dataset:
-    """The recording that `source` names, with the frames that it selects. Raises RecordingError or ConfigError."""
-    return open_recording(**asdict(source))
+def open_source(source: Source, *, report: bool = False) -> Dataset:
+    """The recording that `source` names, with the frames that it selects. report: as in `open_recording`.
+
+    Raises RecordingError or ConfigError.
+    """
+    return open_recording(**asdict(source), report=report)
 
 
 def open_feed(source: Source) -> Dataset | LiveStream:
     """The recording or live camera that `source` names. Raises as `open_live` and `open_source` do."""
     if not is_live(source.path):
-        return open_source(source)
+        return open_source(source, report=True)
     options = asdict(source)
     return open_live(options.pop("path"), **options)
 

@@ -41,7 +41,7 @@ class Kidnapped:
             raise ConfigError(f"{found}, expected at least 1 of each and {2 * (max(times, 1) + 1)} frames")
         truth = dataset.ground_truth
         self.name, self.camera, self._dataset = f"kidnap-{dataset.name}", dataset.camera, dataset
-        self.provenance = provenance(dataset)
+        self.provenance, self.random_access = provenance(dataset), bool(getattr(dataset, "random_access", True))
         self.order: NDArray[np.int64] = kidnapped_order(len(dataset), truth, times, frames, np.random.default_rng([seed, 29]))
         stamps = dataset.timestamps
         interval = float(np.median(np.diff(stamps))) or 1 / FPS

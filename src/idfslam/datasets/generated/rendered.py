@@ -5,7 +5,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam.datasets.generated.sensor_noise import noisy_colour, noisy_depth
-from idfslam.datasets.provenance import Provenance
+from idfslam.datasets.provenance import GENERATED, Provenance
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -22,7 +22,7 @@ class RenderedRecording:
     A frame depends only on `seed`, its index and its pose. `noise` adds a Kinect's noise to depth and colour.
     """
 
-    provenance = Provenance("generated", stamps="generated")
+    provenance = Provenance(GENERATED, stamps=GENERATED)
     reading_threads = 2  # rendering a frame takes several times as long as SLAM does
 
     def __init__(

@@ -61,6 +61,7 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
         ground_truth=None,
         calibration=(calibration.resized(colour.size, size) if depth_camera else calibration).over(Calibration(depth_scale=1000)),
         depth_camera=depth_camera,
+        random_access=False,
     )
 
 

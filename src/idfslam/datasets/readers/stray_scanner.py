@@ -57,6 +57,7 @@ def open_stray_scanner(path: Path, override: Calibration) -> Recording:
         timestamps=odometry.table[rows, 0],
         ground_truth=lambda: odometry.truth(path / "odometry.csv", rows),
         calibration=calibration.resized(track.size, size).over(Calibration(depth_scale=1000)),
+        random_access=False,
     )
 
 

@@ -20,7 +20,7 @@ from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses import Truth, read_stamped
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.recording_path import names
-from idfslam.datasets.stamps import seconds
+from idfslam.datasets.time_stamps import in_seconds
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 
@@ -73,7 +73,7 @@ def published(path: Path) -> Calibration:
 def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
     """Stamps (N,) [s] of the colour images, and colour and depth, of rgb.txt and depth.txt."""
     (t_colour, colour), (t_depth, depth) = (read_list(path / name) for name in _LISTS)
-    stamps = seconds(np.concatenate([t_colour[:, 0], t_depth[:, 0]]), str(path))
+    stamps = in_seconds(np.concatenate([t_colour[:, 0], t_depth[:, 0]]), str(path))
     pairs = associate(stamps[: len(colour)], stamps[len(colour) :])
     if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
@@ -88,7 +88,7 @@ def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]
         raise RecordingError(f"{path}: {missing} is missing, expected rgb.txt and depth.txt, or associations.txt, or --format folder")
     stamps, files = read_list(file, images=2)
     colour = 1 if "depth" in files[0][0].parent.name.lower() else 0
-    return seconds(stamps[:, colour], str(file)), [(row[colour], row[1 - colour]) for row in files]
+    return in_seconds(stamps[:, colour], str(file)), [(row[colour], row[1 - colour]) for row in files]
 
 
 def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list[tuple[Path, ...]]]:

@@ -56,6 +56,7 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
         ground_truth=lambda: read_poses(path, pairs, timestamps),
         calibration=calibration.over(usual_scale(pairs.files)),
         depth_camera=depth_camera,
+        random_access=False,
     )
 
 

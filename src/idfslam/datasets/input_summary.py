@@ -1,0 +1,120 @@
+"""What a recording was taken to be, in the line at the start of a run, and warnings of what is implausible about it."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.datasets import camera_plausibility, plausibility
+from idfslam.datasets.provenance import ASSUMED, GENERATED, Provenance, provenance
+from idfslam.errors import FrameError
+from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
+
+log = logging.getLogger(__name__)
+
+_SAMPLES = 5  # frames, spread over the recording, whose depth is looked at; raised, opening takes longer, and rare views count less
+_STEP = 4  # [px] between the pixels that are looked at; raised, opening is quicker
+
+
+class _Recording(Protocol):
+    name: str
+    camera: Camera
+    timestamps: NDArray[np.float64]
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int) -> Frame: ...
+
+
+@dataclass(frozen=True, eq=False)
+class InputSummary:
+    """What a recording was taken to be."""
+
+    camera: Camera
+    sources: Provenance
+    depths: NDArray[np.float32]  # (N,) [m] a sample; empty for generated recordings, whose depth is exact
+    frames_per_second: float | None  # None: there is one frame only
+
+    @property
+    def median_depth(self) -> float | None:
+        """[m]"""
+        return float(np.median(self.depths)) if len(self.depths) else None
+
+    def __str__(self) -> str:
+        c, s = self.camera, self.sources
+        parts = [f"camera {c.width}x{c.height} f {c.fx:.1f} {c.fy:.1f} c {c.cx:.1f} {c.cy:.1f} ({brief(s.camera)})"]
+        if s.camera != GENERATED:
+            unit = "in m" if s.depth_scale == 1 else f"1/{s.depth_scale:g} m"
+            parts.append(f"depth {unit}{f' ({s.depth})' if s.depth else ''}")
+            parts.append("no depth" if self.median_depth is None else f"median {self.median_depth:.2f} m")
+        if self.frames_per_second is not None:
+            parts.append(f"{self.frames_per_second:.1f} frames/s ({s.stamps})")
+        return ", ".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For metrics.json."""
+        return {
+            "camera_source": brief(self.sources.camera),
+            "depth_scale": self.sources.depth_scale,
+            "depth_scale_source": self.sources.depth or "stated",
+            "median_depth_m": self.median_depth,
+            "stamps_per_second": self.frames_per_second,
+            "stamps_source": self.sources.stamps,
+        }
+
+
+def summarise(recording: _Recording) -> InputSummary | None:
+    """Reads a few frames of a recording; None for one that does not know where its values come from."""
+    sources = provenance(recording)
+    if sources is None:
+        return None
+    steps = np.diff(recording.timestamps)
+    rate = 1 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else None
+    depths = [] if sources.camera == GENERATED else list(_depths(recording))
+    return InputSummary(recording.camera, sources, np.concatenate(depths) if depths else np.zeros(0, np.float32), rate)
+
+
+def doubts(summary: InputSummary, stamps: NDArray[np.float64]) -> Iterator[str]:
+    """What is implausible, one line each with the likely cause and the flag that mends it. stamps: (N,) [s] of all frames."""
+    sources = summary.sources
+    if sources.camera == GENERATED:
+        return
+    yield from camera_plausibility.doubts(summary.camera, brief(sources.camera))
+    if sources.distortion and (doubt := camera_plausibility.lens_doubt(summary.camera, sources.distortion, brief(sources.camera))):
+        yield doubt
+    if doubt := plausibility.depth_doubt(summary.depths, sources.depth_scale, assumed=bool(sources.depth)):
+        yield doubt
+    if sources.stamps != ASSUMED and (doubt := plausibility.stamps_doubt(stamps, sources.stamps)):
+        yield doubt
+
+
+def report(recording: _Recording, stamps: NDArray[np.float64]) -> None:
+    """Logs the line about a recording, and a warning of each thing that is implausible. stamps: as in `doubts`."""
+    if (summary := summarise(recording)) is not None:
+        log.info("%s", summary)
+        for doubt in doubts(summary, stamps):
+            log.warning("%s: %s", recording.name, doubt)
+
+
+def brief(source: str) -> str:
+    """A source without the folders of a file's path: `intrinsics.txt`, `kitchen.bag: /camera/camera_info`."""
+    path, colon, rest = source.removeprefix("the ").partition(": ")
+    head, space, tail = path.partition(" with ")
+    return f"{PurePath(head).name}{space}{tail}{colon}{rest}"
+
+
+def _depths(recording: _Recording) -> Iterator[NDArray[np.float32]]:
+    """Readings of a few frames; of those that can be read."""
+    spread = getattr(recording, "random_access", True)
+    places = np.linspace(0, len(recording) - 1, _SAMPLES).astype(int) if spread else np.arange(min(_SAMPLES, len(recording)))
+    for i in np.unique(places).tolist():
+        try:
+            depth = recording[i].depth[::_STEP, ::_STEP]
+        except FrameError:
+            continue
+        yield depth[depth > 0]
