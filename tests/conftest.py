@@ -10,6 +10,8 @@ import numba
 numba.get_num_threads()  # Numba starts its threads when it is first asked, and sets the number of torch's then
 limit_torch_threads("grid")  # for all tests: a command that runs SLAM would do it for the tests after its own
 
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,15 @@ from helpers.box_room import write_box_recording
 
 settings.register_profile("suite", deadline=None, derandomize=True, max_examples=50)  # timings vary on a shared machine
 settings.load_profile("suite")
+
+
+@pytest.fixture(autouse=True)
+def log_level() -> Iterator[None]:
+    """A command sets how much the package logs: for its own test alone."""
+    logger = logging.getLogger("idfslam")
+    level = logger.level
+    yield
+    logger.setLevel(level)
 
 
 @pytest.fixture(scope="session")
