@@ -17,9 +17,12 @@ from idfslam.cli.tables import print_evaluation, print_run
 from idfslam.datasets import open_recording
 from idfslam.errors import ResultError
 from idfslam.evaluation.evaluate import evaluate_poses
-from idfslam.frame import Status
+from idfslam.frame import FrameResult, Status
+from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.lost_frames import leave_out_lost, of_all_frames
 from idfslam.runs.result_folder import Source, read_config, write_config
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source, read_frames
@@ -122,3 +125,32 @@ def test_no_truth_at_all_is_one_line(known_run: Path, box_recording: Path, tmp_p
     write_config(folder, read_config(folder)[0], Source(str(recording)))
     with pytest.raises(ResultError, match="its recording has no ground truth; give one with --gt"):
         evaluate_folder(folder)
+
+
+def test_a_trajectory_without_lost_frames(known_run: Path, tmp_path: Path) -> None:
+    """Frames 4 and 5 of the known run are left out; all other commands still know all frames by their numbers."""
+    folder = shutil.copytree(known_run, tmp_path / "out")
+    whole = FinishedRun(folder).trajectory
+    assert len(leave_out_lost(folder)) == BOX_FRAMES - 2
+    kept = np.setdiff1d(np.arange(BOX_FRAMES), [4, 5])
+    listed = load_tum(folder / "trajectory.txt")
+    assert np.array_equal(listed.timestamps, whole.timestamps[kept]) and np.array_equal(listed.poses, whole.poses[kept])
+    run_again = FinishedRun(folder)
+    assert len(run_again.trajectory) == BOX_FRAMES and np.array_equal(run_again.trajectory.poses[kept], whole.poses[kept])
+    assert np.array_equal(run_again.trajectory.poses[[4, 5]], whole.poses[[3, 3]])
+    assert run_again.listed.tolist() == kept.tolist() and len(run_again.measured) == BOX_FRAMES
+    errors = evaluate_folder(folder)
+    leave_out_lost(folder)  # a second time changes nothing
+    assert np.array_equal(load_tum(folder / "trajectory.txt").poses, listed.poses)
+    assert errors.frames == BOX_FRAMES - 2 and errors.measured is not None and errors.measured.frames == BOX_FRAMES - 2
+
+
+def test_frames_before_the_first_measured_one_have_its_pose() -> None:
+    log = FrameLog()
+    for i, status in enumerate([Status.LOST, Status.LOST, Status.OK, Status.LOST, Status.DEGENERATE]):
+        log.add(FrameResult(i, i / 10, np.eye(4), status, keyframe=False, losses={}), ms=1.0)
+    listed = Trajectory(np.array([0.2, 0.4]), at([7, 8]))
+    trajectory, indices = of_all_frames(listed, log)
+    assert indices.tolist() == [2, 4] and trajectory.positions[:, 0].tolist() == [7, 7, 7, 7, 8]
+    assert trajectory.timestamps == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert of_all_frames(listed, None)[0] is listed

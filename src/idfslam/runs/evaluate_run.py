@@ -4,6 +4,8 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.depth_range import DepthRange, depth_range
@@ -62,8 +64,8 @@ def evaluate_folder(
             camera=record.camera,
             sensor_range=_readings(folder, recording) if surface is not None and rules.sensor_limited else None,
             protocol=rules.name,
-            keyframes=record.indices,
-            measured=run.measured if run.frames is not None else None,
+            keyframes=np.flatnonzero(np.isin(run.listed, record.indices)),
+            measured=run.measured[run.listed] if run.frames is not None else None,
             samples=samples,
             views=views,
         )

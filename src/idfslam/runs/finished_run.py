@@ -14,6 +14,7 @@ from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.lost_frames import of_all_frames
 from idfslam.runs.source import open_source
 
 
@@ -27,8 +28,17 @@ class FinishedRun:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The poses of all frames."""
-        return load_tum(result_folder.existing(self.folder, result_folder.TRAJECTORY))
+        """The poses of all frames. Those that `run --lost drop` left out of trajectory.txt have the pose of the last measured one."""
+        return self._frames_and_listed[0]
+
+    @property
+    def listed(self) -> NDArray[np.int64]:
+        """The indices of the frames that trajectory.txt holds."""
+        return self._frames_and_listed[1]
+
+    @cached_property
+    def _frames_and_listed(self) -> tuple[Trajectory, NDArray[np.int64]]:
+        return of_all_frames(load_tum(result_folder.existing(self.folder, result_folder.TRAJECTORY)), self.frames)
 
     @cached_property
     def keyframes(self) -> result_folder.KeyframeRecord:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
@@ -78,6 +78,9 @@ class OutputFlags:
     """Replace the results in --out; they stay until the new ones are complete."""
     report: bool = True
     """Write report.html with its pictures at the end."""
+    lost: Literal["keep", "drop"] = "keep"
+    """Frames whose pose was not measured (lost, interpolated) in trajectory.txt. `keep`: it has a line for every frame, and frames.csv
+    says which were not measured. `drop`: it leaves them out."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ class Run:
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.live import LiveStream, absolute_path
         from idfslam.report.writing import write_report
+        from idfslam.runs.lost_frames import leave_out_lost
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
         from idfslam.runs.run_folder import result_folder_for
@@ -155,10 +159,12 @@ class Run:
         if self.output.report:
             console.print("writing the report", highlight=False)
             write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
+        if self.output.lost == "drop":
+            leave_out_lost(folder)
         print_run(done, output())
 
     def _go_on(self, folder: Path, console: "Console") -> None:
-        output_flags = OutputFlags(report=self.output.report)
+        output_flags = OutputFlags(report=self.output.report, lost=self.output.lost)
         of_any_run = replace(Run(), output=output_flags, live_view=self.live_view, checkpoints=self.checkpoints)
         given = list(_changed(self, of_any_run))
         if given:
@@ -167,6 +173,7 @@ class Run:
         from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.report.writing import write_report
+        from idfslam.runs.lost_frames import leave_out_lost
         from idfslam.runs.result_folder import read_config
         from idfslam.runs.run_folder import config_folder
         from idfslam.runs.runner import resume
@@ -178,6 +185,8 @@ class Run:
             return
         if self.output.report:
             write_report(folder)
+        if self.output.lost == "drop":
+            leave_out_lost(folder)
         print_run(done, output())
 
     def _viewer(self, console: "Console") -> "Viewer":
