@@ -12,6 +12,7 @@ from idfslam.datasets.generated.kidnapped import Kidnapped
 from idfslam.datasets.location import locate, without_scheme
 from idfslam.datasets.near_miss import near_miss
 from idfslam.datasets.readers import (
+    array_recording,
     azure_kinect,
     folder,
     icl_nuim,
@@ -48,6 +49,7 @@ READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     scanner_app.READER,
     video_folder.READER,
     folder.READER,
+    array_recording.READER,
     ros.READER,
 )
 FORMATS = (*(reader.name for reader in READERS), *generated.NAMES)
@@ -68,8 +70,8 @@ def open_recording(
 ) -> Dataset:
     """Opens a recording in a common layout, recognised from its files, or a generated recording. Images are read on request.
 
-    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d), a zip or tar archive of a recording, a folder with one recording in it, a file
-        or folder that is part of one, a file:// address, the name of a generated recording (`synthetic[:SEED][:kinect]`,
+    path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d, .mat, .h5), a zip or tar archive of a recording, a folder with one recording
+        in it, a file or folder that is part of one, a file:// address, the name of a generated recording (`synthetic[:SEED][:kinect]`,
         `corridor[:SEED][:kinect][:Nlaps]`), or `kidnap:` followed by one of these (see `generated.kidnapped`).
     format: one of FORMATS, if the layout is not recognised correctly.
     camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
