@@ -19,7 +19,7 @@ from idfslam.datasets.images import Depth, as_depth
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
-from idfslam.datasets.stamps import seconds
+from idfslam.datasets.time_stamps import in_seconds
 from idfslam.errors import FrameError, IdfSlamError, RecordingError
 
 _SUFFIXES = frozenset({".mat", ".h5", ".hdf5", ".npz"})
@@ -112,7 +112,7 @@ class ArrayFile:
         with readable(self.path, RecordingError):
             stamps = np.array(arrays[0][()], np.float64).ravel() if arrays else np.full(count, np.nan)
         if np.isfinite(stamps).all() and np.all(np.diff(stamps) > 0):
-            return seconds(stamps, str(self.path)), STATED
+            return in_seconds(stamps, str(self.path)), STATED
         return regular_stamps(count), ASSUMED
 
     def truth(self, frames_last: bool) -> Truth | None:
