@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from helpers.box_room import BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH
+from helpers.visible_files import visible_files
 from idfslam.cli import command_line
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
@@ -77,7 +78,7 @@ def test_mesh_of_an_unknown_kind_is_refused(finished: Path, capsys: pytest.Captu
 
 def test_render_shows_the_room(finished: Path, tmp_path: Path) -> None:
     command("render", finished, "--frames", "0", "7", "--out", tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{i:06d}-{kind}.png" for i in (0, 7) for kind in ("colour", "depth")]
+    assert visible_files(tmp_path) == [f"{i:06d}-{kind}.png" for i in (0, 7) for kind in ("colour", "depth")]
     depth = cv2.imread(str(tmp_path / "000000-depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (BOX_HEIGHT, BOX_WIDTH)
     assert depth.dtype == np.uint16

@@ -158,6 +158,8 @@ def test_wrong_input(box_recording: Path, unbroken: Path, tmp_path: Path) -> Non
     recordings = [open_recording(box_recording)]
     with pytest.raises(RecordingError, match="found no recordings"):
         pretrain([], Outputs(tmp_path / "weights"), SMALL)
+    with pytest.raises(ResultError, match="exists already; go on with --resume, replace it with --overwrite, or name another file"):
+        pretrain(recordings, Outputs(unbroken), SMALL)
     with pytest.raises(ResultError, match="no checkpoint"):
         pretrain(recordings, Outputs(tmp_path / "weights"), SMALL, resume=True)
     with pytest.raises(ConfigError, match=r"made with --learning-rate 0\.001, found 0\.1"):

@@ -116,7 +116,8 @@ def test_a_run_writes_every_file(box_recording: Path, tmp_path: Path) -> None:
 def test_metrics(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
     metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
-    assert metrics["frames"] == BOX_FRAMES
+    assert (metrics["schema"], metrics["frames"]) == (1, BOX_FRAMES)
+    assert json.loads((tmp_path / result_folder.KEYFRAMES).read_text())["schema"] == 1
     assert (metrics["keyframes"], metrics["lost_frames"], metrics["unreadable_frames"]) == (3, 0, 0)  # keyframes 0, 5, 10
     assert metrics["ms_per_frame"] == {"track": pytest.approx(2.0), "map": pytest.approx(5.0)}  # 70 ms on 14 frames
     # half of the frames 1 cm beside the others: aligned, every frame is off by at most 5 mm

@@ -8,6 +8,8 @@ from idfslam.evaluation.mesh_error import MeshError
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, RelativePoseError
 from idfslam.storage import atomic_files
 
+SCHEMA = 1  # of evaluation.json; counts up when a reader of the older form would misread the file
+
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
@@ -44,5 +46,5 @@ class Evaluation(PoseErrors):
         return values
 
     def save(self, path: Path) -> None:
-        """Writes `to_dict` as JSON; a number that is not finite becomes null."""
-        atomic_files.write_json(path, self.to_dict())
+        """Writes `to_dict` as JSON, with the version of its form; a number that is not finite becomes null."""
+        atomic_files.write_json(path, {"schema": SCHEMA} | self.to_dict())

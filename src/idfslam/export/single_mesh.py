@@ -1,6 +1,7 @@
 """One mesh of a saved map as a file: `idf-slam mesh`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import trimesh
@@ -13,7 +14,7 @@ from idfslam.export.run_surface import check_resolution, mesh_of_map
 from idfslam.export.surface import turned
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.storage import atomic_files
+from idfslam.storage import atomic_files, output_folder
 
 _WRITERS: dict[str, Callable[[Path, trimesh.Trimesh], list[Path]]] = {
     ".ply": write_ply, ".obj": write_obj, ".off": write_plain, ".stl": write_plain, ".glb": write_glb,
@@ -37,9 +38,20 @@ def write_mesh(folder: Path, out: Path | None = None, *, resolution: float, up: 
         raise ResultError(f"{path}: exists already; choose another file with --out, or replace it with --overwrite")
     check_resolution(resolution)
     run = FinishedRun(folder)
-    mesh = mesh_of_map(run, resolution)
-    atomic_files.prepare(path.parent)
-    axes = Axes.of(run, "camera" if own else up or "z")
-    written = _WRITERS[kind](path, turned(mesh, axes.gltf.T_ew if kind == ".glb" else axes.T_ew))
+    with _own_mesh(folder) if own else nullcontext():
+        mesh = mesh_of_map(run, resolution)
+        atomic_files.prepare(path.parent)
+        axes = Axes.of(run, "camera" if own else up or "z")
+        written = _WRITERS[kind](path, turned(mesh, axes.gltf.T_ew if kind == ".glb" else axes.T_ew))
     axes.tell()
     return written
+
+
+@contextmanager
+def _own_mesh(folder: Path) -> Iterator[None]:
+    """The folder's mesh.ply can be written anew. Raises ResultError if it is not as the program wrote it, or if the folder is in use."""
+    with output_folder.locked(folder):
+        ledger = result_folder.ledger(folder)
+        ledger.refuse_foreign([result_folder.MESH])
+        yield
+        ledger.record([result_folder.MESH])

@@ -20,6 +20,7 @@ from idfslam.pictures.video import write_video
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 Item = TypeVar("Item")
 _ORBIT = 0.08  # radius of an orbit as a share of the room's size; larger: more parallax, nearer to the walls
@@ -65,9 +66,11 @@ def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | N
 def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *, console: Console | None = None) -> list[Path]:
     """Renders colour (8 bit) and depth (16 bit, mm) from the view points to PNG files. Returns their paths.
 
-    console: where a progress bar is shown. Raises ResultError if the run has no map.
+    console: where a progress bar is shown. Raises ResultError if the run has no map, or if another's picture would be replaced.
     """
     target, saved = out or run.folder / "render", run.map
+    ledger = Ledger(target)
+    ledger.refuse_foreign([f"{name}-{kind}.png" for name in points.names for kind in ("colour", "depth")])
     atomic_files.prepare(target)
     paths = []
     for name, T_wc in _bar(list(zip(points.names, points.poses)), console):
@@ -75,6 +78,7 @@ def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *
         pair = [target / f"{name}-colour.png", target / f"{name}-depth.png"]
         write_colour(pair[0], np.asarray(colour))
         write_depth(pair[1], np.asarray(depth))
+        ledger.record([path.name for path in pair])
         paths += pair
     return paths
 
@@ -88,16 +92,21 @@ def write_flight(
     camera: Camera,
     seconds: float,
     fps: float,
+    overwrite: bool = False,
     console: Console | None = None,
 ) -> Path:
     """Renders a video of the map: a smooth flight along T_wc (N, 4, 4), or an orbit in the middle of the room. Returns `path`.
 
-    console: where a progress bar is shown. Raises ConfigError for an invalid length or frame rate.
+    overwrite: a video that is there already is replaced; one that the program wrote into the result folder always is. console: where a
+    progress bar is shown. Raises ConfigError for an invalid length or frame rate, ResultError if the file exists.
     """
     frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
     if frames < 2:
         raise ConfigError(f"--seconds {seconds} at --fps {fps}, expected a video of two frames or more, at most 240 a second")
     flight = fly_through(poses, frames, fps=fps) if kind == "along" else _orbit(run, poses, frames)
+    own = path.parent == run.folder and Ledger(run.folder).owns(path.name)
+    if path.exists() and not own and not overwrite:
+        raise ResultError(f"{path}: exists already; choose another file with --out, or replace it with --overwrite")
     saved = run.map
     atomic_files.prepare(path.parent)
 
@@ -107,6 +116,8 @@ def write_flight(
 
     with atomic_files.replacing(path) as part:
         write_video(part, images(), fps=fps)
+    if path.parent == run.folder:
+        result_folder.ledger(run.folder).record([path.name])
     return path
 
 

@@ -128,17 +128,21 @@ def pretrain(
     held: Sequence[Dataset] = (),
     start: Path | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     report: Report = lambda step, figures: None,
 ) -> None:
     """Trains an extractor on the recordings, from scratch or from the weights in `start`, and writes its weights.
 
-    held: recordings for validation. resume: continue from the checkpoint next to the weights. `report(steps done, values)` is called after
-    each step in the first process, with the losses and, if due, the validation. Ctrl-C ends the run after the step with a checkpoint.
-    Raises RecordingError for recordings without pairs, ConfigError for invalid values, ResultError if a file cannot be written or the
-    checkpoint is missing, DivergedError for a loss that is not finite.
+    held: recordings for validation. resume: continue from the checkpoint next to the weights. overwrite: replace both. `report(steps done,
+    values)` is called after each step in the first process, with the losses and, if due, the validation. Ctrl-C ends the run after the step
+    with a checkpoint.
+    Raises RecordingError for recordings without pairs, ConfigError for invalid values, ResultError if a file cannot be written, the
+    checkpoint is missing, or files exist that are not to be replaced, DivergedError for a loss that is not finite.
     """
     if not recordings:
         raise RecordingError("found no recordings, expected at least one to pretrain on; name their folders")
+    if not resume and not overwrite and (found := [path for path in (outputs.weights, outputs.checkpoint) if path.exists()]):
+        raise ResultError(f"{found[0]}: exists already; go on with --resume, replace it with --overwrite, or name another file with --out")
     atomic_files.prepare(outputs.weights.parent)
     device = resolve_device(config.device)
     with workers(device) as crew:

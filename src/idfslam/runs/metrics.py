@@ -26,7 +26,7 @@ _NUMBERS = ("frames", "seconds", "frames_per_second", "keyframes", "lost_frames"
 
 def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, *, interrupted: bool) -> dict[str, Any]:
     """The values of metrics.json: speed, memory, counts of frames and keyframes, and the pose errors where ground truth is known."""
-    metrics = meter.summary(slam.timings) | {"interrupted": interrupted}
+    metrics = {"schema": result_folder.SCHEMA} | meter.summary(slam.timings) | {"interrupted": interrupted}
     errors, live_errors = pose_errors(slam, recording), pose_errors(slam, recording, live=True)
     summary = summarise(recording) if isinstance(recording, Selection) else None
     metrics |= {"input": summary.to_dict()} if summary else {}

@@ -30,6 +30,7 @@ FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # 
 EVALUATION = "evaluation.json"
 EVALUATION_FILES = (EVALUATION, PICTURE, "error.png")
 _PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # a picture of a report
+SCHEMA = 1  # of keyframes.json and metrics.json; counts up when a reader of the older form would misread a file
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 
 
@@ -123,7 +124,7 @@ def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
         for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
     ]
     earlier = [asdict(keyframe) for keyframe in record.earlier]
-    values = {"camera": asdict(record.camera), "keyframes": keyframes} | ({"earlier": earlier} if earlier else {})
+    values = {"schema": SCHEMA, "camera": asdict(record.camera), "keyframes": keyframes} | ({"earlier": earlier} if earlier else {})
     atomic_files.write_json(folder / KEYFRAMES, values)
 
 

@@ -44,8 +44,7 @@ class Ledger:
         for name in sorted(names):
             if os.path.lexists(self.folder / name) and not self.owns(name):
                 found = "was changed since idf-slam wrote it" if name in self.names else "was not written by idf-slam"
-                advice = "so it is not replaced; move it away, or choose another folder with --out"
-                raise ResultError(f"{self.folder / name}: {found}, {advice}")
+                raise ResultError(f"{self.folder / name}: {found}, so it is not replaced; move it away or rename it")
 
     def record(self, names: Collection[str] = (), *, at: Path | None = None) -> None:
         """Enters files as they are now, in the folder or in the place `at` from where they will be moved there. Marks the folder."""

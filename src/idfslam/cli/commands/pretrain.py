@@ -27,6 +27,8 @@ class Pretrain:
     """File of weights to start from; none given: random weights."""
     resume: bool = False
     """Go on from the checkpoint next to --out."""
+    overwrite: bool = False
+    """Replace the weights and the checkpoint of an earlier training."""
     checkpoint_every: int = 500
     """Steps between two checkpoints; 0: only at the end. Ctrl-C writes one as well."""
     validate: tuple[Path, ...] = ()
@@ -56,6 +58,7 @@ class Pretrain:
                 if validation:
                     progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
 
-            pretrain(recordings, outputs, values, held=held, start=self.start, resume=self.resume, report=report)
+            again = {"resume": self.resume, "overwrite": self.overwrite}
+            pretrain(recordings, outputs, values, held=held, start=self.start, **again, report=report)
         if first:
             print(self.out)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -30,6 +30,8 @@ class Render:
     """Frame rate of the video [1/s]."""
     out: Path | None = None
     """Folder of the pictures, or file of the video (.mp4); none given: render/ or video.mp4 in the result folder."""
+    overwrite: bool = False
+    """Replace the video that --out names if it exists."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.pictures.map_views import view_points, write_flight, write_views
@@ -42,5 +44,5 @@ class Render:
             return
         path = self.out or self.folder / "video.mp4"
         along = points.poses if self.frames or self.poses else run.trajectory.poses
-        times = {"seconds": self.seconds, "fps": self.fps}
+        times: dict[str, Any] = {"seconds": self.seconds, "fps": self.fps, "overwrite": self.overwrite}
         print(write_flight(run, path, self.video, poses=along, camera=points.camera, **times, console=console))
