@@ -40,10 +40,10 @@ class ResultWriter:
         self._config, self._source, self._prior = config, source, prior
 
     def write_all(self, mesh: trimesh.Trimesh, frame_log: FrameLog, metrics: dict[str, Any]) -> None:
-        """Every file of a complete run."""
+        """Every file of a complete run, the small ones first."""
         self.write_poses()
-        self.write_map(mesh)
         self.write_frames(frame_log)
+        self.write_map(mesh)
         atomic_files.write_json(self._folder / result_folder.METRICS, metrics)
 
     def write_poses(self) -> None:
@@ -59,7 +59,7 @@ class ResultWriter:
     def write_map(self, mesh: trimesh.Trimesh) -> None:
         """The mesh and the neural map."""
         with atomic_files.replacing(self._folder / result_folder.MESH) as part:
-            mesh.export(part)
+            part.write_bytes(mesh.export(file_type="ply"))  # not by its path: a full disk would leave the file open, and its room taken
         with atomic_files.replacing(self._folder / result_folder.MAP) as part:
             self._slam.save_map(part)
 
