@@ -205,6 +205,50 @@ def test_depth_smaller_than_colour(write: Callable[[Path], Path], tmp_path: Path
     np.testing.assert_allclose(recording.ground_truth, [pose(i) for i in range(3)], atol=1e-6)
 
 
+def write_frame_lines(path: Path, *, dtype: type = np.float32, change: Callable[[dict, int], object] = lambda values, i: None) -> Path:
+    """Raw depth of 16x12 beside colour of 64x48; ARKit's matrices by columns."""
+    lines = []
+    for i in range(3):
+        write_image(path / f"rgb/{i:06d}.jpg", colour_image(i, (64, 48)))
+        raw = depth_image(1000, (16, 12))
+        (path / "depth").mkdir(exist_ok=True)
+        (path / f"depth/{i:06d}.bin").write_bytes((raw / np.float32(1000) if dtype == np.float32 else raw).astype(dtype).tobytes())
+        K = [60, 0, 0, 0, 60, 0, 31.5, 23.5, 1]
+        values = {"frame": i, "timestamp": 3 + i / 10, "intrinsics": K, "transform": (pose(i) @ UP).T.ravel().tolist()}
+        change(values, i)
+        lines.append(json.dumps(values))
+    (path / "frames.jsonl").write_text("\n".join(lines) + "\n")
+    return path
+
+
+def by_names(values: dict, i: int) -> None:
+    """Files named, values in other forms."""
+    values.update(image=f"rgb/{i:06d}.jpg", depth_path=f"depth\\{i:06d}.bin", pose=(pose(i) @ UP).tolist())
+    values.update(intrinsics={"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5})
+    del values["transform"], values["frame"]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16])
+@pytest.mark.parametrize("change", [lambda values, i: None, by_names])
+def test_a_line_of_json_for_each_frame_and_raw_depth(dtype: type, change: Callable[[dict, int], object], tmp_path: Path) -> None:
+    recording = open_recording(write_frame_lines(tmp_path / "room", dtype=dtype, change=change))
+    assert len(recording) == 3 and recording.camera == Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    np.testing.assert_allclose(recording.timestamps, [3, 3.1, 3.2])
+    np.testing.assert_allclose(recording[1].depth[8:], 1, rtol=1e-5)
+    assert recording.ground_truth is not None
+    np.testing.assert_allclose(recording.ground_truth, [pose(i) for i in range(3)], atol=1e-6)
+
+
+def test_a_malformed_line_is_named(tmp_path: Path) -> None:
+    path = write_frame_lines(tmp_path / "room")
+    text = (path / "frames.jsonl").read_text().splitlines()
+    for line in ("{", "[]", '{"intrinsics": [1, 2]}', '{"transform": 5}', "[" * 100_000):
+        (path / "frames.jsonl").write_text("\n".join([text[0], line, *text[2:]]))
+        with pytest.raises(RecordingError, match=r"frames\.jsonl: line 2: ") as caught:
+            open_recording(path)
+        assert "\n" not in str(caught.value)
+
+
 def test_polycam_without_depth_is_named(tmp_path: Path) -> None:
     path = write_polycam(tmp_path / "room")
     (path / "keyframes/depth").rename(tmp_path / "elsewhere")
