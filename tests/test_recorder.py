@@ -111,21 +111,40 @@ def test_a_recording_that_was_killed_can_be_read(tmp_path: Path) -> None:
 def test_stamps_of_other_forms(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "a", frames=3)
     stamps = folder / "timestamps.txt"
-    stamps.write_text("# seconds\n5.0\n5.5\n6.25")
-    assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.25]
+    for text in (
+        "# seconds\n5.0\n5.5\n6.25",
+        "timestamp\n5.0\n5.5\n6.25\n",
+        "\ufeff0,5.0\r\n1,5.5\r\n2,6.25\r\n",
+        "2 6.25 rgb/2.png\n1 5.5 rgb/1.png\n0 5.0 rgb/0.png\n",
+        "0 5.0\n1 5.5\n2 6.25\n7 7.0\n",  # number 7 has no images
+    ):
+        stamps.write_bytes(text.encode())
+        assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.25], text
     for text, message in (
         ("5.0\n5.5\n", "2 stamps for 3 images"),
-        ("0 5.0\n1\n2 6.0\n", "is alone"),
-        ("0 5.0\n1 x\n", "line 2 is '1 x', expected a stamp"),
-        ("0 5.0 rgb/0.png\n", "line 1 is"),
-        ("0 5.0\n1 4.0\n2 6.0\n", "frame 1 is not later"),
-        ("0 5.0\n1 5.5\n2 6.0\n7 7.0\n", None),
+        ("0 5.0\nx 5.5\n2 6.0\n", "line 2 begins with no number"),
     ):
         stamps.write_text(text)
-        if message is not None:
-            with pytest.raises(RecordingError, match=message):
-                open_recording(folder)
-    assert len(open_recording(folder)) == 3  # number 7 has no images
+        with pytest.raises(RecordingError, match=message):
+            open_recording(folder)
+
+
+@pytest.mark.parametrize("line", ["1", "1 x", "1 nan", "1 7.0", "1 5.0"])
+def test_a_stamp_that_is_missing_or_does_not_increase_is_interpolated(line: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_folder(tmp_path / "a", frames=4)
+    (folder / "timestamps.txt").write_text(f"0 5.0\n{line}\n2 6.0\n3 6.5\n")
+    assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.0, 6.5]
+    assert "1 of 4 stamps are missing, or not later than the one before" in caplog.text
+
+
+def test_stamps_of_the_colour_images_alone(tmp_path: Path) -> None:
+    """A colour image is missing: the lines are as many as the colour images, and fewer than the frames."""
+    folder = write_folder(tmp_path / "a", frames=4)
+    (folder / "rgb/000002.jpg").unlink()
+    (folder / "timestamps.txt").write_text("5.0\n5.5\n6.5\n")
+    assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.5]
+    (folder / "timestamps.txt").write_text("5.0\n5.5\n6.0\n6.5\n")
+    assert open_recording(folder).timestamps.tolist() == [5.0, 5.5, 6.5]
 
 
 def test_a_folder_with_a_recording_is_refused(box_recording: Path, tmp_path: Path) -> None:

@@ -2,50 +2,39 @@
 
 from pathlib import Path
 
-import numpy as np
-
+from idfslam.datasets.file_list import listed_lines
 from idfslam.errors import RecordingError
+from idfslam.storage.text_file import read_text
 
 STAMPS = "timestamps.txt"
 
 
-def read_stamps(path: Path, numbers: list[float]) -> dict[float, float] | None:
-    """The stamps [s] by frame number, sorted by number; None without the file. `numbers`: those of the images, in order.
+def read_stamps(path: Path, *series: list[float]) -> dict[float, float] | None:
+    """The stamps by frame number, sorted by number, NaN where one is no number; None without the file.
 
+    series: the numbers of all frames, and of those images that one stamp a line may belong to instead. What follows in a line is ignored.
     A last line `number stamp` without a line break was cut off while it was written: it is left out.
-    Raises RecordingError if a line has another form, and if stamps do not increase.
+    Raises RecordingError if a line has no number, or if there is one stamp a line and no series has as many images.
     """
     if not path.is_file():
         return None
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-    rows = [row for line, text in enumerate(lines, 1) if text.endswith("\n") and (row := _row(text, f"{path}: line {line}"))]
-    if lines and not lines[-1].endswith("\n") and len(lines[-1].split()) == 1 and all(len(row) == 1 for row in rows):
-        rows.append(_row(lines[-1], f"{path}: line {len(lines)}"))  # written by hand
-    if rows and all(len(row) == 1 for row in rows):
-        if len(rows) != len(numbers):
-            raise RecordingError(
-                f"{path}: {len(rows)} stamps for {len(numbers)} images, expected one for each: complete or remove the file"
-            )
-        rows = [(number, *row) for number, row in zip(numbers, rows)]
-    if short := [row for row in rows if len(row) == 1]:
-        raise RecordingError(f"{path}: '{short[0][0]}' is alone in its line, expected the number of a frame and its stamp")
-    stamps = dict(sorted((row[0], row[1]) for row in rows))
-    late = np.diff(list(stamps.values())) <= 0
-    if late.any():
-        number = list(stamps)[int(late.argmax()) + 1]
-        raise RecordingError(
-            f"{path}: frame {number:.15g} is not later than the one before it, expected stamps in the order of the numbers"
-        )
-    return stamps
+    rows = [(line, [_number(word) for word in words[:2]]) for line, words in listed_lines(path)]
+    if rows and all(len(row) == 1 for _, row in rows):
+        numbers = next((numbers for numbers in series if len(numbers) == len(rows)), None)
+        if numbers is None:
+            found = f"{len(rows)} stamps for {len(series[0])} images"
+            raise RecordingError(f"{path}: {found}, expected one for each: complete or remove the file")
+        return {number: row[0] for number, (_, row) in zip(numbers, rows)}
+    if rows and not read_text(path).endswith("\n"):
+        rows.pop()
+    if without := [line for line, row in rows if row[0] != row[0]]:
+        raise RecordingError(f"{path}: line {without[0]} begins with no number, expected the number of a frame and its stamp in seconds")
+    return dict(sorted((row[0], row[1] if len(row) > 1 else float("nan")) for _, row in rows))
 
 
-def _row(text: str, source: str) -> tuple[float, ...]:
-    """The one or two numbers of a line; empty for an empty line and a comment."""
-    words = text.split("#")[0].split()
+def _number(word: str) -> float:
+    """A number; NaN if the word is none."""
     try:
-        row = tuple(map(float, words))
+        return float(word)
     except ValueError:
-        row = (np.nan,)
-    if len(row) > 2 or not np.isfinite(row).all():
-        raise RecordingError(f"{source} is '{text.strip()}', expected a stamp in seconds, or the number of a frame and its stamp")
-    return row
+        return float("nan")

@@ -40,7 +40,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     if found is None:
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/, or colour and depth images in one folder")
     images, depths = by_number(found.colour), by_number(found.depth)
-    stamps = read_stamps(path / STAMPS, sorted(images.keys() | depths.keys()))
+    stamps = read_stamps(path / STAMPS, sorted(images.keys() | depths.keys()), list(images), list(depths))
     if stamps is not None:
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
     pairs = pair_images(images, depths, path)
