@@ -61,6 +61,14 @@ def test_every_command_is_there_without_the_configuration(reference: ModuleType)
     assert "╭" not in text
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.stem)
+def test_lists_begin_after_an_empty_line(page: Path) -> None:
+    """Without it the site shows a list as a part of the paragraph before."""
+    text = re.sub(r"(?ms)^```.*?^```", "```", page.read_text(encoding="utf-8"))
+    blocks = re.split(r"\n\s*\n", text)
+    assert not [block for block in blocks if re.search(r"(?m)^[^\s#|`>-].*\n- ", block) and not block.startswith("- ")]
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
