@@ -14,6 +14,7 @@ from idfslam.datasets.near_miss import near_miss
 from idfslam.datasets.readers import (
     array_recording,
     azure_kinect,
+    bundle_fusion,
     folder,
     frame_lines,
     icl_nuim,
@@ -24,6 +25,7 @@ from idfslam.datasets.readers import (
     scannet,
     seven_scenes,
     stray_scanner,
+    sun3d,
     transforms,
     tum,
     video_folder,
@@ -39,6 +41,8 @@ log = logging.getLogger(__name__)
 READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     scannet.READER,
     replica.READER,
+    bundle_fusion.READER,
+    sun3d.READER,
     seven_scenes.READER,
     icl_nuim.READER,
     tum.READER,
