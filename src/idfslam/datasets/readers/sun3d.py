@@ -53,7 +53,8 @@ class TurnedDepth:
 
     def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self.read(i)
-        return bgr, raw >> 3 | raw << 13 if raw.dtype == np.uint16 else raw
+        turned = np.asarray(raw, np.uint16)  # SUN3D has no other
+        return bgr, (turned >> 3 | turned << 13).astype(np.uint16)
 
 
 READER = Reader(
