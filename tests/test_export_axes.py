@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from helpers.box_room import BOX, box_poses
 from idfslam.cli import command_line
+from idfslam.datasets.pose_file import read_pose_file
 from idfslam.export.mesh_files import linear
 from idfslam.export.surface import cleaned, turned
-from idfslam.geometry.kitti import load_kitti
 from idfslam.geometry.level import level
 from idfslam.geometry.trajectory import load_tum
 from idfslam.geometry.transforms_json import read_transforms
@@ -95,7 +95,7 @@ def test_poses_points_and_meshes_of_one_command_fit(exports: dict[str, Path], up
     T_ew = np.array(record(folder)["T_export_world"])
     expected = T_ew @ box_poses()
     np.testing.assert_allclose(load_tum(folder / "tum.txt").poses, expected, atol=1e-8)
-    np.testing.assert_allclose(load_kitti(folder / "kitti.txt").poses, expected, atol=1e-8)
+    np.testing.assert_allclose(read_pose_file(folder / "kitti.txt").T_wc, expected, atol=1e-8)
     np.testing.assert_allclose(read_transforms(folder / "nerfstudio" / "transforms.json")[0], expected[[0, 6, 13]], atol=1e-12)
     for name in ("mesh.ply", "mesh.obj", "points.ply", "nerfstudio/points.ply"):
         points = np.asarray(ply(folder / name).vertices) @ T_ew[:3, :3]

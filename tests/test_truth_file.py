@@ -85,3 +85,11 @@ def test_published_poses_of_three_decimals_are_rigid_enough() -> None:
     """Rounded rotations are off by up to 1e-3 and more; the readers take them, and so does the evaluation."""
     rounded = np.round(POSES, 3)
     assert len(Trajectory.of_known(ASSUMED.timestamps, rounded)) == 6
+
+
+def test_positions_in_millimetres_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    poses = POSES.copy()
+    poses[:, :3, 3] *= 1000  # 0.2 m from pose to pose
+    np.savetxt(tmp_path / "kitti.txt", poses.reshape(6, 16))
+    read_truth(tmp_path / "kitti.txt", STAMPED)
+    assert "the camera moves 200 m from pose to pose, expected metres: are its positions in millimetres?" in caplog.messages[0]

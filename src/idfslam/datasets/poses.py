@@ -19,6 +19,7 @@ from idfslam.storage.text_file import read_text
 
 log = logging.getLogger(__name__)
 
+_LONGEST_STEP = 2.0  # [m] from pose to pose, in the median; raised, slow cameras in millimetres pass (20 mm a frame is 20). Chosen by hand
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] in which stamps are written: seconds, ms, us, ns
 
 
@@ -59,10 +60,19 @@ def _usable(truth: Truth, count: int) -> NDArray[np.float64]:
     T_wc[~usable] = np.nan
     if not usable.any():
         raise RecordingError(problems[0] if problems else f"{truth.source}: none of the {count} poses is finite")
+    warn_if_in_millimetres(T_wc, truth.source)
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         log.warning("%s%s: %d of %d frames have ground truth", problems[0], more, usable.sum(), count)
     return T_wc
+
+
+def warn_if_in_millimetres(T_wc: NDArray[np.float64], source: str) -> None:
+    """A warning if a camera at poses (N, 4, 4), NaN where one is missing, would be faster than any that films a room."""
+    steps = np.linalg.norm(np.diff(T_wc[:, :3, 3], axis=0), axis=1)
+    steps = steps[np.isfinite(steps)]
+    if len(steps) and (step := float(np.median(steps))) > _LONGEST_STEP:
+        log.warning("%s: the camera moves %.3g m from pose to pose, expected metres: are its positions in millimetres?", source, step)
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:

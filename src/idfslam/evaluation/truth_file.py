@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from idfslam.datasets.pose_file import read_pose_file
-from idfslam.datasets.poses import in_seconds
+from idfslam.datasets.poses import in_seconds, warn_if_in_millimetres
 from idfslam.datasets.recording import FPS
 from idfslam.geometry.association import TOLERANCE, associate
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
@@ -28,6 +28,7 @@ def read_truth(path: Path, run: Trajectory) -> Trajectory:
     if file.problems:
         more = f" (and {len(file.problems) - 1} lines more)" if len(file.problems) > 1 else ""
         raise TrajectoryError(f"{file.problems[0]}{more}")
+    warn_if_in_millimetres(file.T_wc, str(path))
     if file.timestamps is None:
         if len(file.T_wc) != len(run):
             found = f"{len(file.T_wc)} poses without time stamps for {len(run)} frames"

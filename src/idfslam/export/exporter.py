@@ -33,6 +33,7 @@ from idfslam.storage import atomic_files
 log = logging.getLogger(__name__)
 
 _TEXTURED = ("obj", "glb")
+_OF_IMAGES = ("nerfstudio", "colmap", "points")
 # What a format writes, or may write, in the folder of the export
 _TARGETS: dict[Format, tuple[str, ...]] = {
     "tum": ("tum.txt", LOST),
@@ -69,6 +70,8 @@ class Exporter:
         check_resolution(self.resolution)
         if self.texture and not set(formats) & set(_TEXTURED):
             raise ConfigError(f"--texture with --to {' '.join(formats)}: none of these has textures; choose {' or '.join(_TEXTURED)}")
+        if self.images is not None and not (set(formats) & set(_OF_IMAGES) or self.texture == "images"):
+            raise ConfigError(f"--images with --to {' '.join(formats)}: none of these has images; choose {', '.join(_OF_IMAGES)}")
         atomic_files.prepare(self.out)
         writers: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,

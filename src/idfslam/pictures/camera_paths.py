@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from idfslam.errors import ResultError
+from idfslam.datasets.pose_file import read_pose_file
+from idfslam.errors import RecordingError, ResultError
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.kitti import load_kitti
-from idfslam.geometry.trajectory import load_tum
 from idfslam.geometry.transforms_json import read_transforms
 from idfslam.pictures.mesh_renderer import looking_at
 from idfslam.storage.text_file import read_text
@@ -20,9 +19,9 @@ _KNOTS_PER_SECOND = 1.5  # of the splines; more: the flight follows the trajecto
 
 
 def load_poses(path: Path) -> tuple[Floats, Camera | None]:
-    """T_wc (N, 4, 4) of a file in TUM or KITTI format or a transforms.json, recognised by its content; and the camera if the file has one.
+    """T_wc (N, 4, 4) of a file of poses (`read_pose_file`) or a transforms.json, told by its content; and the camera if the file has one.
 
-    Raises ResultError for a missing file or another format, TrajectoryError for a damaged line.
+    Raises ResultError for a missing file, another format, or a line that is no pose.
     """
     try:
         text = read_text(path)
@@ -30,11 +29,13 @@ def load_poses(path: Path) -> tuple[Floats, Camera | None]:
         raise ResultError(f"{path}: cannot be read as text; expected poses in TUM or KITTI format, or transforms.json") from error
     if path.suffix == ".json" or text.lstrip().startswith("{"):
         return read_transforms(path)
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    columns = len(lines[0].split()) if lines else 0
-    if columns not in (8, 12):
-        raise ResultError(f"{path}: {columns} values in its first line; expected 8 (TUM), 12 (KITTI), or transforms.json")
-    return (load_tum(path) if columns == 8 else load_kitti(path)).poses, None
+    try:
+        file = read_pose_file(path)
+    except RecordingError as error:
+        raise ResultError(f"{error}, or transforms.json") from error
+    if file.problems:
+        raise ResultError(file.problems[0])
+    return file.T_wc, None
 
 
 def fly_through(poses: Floats, frames: int, *, fps: float) -> Floats:

@@ -19,7 +19,7 @@ class Render:
     frames: tuple[int, ...] = ()
     """Frames of the trajectory whose views are rendered; none given: the keyframes."""
     poses: Path | None = None
-    """File of camera-to-world poses that are rendered instead: TUM or KITTI format, or a transforms.json, whose camera is used too."""
+    """File of camera-to-world poses that are rendered instead: TUM, KITTI, EuRoC's csv, or a transforms.json, whose camera is used too."""
     width: int | None = None
     """Width of the pictures [px]; none given: that of the camera."""
     video: Literal["along", "orbit"] | None = None
@@ -34,9 +34,13 @@ class Render:
     """Replace the video that --out names if it exists."""
 
     def __call__(self, console: "Console") -> None:
+        from idfslam.errors import ConfigError
         from idfslam.pictures.map_views import view_points, write_flight, write_views
         from idfslam.runs.finished_run import FinishedRun
 
+        default = Render(self.folder)
+        if self.video is None and (self.seconds, self.fps, self.overwrite) != (default.seconds, default.fps, default.overwrite):
+            raise ConfigError("--seconds, --fps and --overwrite belong to a video: give --video along or --video orbit as well")
         run = FinishedRun(self.folder)
         points = view_points(run, frames=self.frames, poses=self.poses, width=self.width)
         if self.video is None:
