@@ -79,7 +79,7 @@ DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "colour is depth": ("rgb", lambda path: write_depth(path, depth_image(1000)), "16-bit grey image, expected colour.*swapped"),
     "no depth": ("depth", lambda path: write_depth(path, np.zeros((HEIGHT, WIDTH), np.uint16)), "no depth .all zero"),
     "all invalid": ("depth", lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 65535, np.uint16)), "no depth"),
-    "depth size": ("depth", lambda path: write_depth(path, depth_image(1000, (8, 6))), "colour 16x12 and depth 8x6, expected one size"),
+    "depth size": ("depth", lambda path: write_depth(path, depth_image(1000, (8, 5))), "colour 16x12 and depth 8x5, expected one size"),
 }
 
 

@@ -484,3 +484,10 @@ def test_a_database_that_is_none(tmp_path: Path) -> None:
         database.execute("CREATE TABLE other (x INTEGER)")
     with pytest.raises(RecordingError, match="not a readable recording"):
         open_recording(path)
+
+
+def test_a_stated_camera_is_taken_for_a_fisheye_s(tmp_path: Path) -> None:
+    """Whoever states the camera of rectified images need not rename topics."""
+    path = bag(tmp_path, [*leaving_out(INFO), (INFO, 99.9, camera_info(d=(0.1,) * 4, model="equidistant"))])
+    (path.parent / "intrinsics.txt").write_text("20 21 7 5")
+    assert open_recording(path).camera == Camera(WIDTH, HEIGHT, 20.0, 21.0, 7.0, 5.0)

@@ -15,6 +15,7 @@ from helpers.shared_data import shared_recording
 from idfslam.datasets import open_recording
 from idfslam.datasets.camera_plausibility import doubts, in_fractions, lens_doubt, of_another_size
 from idfslam.datasets.plausibility import depth_doubt, stamps_doubt
+from idfslam.errors import FrameError
 from idfslam.geometry.camera import Camera
 
 KINECT = Camera(640, 480, 527.2, 527.2, 322.25, 238.73)
@@ -240,3 +241,21 @@ def test_millimetres_taken_for_a_fifth_of_them_in_a_real_recording(caplog: pytes
     median = open_recording(path)[0].depth
     assert math.isclose(float(np.median(median[median > 0])), 1.88, abs_tol=0.02)
     assert any("give --camera.depth-scale 1000" in message for message in said(path, caplog, depth_scale=5000))
+
+
+def test_depth_of_half_the_size_is_taken_for_the_same_view(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_folder(tmp_path / "room")
+    for file in (path / "depth").iterdir():
+        cv2.imwrite(str(file), np.full((6, 8), 1500, np.uint16))
+    line, warning = said(path, caplog)
+    assert line.startswith("camera 16x12 f 15.0 15.0 c 7.5 5.5 (intrinsics.txt), depth 1/1000 m (assumed), median 1.50 m")
+    assert warning == (
+        "room: depth images of 8x6 are taken for the view of the colour images of 16x12; "
+        "if a camera of its own took them, describe it in cam_params.json (depth_camera and T_colour_depth)"
+    )
+    np.testing.assert_allclose(open_recording(path)[1].depth, 1.5, rtol=1e-6)
+    cv2.imwrite(str(path / "depth/000000.png"), np.full((12, 16), 1500, np.uint16))  # one of the recording's frames has equal sizes
+    recording = open_recording(path)
+    assert recording[0].depth.shape == (12, 16)
+    with pytest.raises(FrameError, match="frame 1 has colour 16x12 and depth 8x6, expected one size: register the depth"):
+        recording[1]

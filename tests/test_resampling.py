@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
+from idfslam.datasets.resampling import OneView, downscaled_colour, limited_size, upscaled_depth
 
 
 @pytest.mark.parametrize(
@@ -61,3 +61,35 @@ def test_every_value_lies_between_those_of_its_neighbours(values: list[int]) -> 
     out = upscaled_depth(raw, (9, 7))
     assert out.max() <= raw.max() * 1.0001
     assert (out[out > 0] >= min((v for v in values if v), default=0) * 0.9999).all()
+
+
+# ----- one view in two sizes
+
+
+@pytest.mark.parametrize(
+    ("colour", "depth", "size"),
+    [
+        ((640, 480), (320, 240), (640, 480)),
+        ((1920, 1440), (256, 192), (640, 480)),
+        ((1920, 1440), (960, 720), (960, 720)),
+        ((320, 240), (640, 480), (320, 240)),
+        ((1296, 968), (640, 478), (640, 478)),
+    ],
+)
+def test_the_size_of_one_view(colour: tuple[int, int], depth: tuple[int, int], size: tuple[int, int]) -> None:
+    assert OneView.fits(colour, depth)
+    bgr, raw = OneView(colour, depth)(np.full((*colour[::-1], 3), 7, np.uint8), np.full(depth[::-1], 1500, np.uint16))
+    assert bgr.shape == (*size[::-1], 3)
+    assert raw.shape == size[::-1]
+    assert (raw == 1500).all()
+
+
+def test_views_of_other_proportions_are_not_one() -> None:
+    for colour, depth in (((640, 480), (512, 424)), ((1280, 720), (640, 576)), ((16, 12), (8, 5)), ((640, 480), (240, 320))):
+        assert not OneView.fits(colour, depth)
+
+
+def test_depth_that_is_larger_than_colour_keeps_its_readings() -> None:
+    raw = np.arange(1, 17, dtype=np.uint16).reshape(4, 4)
+    _, small = OneView((2, 2), (4, 4))(np.zeros((2, 2, 3), np.uint8), raw)
+    assert small.dtype == np.uint16 and np.isin(small, raw).all() and small.shape == (2, 2)

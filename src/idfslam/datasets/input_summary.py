@@ -97,7 +97,7 @@ def report(recording: _Recording, stamps: NDArray[np.float64]) -> None:
     """Logs the line about a recording, and a warning of each thing that is implausible. stamps: as in `doubts`."""
     if (summary := summarise(recording)) is not None:
         log.info("%s", summary)
-        for doubt in doubts(summary, stamps):
+        for doubt in (*summary.sources.notes, *doubts(summary, stamps)):
             log.warning("%s: %s", recording.name, doubt)
 
 

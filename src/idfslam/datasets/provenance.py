@@ -15,6 +15,7 @@ class Provenance:
     depth: str = ""  # empty: stated by the recording or the user; else where the default comes from
     stamps: str = STATED
     distortion: tuple[float, ...] = ()  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]] that is removed from the images
+    notes: tuple[str, ...] = ()  # what was assumed about the images, for warnings
 
 
 def provenance(dataset: object) -> Provenance | None:

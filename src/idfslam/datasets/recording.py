@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.camera_files import CAM_PARAMS
 from idfslam.datasets.depth_registration import DepthRegistration
 from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
 from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.poses import ReadTruth, optional_truth
 from idfslam.datasets.provenance import ASSUMED, STATED, Provenance, provenance
+from idfslam.datasets.resampling import OneView
 from idfslam.datasets.time_stamps import in_seconds, increasing
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -100,12 +102,13 @@ class Recording:
             usable, stamps_source = regular_stamps(len(timestamps)), ASSUMED
         self.name, self.timestamps, self.random_access = name, usable, random_access
         self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
-        colour, depth = self._probe()
-        self.camera = calibration.camera(*colour, name)
-        self._scale = calibration.scale(name)
-        lens = calibration.distortion or ()
-        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens)
-        self._size = depth  # width, height [px] of the depth images
+        self._sizes = colour, depth = self._probe()  # width, height [px]
+        self.camera, self._scale, lens = calibration.camera(*colour, name), calibration.scale(name), calibration.distortion or ()
+        self._one_view = OneView(colour, depth) if self._registered and colour != depth else None
+        if self._one_view is not None:
+            self.camera = self.camera.resized(*self._one_view.size)
+        notes = () if self._one_view is None else (str(self._one_view),)
+        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, notes)
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         self._undistort = Undistortion(self.camera, lens) if any(lens) else None
 
@@ -120,11 +123,15 @@ class Recording:
     def __getitem__(self, i: int) -> Frame:
         """Frame i, from -N to N-1; raises FrameError if its images are missing, damaged or without depth."""
         i = range(len(self))[i]
-        bgr, raw = self._checked(i)
-        for kind, found, expected in (("", _size(bgr), (self.camera.width, self.camera.height)), ("'s depth", _size(raw), self._size)):
+        bgr, raw = self._readable(i)
+        if self._registered and self._one_view is None and _size(bgr) != _size(raw):
+            raise self._two_sizes(i, _size(bgr), _size(raw))
+        for kind, found, expected in (("", _size(bgr), self._sizes[0]), ("'s depth", _size(raw), self._sizes[1])):
             if found != expected:
                 sizes = f"{found[0]}x{found[1]}, expected the recording's {expected[0]}x{expected[1]}"
                 raise FrameError(f"{self.name}: frame {i}{kind} is {sizes}")
+        if self._one_view is not None:
+            bgr, raw = self._one_view(bgr, raw)
         if self._undistort is not None:
             bgr = self._undistort.colour(bgr)
             raw = self._undistort.depth(raw) if self._registered else raw
@@ -135,28 +142,36 @@ class Recording:
     def surface(self) -> None:
         """None: files hold no surface."""
 
-    def _checked(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def _readable(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
-        if self._registered and bgr.shape[:2] != raw.shape:
-            sizes = f"colour {bgr.shape[1]}x{bgr.shape[0]} and depth {raw.shape[1]}x{raw.shape[0]}"
-            raise FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: register the depth to the colour camera")
         if not has_readings(raw):
             raise FrameError(f"{self.name}: frame {i} has no depth (all zero), expected readings of a depth camera")
         return bgr, raw
 
     def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Width and height [px] of colour and of depth, from the first readable of a few frames."""
+        """Width and height [px] of colour and of depth, from a readable one of a few frames; if possible from one with equal sizes."""
         if not len(self):
             raise RecordingError(f"{self.name}: no frames")
         first_error: FrameError | None = None
+        two_sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
         for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
             try:
-                bgr, raw = self._checked(int(i))
+                colour, depth = map(_size, self._readable(int(i)))
+                if not self._registered or colour == depth:
+                    return colour, depth
+                if not OneView.fits(colour, depth):
+                    raise self._two_sizes(int(i), colour, depth)
+                two_sizes = two_sizes or (colour, depth)
             except FrameError as error:
                 first_error = first_error or error
-            else:
-                return _size(bgr), _size(raw)
+        if two_sizes is not None:
+            return two_sizes
         raise RecordingError(str(first_error)) from first_error
+
+    def _two_sizes(self, i: int, colour: tuple[int, int], depth: tuple[int, int]) -> FrameError:
+        sizes = f"colour {colour[0]}x{colour[1]} and depth {depth[0]}x{depth[1]}"
+        advice = f"register the depth to the colour camera, or describe the depth camera in {CAM_PARAMS} (docs: Recordings of your own)"
+        return FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: {advice}")
 
 
 def _size(image: NDArray[Any]) -> tuple[int, int]:

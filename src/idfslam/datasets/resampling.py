@@ -21,6 +21,32 @@ def limited_size(width: int, height: int) -> tuple[int, int]:
     return round(width * factor), round(height * factor)
 
 
+class OneView:
+    """Brings colour and depth images of one view, each of its own size, to the size that phone recordings get too.
+
+    Called with colour (H, W, 3) BGR and depth (h, w) as stored; returns both at `size` (width, height).
+    """
+
+    def __init__(self, colour: tuple[int, int], depth: tuple[int, int]) -> None:
+        self.colour, self.depth = colour, depth  # width, height [px]
+        self.size = max(limited_size(*colour), min(colour, depth))
+
+    @staticmethod
+    def fits(colour: tuple[int, int], depth: tuple[int, int]) -> bool:
+        """Whether images of two sizes (width, height) have the same proportions, up to rounding to whole pixels."""
+        (W, H), (w, h) = max(colour, depth), min(colour, depth)
+        return abs(W * h - w * H) <= max(W, H) / 2
+
+    def __str__(self) -> str:
+        (W, H), (w, h) = self.colour, self.depth
+        sizes = f"depth images of {w}x{h} are taken for the view of the colour images of {W}x{H}"
+        return f"{sizes}; if a camera of its own took them, describe it in cam_params.json (depth_camera and T_colour_depth)"
+
+    def __call__(self, bgr: NDArray[np.uint8], raw: Depth) -> tuple[NDArray[np.uint8], Depth]:
+        depth = upscaled_depth(raw, self.size) if raw.shape[1] < self.size[0] else _picked(raw, self.size)
+        return downscaled_colour(bgr, self.size), depth
+
+
 def downscaled_colour(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     """The image (H, W, 3) at a smaller size (width, height); each pixel is the mean of the area that it covers."""
     return bgr if size == (bgr.shape[1], bgr.shape[0]) else np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -39,6 +65,12 @@ def upscaled_depth(raw: Depth, size: tuple[int, int]) -> NDArray[np.float32]:
     smooth = ((far > 0) & (near <= ONE_SURFACE * far))[quad]
     blended = np.asarray(cv2.resize(inverse, size, interpolation=cv2.INTER_LINEAR), np.float32)
     return np.divide(1, blended, out=nearest, where=smooth, dtype=np.float32)
+
+
+def _picked(raw: Depth, size: tuple[int, int]) -> Depth:
+    """Depth (h, w) at a size (width, height) that is not larger, of the nearest pixels."""
+    x, y = _sample_positions(raw.shape[1], size[0]), _sample_positions(raw.shape[0], size[1])
+    return np.ascontiguousarray(raw[np.ix_(np.rint(y).astype(int), np.rint(x).astype(int))])
 
 
 def _sample_positions(count: int, new_count: int) -> NDArray[np.float64]:

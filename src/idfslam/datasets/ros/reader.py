@@ -67,7 +67,7 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
     topics, path = topics or Topics(), _bag(path)
     bag = Bag(path)
     colour, depth = find_images(bag, topics)
-    camera = find_camera(bag, colour, topics.camera_info)
+    camera = Calibration() if override.complete else find_camera(bag, colour, topics.camera_info)
     if not override.over(camera).complete:
         infos = ", ".join(bag.topics(CAMERA_INFO)) or "none at all"
         advice = "name it with --topics.camera-info, or give --camera.fx --camera.fy --camera.cx --camera.cy"
