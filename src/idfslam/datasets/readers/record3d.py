@@ -19,6 +19,7 @@ from idfslam.datasets.images import Depth, decode_colour
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.pose_file import from_quaternions
 from idfslam.datasets.poses import Truth
+from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
@@ -52,6 +53,7 @@ def open_record3d(path: Path, override: Calibration) -> Recording:
         path.stem,
         lambda i: (downscaled_colour(images.colour(i), size), upscaled_depth(images.depth(i), size)),
         timestamps=metadata.stamps,
+        stamps_source=metadata.stamps_source,
         ground_truth=metadata.truth,
         calibration=calibration.resized((width, height), size).over(Calibration(depth_scale=1)),
     )
@@ -135,6 +137,7 @@ class Metadata:
     size: tuple[int, int] | None  # width, height [px] of the images that the camera is valid for
     depth_size: tuple[int, int] | None
     stamps: NDArray[np.float64]  # (N,) [s]
+    stamps_source: str
     poses: Any  # N rows of qx qy qz qw, x y z, as they are stored; None: none are
     source: str
 
@@ -165,14 +168,16 @@ def read_metadata(files: ExportFiles) -> Metadata:
         count += 1
     if not count:
         raise RecordingError(f"{files.path}: no rgbd/0.jpg, expected an export of Record3D: rgbd/N.jpg, rgbd/N.depth, metadata")
+    stamps_source = STATED
     if len(stamps) != count or np.any(np.diff(stamps) <= 0):
-        stamps = np.arange(count) / fps if fps > 0 else regular_stamps(count)
+        stamps, stamps_source = (np.arange(count) / fps, "stated rate") if fps > 0 else (regular_stamps(count), ASSUMED)
     fx, fy, cx, cy = (float(value) for value in np.median(cameras, 0))
     return Metadata(
         Calibration(fx, fy, cx, cy, source=source),
         size,
         depth_size,
         stamps,
+        stamps_source,
         values.get("poses"),
         source,
     )
