@@ -131,6 +131,10 @@ def test_raw_floats_have_the_proportions_of_colour(tmp_path: Path) -> None:
     path = with_depth(tmp_path / "room", ".bin", write_raw, float_image())
     np.testing.assert_allclose(open_recording(path)[0].depth[1:], 1)
     for file in (path / "depth").iterdir():
+        file.write_bytes(b"")
+    with pytest.raises(RecordingError, match="0 bytes, expected uint16 or float32 depth"):
+        open_recording(path)
+    for file in (path / "depth").iterdir():
         file.write_bytes(b"\0" * 100)
     with pytest.raises(RecordingError, match="100 bytes, expected uint16 or float32 depth with the proportions of the 16x12 colour image"):
         open_recording(path)

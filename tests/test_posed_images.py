@@ -1,53 +1,27 @@
 """Recordings that state camera and pose of each frame: transforms.json, Polycam, 3D Scanner App."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from helpers.recordings import HEIGHT, WIDTH, colour_image, depth_image, pose, write_folder
+from helpers.posed_recordings import (
+    by_names,
+    write_frame_lines,
+    write_nerf_capture,
+    write_nerfstudio,
+    write_polycam,
+    write_scanner_app,
+)
+from helpers.recordings import HEIGHT, WIDTH, depth_image, pose, write_folder
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError
 from idfslam.export.images import PosedImage, write_images
 from idfslam.export.nerfstudio import write_transforms
 from idfslam.geometry.camera import Camera
 
-UP = np.diag([1.0, -1.0, -1.0, 1.0])  # between axes x right, y down, z forward and x right, y up, z backward
-K = {"fl_x": 15.0, "fl_y": 15.0, "cx": 8.0, "cy": 6.0, "w": WIDTH, "h": HEIGHT}  # pixel centres at half integers
 CAMERA = Camera(WIDTH, HEIGHT, 15.0, 15.0, 7.5, 5.5)
-
-
-def write_image(path: Path, image: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image)
-
-
-def write_nerfstudio(path: Path, *, frames: int = 3, change: Callable[[dict], object] = lambda values: None) -> Path:
-    entries = []
-    for i in range(frames):
-        write_image(path / f"images/frame_{i:05d}.png", colour_image(i))
-        write_image(path / f"depth/frame_{i:05d}.png", depth_image(1000))
-        files = {"file_path": f"./images/frame_{i:05d}.png", "depth_file_path": f"depth/frame_{i:05d}.png"}
-        entries.append({**files, "transform_matrix": (pose(i) @ UP).tolist()})
-    values = {"camera_model": "OPENCV", **K, "frames": entries}
-    change(values)
-    (path / "transforms.json").write_text(json.dumps(values))
-    return path
-
-
-def write_nerf_capture(path: Path) -> Path:
-    """Names without a suffix, depth in 10 m / 65535, the frames in no order, stamps."""
-    entries = []
-    for i in (2, 0, 1):
-        write_image(path / f"images/{i}.png", colour_image(i))
-        write_image(path / f"images/{i}.depth.png", depth_image(6553.5))
-        entries.append({"file_path": f"images/{i}", "depth_path": f"images/{i}.depth.png", "timestamp": 50 + i / 10, **K})
-        entries[-1]["transform_matrix"] = (pose(i) @ UP).tolist()
-    (path / "transforms.json").write_text(json.dumps({"integer_depth_scale": 10 / 65535, "frames": entries}))
-    return path
 
 
 def check(path: Path, *, depth: float = 1.0) -> None:
@@ -159,39 +133,6 @@ def test_malformed_files_are_one_line(change: Callable[[dict], object], tmp_path
 # ----- apps whose depth is smaller than colour
 
 
-def write_polycam(path: Path, *, corrected: bool = True) -> Path:
-    """Colour of 64x48, depth and confidence of 16x12; the last row of depth is a guess."""
-    prefix, folder = "corrected_" if corrected else "", path / "keyframes"
-    confidence = np.full((12, 16), 255, np.uint8)
-    confidence[-1] = 0
-    for i in range(3):
-        stamp = 4872498736 + 100_000 * i
-        write_image(folder / f"{prefix}images/{stamp}.jpg", colour_image(i, (64, 48)))
-        write_image(folder / f"depth/{stamp}.png", depth_image(1000, (16, 12)))
-        write_image(folder / f"confidence/{stamp}.png", confidence)
-        T = pose(i) @ UP
-        values = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48, "timestamp": stamp}
-        values |= {f"t_{r}{c}": T[r, c] for r in range(3) for c in range(4)}
-        (folder / f"{prefix}cameras").mkdir(exist_ok=True)
-        (folder / f"{prefix}cameras/{stamp}.json").write_text(json.dumps(values))
-    return path
-
-
-def write_scanner_app(path: Path) -> Path:
-    for i in range(4):
-        write_image(path / f"depth_{i:05d}.png", depth_image(1000, (16, 12)))
-        write_image(path / f"conf_{i:05d}.png", np.array([[0] * 16 if row == 11 else [2] * 16 for row in range(12)], np.uint8))
-        state = {
-            "intrinsics": [60, 0, 31.5, 0, 60, 23.5, 0, 0, 1],
-            "cameraPoseARFrame": (pose(i) @ UP).ravel().tolist(),
-            "time": 7 + i / 10,
-        }
-        (path / f"frame_{i:05d}.json").write_text(json.dumps(state))
-        if i < 3:
-            write_image(path / f"frame_{i:05d}.jpg", colour_image(i, (64, 48)))
-    return path
-
-
 @pytest.mark.parametrize("write", [write_polycam, lambda path: write_polycam(path, corrected=False), write_scanner_app])
 def test_depth_smaller_than_colour(write: Callable[[Path], Path], tmp_path: Path) -> None:
     recording = open_recording(write(tmp_path / "room"))
@@ -203,29 +144,6 @@ def test_depth_smaller_than_colour(write: Callable[[Path], Path], tmp_path: Path
     np.testing.assert_array_equal(depth[46:], 0)  # of low confidence
     assert recording.ground_truth is not None
     np.testing.assert_allclose(recording.ground_truth, [pose(i) for i in range(3)], atol=1e-6)
-
-
-def write_frame_lines(path: Path, *, dtype: type = np.float32, change: Callable[[dict, int], object] = lambda values, i: None) -> Path:
-    """Raw depth of 16x12 beside colour of 64x48; ARKit's matrices by columns."""
-    lines = []
-    for i in range(3):
-        write_image(path / f"rgb/{i:06d}.jpg", colour_image(i, (64, 48)))
-        raw = depth_image(1000, (16, 12))
-        (path / "depth").mkdir(exist_ok=True)
-        (path / f"depth/{i:06d}.bin").write_bytes((raw / np.float32(1000) if dtype == np.float32 else raw).astype(dtype).tobytes())
-        K = [60, 0, 0, 0, 60, 0, 31.5, 23.5, 1]
-        values = {"frame": i, "timestamp": 3 + i / 10, "intrinsics": K, "transform": (pose(i) @ UP).T.ravel().tolist()}
-        change(values, i)
-        lines.append(json.dumps(values))
-    (path / "frames.jsonl").write_text("\n".join(lines) + "\n")
-    return path
-
-
-def by_names(values: dict, i: int) -> None:
-    """Files named, values in other forms."""
-    values.update(image=f"rgb/{i:06d}.jpg", depth_path=f"depth\\{i:06d}.bin", pose=(pose(i) @ UP).tolist())
-    values.update(intrinsics={"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5})
-    del values["transform"], values["frame"]
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint16])

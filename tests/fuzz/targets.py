@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from helpers import phones, recordings, ros_bags, videos
+from helpers import array_recordings, phones, posed_recordings, recordings, ros_bags, videos
 from idfslam.batch.batch_file import read_batch
 from idfslam.config import FAST, load
 from idfslam.datasets import open_recording
@@ -28,7 +28,7 @@ from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.storage.unpack import unpack
 
 MOST_FRAMES = 8  # that are read of a recording
-_ARRAYS = ("npy", "npz", "tiff", "mat", "pfm")
+_ARRAYS = ("npy", "npz", "tiff", "mat", "pfm", "h5", "exr")
 _CONFIG = """seed: 3
 preset: fast
 mapper: {pixels: 64, learning_rate: 0.01}
@@ -103,6 +103,15 @@ def _array_recording(folder: Path, kind: str) -> Path:
             from scipy.io import savemat
 
             savemat(file, {"depth": depth})
+        elif kind == "h5":
+            import h5py
+
+            with h5py.File(file, "w") as opened:
+                opened["depth"] = depth
+        elif kind == "exr":
+            import OpenEXR
+
+            OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Z": depth}).write(str(file))
         elif kind == "pfm":
             file.write_bytes(b"Pf\n16 12\n-1.0\n" + depth.tobytes())
     return path
@@ -290,6 +299,30 @@ def _two(write: Callable[..., Path], **options: Any) -> Callable[[Path], Path]:
     return lambda folder: write(folder / "r", frames=2, **options)
 
 
+def _arrays(folder: Path, write: Callable[..., Path]) -> Path:
+    return write(folder / "r", depths=array_recordings.DEPTH, images=array_recordings.RGB, K=array_recordings.K)
+
+
+def _zipped(folder: Path) -> Path:
+    recordings.write_folder(folder / "r", frames=2)
+    archive = shutil.make_archive(str(folder / "r"), "zip", folder / "r")
+    shutil.rmtree(folder / "r")
+    return Path(archive)
+
+
+_POSED: dict[str, Callable[..., Path]] = {
+    "transforms": posed_recordings.write_nerfstudio,
+    "polycam": posed_recordings.write_polycam,
+    "3d scanner app": posed_recordings.write_scanner_app,
+    "frame lines": posed_recordings.write_frame_lines,
+}
+_ARRAY_FILES: dict[str, Callable[..., Path]] = {
+    "hdf5": array_recordings.write_hdf5,
+    "npz": array_recordings.write_npz,
+    "mat": array_recordings.write_mat,
+    "mat 7.3": array_recordings.write_mat_73,
+}
+
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
@@ -314,6 +347,10 @@ TARGETS: dict[str, Target] = {
         _recording("record3d, unpacked", _unpacked_record3d),
         _recording("record3d, metadata", _unpacked_record3d, files="r/metadata"),
         _recording("azure kinect", _kinect, 0.3),
+        *(_recording(name, _two(write)) for name, write in _POSED.items()),
+        *(_recording(f"{name}, text", _two(write), files="r/**/*.json*") for name, write in _POSED.items()),
+        *(_recording(f"arrays, {name}", partial(_arrays, write=write), 0.5, "r.*") for name, write in _ARRAY_FILES.items()),
+        _recording("zip", _zipped),
         _recording("video folder", _video_folder, 0.5),
         _recording("video folder, video", _video_folder, 0.5, files="r/*.mp4"),
         _recording("ros1", partial(_bag, storage="ros1"), 0.3),

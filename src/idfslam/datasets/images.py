@@ -87,7 +87,7 @@ def decode_raw(data: bytes, size: tuple[int, ...], source: str) -> Depth:
     for dtype in (np.dtype("<u2"), np.dtype("<f4")):  # one has twice the other's pixels, so at most one of the sizes is whole
         pixels = len(data) / dtype.itemsize
         height, width = (round((pixels * a / b) ** 0.5) for a, b in (size, size[::-1]))
-        if height * width == pixels and height * size[1] == width * size[0]:
+        if 0 < height * width == pixels and height * size[1] == width * size[0]:
             return as_depth(np.frombuffer(data, dtype).reshape(height, width), source)
     found = f"{len(data)} bytes"
     raise FrameError(f"{source}: {found}, expected uint16 or float32 depth with the proportions of the {size[1]}x{size[0]} colour image")
@@ -99,6 +99,8 @@ def as_depth(image: NDArray[Any], source: str) -> Depth:
         image = image[0] if image.shape[0] == 1 else image[..., 0]
     if image.ndim == 3 and image.dtype == np.uint8:
         raise FrameError(f"{source}: a colour image, expected 16-bit depth: are the colour and depth images swapped?")
+    if not image.size:
+        raise FrameError(f"{source}: an array of {image.shape} without a pixel, expected depth: copy the recording again")
     if image.ndim != 2 or image.dtype.kind not in "fiu" or image.dtype.itemsize == 1:
         channels = image.shape[2] if image.ndim == 3 else 1
         found = f"{8 * image.dtype.itemsize}-bit, {channels} channel(s)" if image.ndim in (2, 3) else f"{image.ndim} dimensions"

@@ -3,6 +3,7 @@
 import logging
 import lzma
 import stat
+import struct
 import tarfile
 import zipfile
 import zlib
@@ -19,7 +20,10 @@ Member = tuple[str, str, Callable[[], IO[bytes]]]  # name; "file", "folder", "li
 
 SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 _JUNK = ("Thumbs.db", ".DS_Store", "__MACOSX")  # not unpacked: those in 7-Scenes are damaged
-_DAMAGED = (tarfile.TarError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError)
+_DAMAGED = (  # the last five are what the two modules let through of damaged headers
+    *(tarfile.TarError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError),
+    *(ValueError, IndexError, OverflowError, MemoryError, struct.error),
+)
 _MOST_PER_BYTE = 100  # [1] bytes unpacked from one of an archive; raised, one made to fill the disk gets further. Images give 1 to 3, raw
 #    depth up to 50. Chosen by hand
 _ALWAYS = 1 << 30  # [bytes] that any archive may unpack to; raised, likewise. Chosen by hand
@@ -38,7 +42,7 @@ def unpack(archive: Path, folder: Path) -> None:
             _unpack(inner, inner.parent, room)
             inner.unlink()
     except _DAMAGED as error:
-        raise ArchiveError(f"{archive.name}: damaged ({error})") from error
+        raise ArchiveError(f"{archive.name}: damaged ({error or type(error).__name__})") from error
     except (NotImplementedError, RuntimeError) as error:  # zipfile's errors for unknown methods and encrypted members
         raise ArchiveError(f"{archive.name}: {error}, expected one that is not encrypted, of a usual method: pack it again") from error
     except OSError as error:
