@@ -1,15 +1,20 @@
 """The true trajectory of a run from a file: every form, by stamps and by order, and the lines about what does not fit."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.recordings import freiburg, pose
+from idfslam.datasets.pose_file import from_quaternions
 from idfslam.errors import IdfSlamError
 from idfslam.evaluation.evaluate import evaluate
+from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.evaluation.truth_file import has_assumed_stamps, read_truth
+from idfslam.evaluation.truth_plausibility import doubt
 from idfslam.geometry.trajectory import Trajectory, save_tum
 
 POSES = np.stack([pose(i) for i in range(6)])
@@ -93,3 +98,28 @@ def test_positions_in_millimetres_are_told(tmp_path: Path, caplog: pytest.LogCap
     np.savetxt(tmp_path / "kitti.txt", poses.reshape(6, 16))
     read_truth(tmp_path / "kitti.txt", STAMPED)
     assert "the camera moves 200 m from pose to pose, expected metres: are its positions in millimetres?" in caplog.messages[0]
+
+
+def walk(count: int = 60) -> np.ndarray:
+    """(N, 4, 4) a camera that turns and goes up on a spiral of 1 m."""
+    poses, angles = np.tile(np.eye(4), (count, 1, 1)), np.linspace(0, 5, count)
+    poses[:, :3, :3] = Rotation.from_euler("yxz", np.stack([angles, 0.3 * np.sin(angles), 0.2 * angles], 1)).as_matrix()
+    poses[:, :3, 3] = np.stack([np.cos(angles), 0.2 * angles, np.sin(2 * angles)], 1)
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda T: T, None),
+        (lambda T: T @ np.diag([1.0, -1.0, -1.0, 1.0]), "the orientations differ by 180 degrees; expected the camera's axes"),
+        (np.linalg.inv, "the inverses of the true poses fit the run"),
+        (lambda T: from_quaternions(T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]), "as qx qy qz qw"),
+    ],
+)  # fmt: skip
+def test_a_truth_in_another_convention_is_told(change: Callable[[np.ndarray], np.ndarray], message: str | None) -> None:
+    estimate = np.linalg.inv(walk()[0]) @ walk()
+    estimate[:, :3, 3] += np.random.default_rng(0).normal(0, 0.01, (len(estimate), 3))
+    truth = change(walk())
+    found = doubt(estimate, truth, absolute_trajectory_error(estimate, truth))
+    assert found is None if message is None else message in str(found)

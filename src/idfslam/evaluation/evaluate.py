@@ -20,6 +20,7 @@ from idfslam.evaluation.trajectory_error import (
     matched_ground_truth,
     relative_pose_error,
 )
+from idfslam.evaluation.truth_plausibility import doubt
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, is_rotation_determined, load_tum
@@ -65,6 +66,8 @@ def evaluate(
     truth = matched_ground_truth(estimate, gt_trajectory, tolerance=tolerance)
     result = evaluate_poses(estimate.poses, truth, measured=measured)
     ate = result.ate
+    if what := doubt(estimate.poses, truth, ate):
+        log.warning("%s: %s", folder, what)
     if gt_mesh is not None:
         if camera is None:
             raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point: they decide what was seen")
