@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from helpers.recordings import HEIGHT, WIDTH, write_cam_params, write_folder, write_replica, write_sens, write_seven_scenes, write_tum
 from idfslam.datasets import open_recording
@@ -54,6 +56,11 @@ FORMS = {
     "3x4 on one line": "527.21 0 322.25 0 0 526.5 238.73 0 0 0 1 0",
     "nine numbers": "527.21 0 322.25 0 526.5 238.73 0 0 1\n",
     "sixteen numbers": "527.21 0 322.25 0 0 526.5 238.73 0 0 0 1 0 0 0 0 1\n",
+    "a name before them": "K: 527.21 0 322.25 0 526.5 238.73 0 0 1\n",
+    "KITTI": "P_rect: 5.2721e+02 0 3.2225e+02 0 0 5.265e+02 2.3873e+02 0 0 0 1 0\n",
+    "columns with names": "fx,fy,cx,cy\n527.21,526.5,322.25,238.73\n",
+    "columns with names and spaces": "fx fy cx cy\n527.21 526.5 322.25 238.73\n",
+    "keys without signs": "fx 527.21\nfy 526.5\ncx 322.25\ncy 238.73\n",
     "a line": "527.21 526.5 322.25 238.73",
     "no line end, exponent": "5.2721e2 5.265E+2 3.2225e2 2.3873e2",
 }
@@ -91,6 +98,21 @@ def test_distortion_follows_the_camera(lens: tuple[float, ...]) -> None:
         camera = parse_camera(text, "K.txt")
         assert values(camera) == pytest.approx(PINHOLE)
         assert camera.distortion == lens
+
+
+def test_one_focal_length_is_that_of_both_axes() -> None:
+    assert values(parse_camera("focal_length: 500\ncx: 320\ncy: 240", "K.txt")) == (500, 500, 320, 240)
+
+
+@given(st.text("0123456789.,;-+eE[]{}():=\n\t fxyckKpwidth#\"'P", max_size=200))
+@example("\n" * 100_000)
+@example("1 " * 50_000)
+@example("K:" * 50_000)
+def test_no_text_is_more_than_refused(text: str) -> None:
+    try:
+        parse_camera(text, "K.txt")
+    except RecordingError as error:
+        assert "\n" not in str(error)
 
 
 def test_orb_slam_s_settings() -> None:
@@ -153,7 +175,9 @@ def test_opencv_s_file() -> None:
         ("527.21 0 322.25\n0 526.5 238.73\n0 0 2\n", "not a pinhole matrix, expected rows fx 0 cx"),
         ("527.21 0 nan\n0 526.5 238.73\n0 0 1\n", "not a pinhole matrix"),
         ("fx: 527.21\ncx: 322.25", "fy, cy missing, expected"),
-        ("see the paper", "could not convert string to float: 'see', expected a 3x3 matrix"),
+        ("see page 3", "could not convert string to float: 'see', expected a 3x3 matrix"),
+        ("see the paper", r"0 rows of \[\] numbers, expected a 3x3 matrix"),
+        ("fx: 1\nfy: 1\ncx: 1\ncy: 1\nwidth: 1e400", "cannot convert float infinity to integer, expected a 3x3 matrix"),
         ("1 OPENCV_FISHEYE 640 480 1 2 3 4 5 6 7 8", "a camera of model OPENCV_FISHEYE, expected SIMPLE_PINHOLE, PINHOLE"),
         ("1 OPENCV 640 480 1 2 3 4", "4 values of model OPENCV, expected more"),
         ("1 PINHOLE 640 480 1 2 3 4\n2 PINHOLE 640 480 1 2 3 5", "2 cameras, expected one for all images"),
@@ -178,6 +202,11 @@ def test_open3d_s_matrix_is_stored_by_columns(tmp_path: Path) -> None:
         json.dumps({"width": 640, "height": 480, "depth_scale": 0.001, "intrinsic_matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]})
     )
     assert read_camera_json(path) == Calibration(*PINHOLE, 640, 480, depth_scale=1000, source=str(path))
+
+
+def test_cam_params_without_an_outer_name(tmp_path: Path) -> None:
+    (tmp_path / "cam_params.json").write_text(json.dumps({"w": 640, "h": 480, "fx": 1, "fy": 2, "cx": 3, "cy": 4, "scale": 5}))
+    assert read_beside(tmp_path) == Calibration(1, 2, 3, 4, 640, 480, None, 5, source=str(tmp_path / "cam_params.json"))
 
 
 def test_other_names_in_json(tmp_path: Path) -> None:

@@ -54,7 +54,10 @@ def read_beside_recording(path: Path) -> Calibration:
 def read_cam_params(*folders: Path) -> Calibration:
     """Reads cam_params.json, {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}, from the first folder that has one."""
     path = _cam_params(folders)
-    return Calibration() if path is None else _camera_of(_json(path, f"expected {_FORM}"), "camera", path)
+    if path is None:
+        return Calibration()
+    values = _json(path, f"expected {_FORM}")
+    return _camera_of({"camera": values} if "fx" in values else values, "camera", path)
 
 
 def read_depth_camera(*folders: Path) -> DepthCameraCalibration | None:

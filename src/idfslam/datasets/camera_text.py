@@ -33,14 +33,18 @@ _KEYS = {
     "image_height": "height",
     "depthmapfactor": "scale",
     "depth_scale": "scale",
+    "focal_length": "f",
+    "f": "f",
 }
-_KEYED = re.compile(rf"(?<![\w])({'|'.join(_KEYS)})[\"']?\s*[:=]\s*({_NUMBER})", re.IGNORECASE)
+_KEYED = re.compile(rf"(?<![\w])({'|'.join(_KEYS)})[\"']?(?:\s*[:=]\s*|[ \t]+)({_NUMBER})", re.IGNORECASE)
 _MATRIX = re.compile(r"(?<!\w)(?:camera_?matrix|intrinsic_?matrix|(?-i:K)(?=\s*[:=]))(?!\w)[^\[]{0,200}(?=\[)", re.IGNORECASE)
 _COEFFICIENTS = re.compile(
     r"(?<!\w)(?:distortion_?coefficients|dist_?coeffs|(?-i:D)(?=\s*[:=]))(?!\w)[^\[]{0,200}\[([^\]]{0,1000})\]", re.IGNORECASE
 )
 _FISHEYE = re.compile(r"equidistant|fisheye|kannala", re.IGNORECASE)
-_COLMAP = re.compile(r"^\s*\d+\s+([A-Z][A-Z_]+)\s+(\d+)\s+(\d+)\s+(.+)$", re.MULTILINE)
+_COLMAP = re.compile(r"^[ \t]*\d+[ \t]+([A-Z][A-Z_]+)[ \t]+(\d{1,9})[ \t]+(\d{1,9})[ \t]+(.+)$", re.MULTILINE)
+_LABEL = re.compile(r"^\s*[A-Za-z]\w*\s*[:=]")
+_NAME = re.compile(r"[^\d\W]\w*")
 _COLMAP_MODELS = {  # the places of fx fy cx cy, and those of the distortion values k1 k2 p1 p2 k3 k4 k5 k6 (None: 0)
     "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
     "PINHOLE": ((0, 1, 2, 3), ()),
@@ -53,6 +57,13 @@ _COLMAP_MODELS = {  # the places of fx fy cx cy, and those of the distortion val
 
 def parse_camera(text: str, source: str) -> Calibration:
     """The camera that a text states; `source` names it in messages and in the result. Raises RecordingError."""
+    try:
+        return _parsed(text, source)
+    except (ValueError, OverflowError) as error:  # numbers that are too long or too large
+        raise RecordingError(f"{source}: {error}, {_EXPECTED}") from error
+
+
+def _parsed(text: str, source: str) -> Calibration:
     text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
     if colmap := _COLMAP.findall(text):
         return _from_colmap(colmap, source)
@@ -111,6 +122,8 @@ def _keyed(text: str) -> dict[str, float]:
     keys: dict[str, float] = {}
     for name, number in _KEYED.findall(text):
         keys.setdefault(_KEYS[name.lower()], float(number.replace(",", ".")))
+    if (f := keys.pop("f", None)) is not None:
+        keys = {"fx": f, "fy": f} | keys
     return keys
 
 
@@ -126,8 +139,12 @@ def _with_keys(camera: Calibration, text: str, source: str) -> Calibration:
 
 
 def _rows(text: str, source: str) -> list[list[float]]:
-    """The numbers of each line that has some. Raises RecordingError for other words."""
-    lines = _BRACKETS.sub(" ", text).splitlines()
+    """The numbers of each line that has some; names of columns, and a name before the numbers, are passed over.
+
+    Raises RecordingError for other words.
+    """
+    lines = [_LABEL.sub("", line) for line in _BRACKETS.sub(" ", text).splitlines()]
+    lines = [line for line in lines if not all(map(_NAME.fullmatch, re.split(r"[\s,;]+", line.strip())))]
     words = [word for line in lines for word in re.split(r"[\s;]+", line) if word]
     decimal_comma = all(map(_DECIMAL_COMMA.fullmatch, words))
     rows = []
