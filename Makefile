@@ -1,24 +1,41 @@
-# install: once, and again when the dependencies change; every other target sees to it by itself.
+# install: what users need. dev: the tools of developers too; every target below it sees to that by itself, again when dependencies change.
 PYTHON ?= python3
 VENV ?= .venv
-STAMP := $(VENV)/.installed
+# Where torch is taken from. On Linux without an NVIDIA GPU: torch's own index of CPU builds, which are a tenth of the size of those on PyPI.
+# `make install TORCH_INDEX=ADDRESS` takes a CUDA build, `TORCH_INDEX=` whatever pip takes by itself.
+TORCH_INDEX ?= $(shell test "$$(uname -s)" = Linux && ! nvidia-smi -L > /dev/null 2>&1 && echo ADDRESS)
+
+PIP := $(VENV)/bin/pip --disable-pip-version-check
+INSTALLED := $(VENV)/.installed
+DEV := $(VENV)/.dev
 COMPILED := $(VENV)/.compiled
 
-.PHONY: install demo test test-fast check docs
+.PHONY: install demo dev test test-fast check fuzz docs
 
-install: $(STAMP)
+install: $(INSTALLED)
 
-$(STAMP): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml constraints.txt
+	@echo "Installing idf-slam and the packages that it uses into $(VENV): some minutes, and about 2 GB with the CPU build of torch."
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	@touch $(STAMP)
+	$(PIP) install --retries 2 --no-deps -c constraints.txt $(TORCH_INDEX:%=--extra-index-url %) torch
+	$(PIP) install -c constraints.txt -e .
+	@touch $(INSTALLED)
+	@echo "Done. Try it: make demo. Or: source $(VENV)/bin/activate, then idf-slam --help."
 
-demo: $(STAMP)
+demo: $(INSTALLED)
 	$(VENV)/bin/idf-slam demo
 
+dev: $(DEV)
+
+$(DEV): $(INSTALLED)
+	@echo "Installing what the tests and checks use: some minutes, and about 1 GB."
+	$(PIP) install -c constraints.txt -e '.[dev]'
+	@touch $(DEV)
+
 # Numba keeps what it has compiled in src/. A demo of two frames has the kernels compiled once, so that no test waits for them.
-$(COMPILED): $(STAMP)
-	$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --overwrite --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
+$(COMPILED): $(DEV)
+	@echo "Compiling kernels, once: about a minute."
+	@$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --overwrite --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
 	@touch $(COMPILED)
 
 # Two processes, each with test modules of its own: much of the time goes into compiling kernels and starting programs, on one core.
@@ -30,12 +47,14 @@ test: $(COMPILED)
 test-fast: $(COMPILED)
 	$(PYTEST) -m "not slow"
 
-check: $(STAMP)
+check: $(DEV)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
 
-docs: $(STAMP)
-	$(VENV)/bin/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
+fuzz: $(DEV)
+	PYTHONPATH=tests $(VENV)/bin/python -m fuzz
+
+docs: $(DEV)
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict  # the variable: no notice of the theme about its successor
