@@ -117,7 +117,7 @@ def _show_help(name: str, arguments: Sequence[str], values: Config) -> None:
         os.environ["COLUMNS"] = str(_NARROWEST)
     with suppress(SystemExit):
         _parsed(arguments, values)
-    print("\n".join(f"{flags:15} {text}" for flags, text in COMMON.items()))
+    print("\n".join(f"{flags:15} {text}" for flags, text in COMMON.items() if HELP[-1] not in flags))
     if HELP_ALL not in arguments and hides_values(name):
         print(f"These are the options that users set. All: idf-slam {name} {HELP_ALL}, or the docs' page Configuration.")
     raise SystemExit(0)

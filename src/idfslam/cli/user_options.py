@@ -10,7 +10,7 @@ from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import Suppress
+from tyro.conf import Suppress, arg
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from idfslam.config import sections
@@ -45,7 +45,10 @@ def _with_help(info: StructTypeInfo, *, hide: bool = False) -> StructConstructor
         hidden = hide and kind.__module__ == sections.__name__ and not is_dataclass(default) and not is_user_option(field_type)
         if hidden:
             field_type = Annotated[field_type, Suppress]
-        specs.append(StructFieldSpec(field.name, field_type, default, texts.get(field.name)))
+        text = texts.get(field.name)
+        if default is None and text is not None:  # the text says what happens then
+            field_type = Annotated[field_type, arg(help_behavior_hint="")]
+        specs.append(StructFieldSpec(field.name, field_type, default, text))
     return StructConstructorSpec(kind, tuple(specs))
 
 

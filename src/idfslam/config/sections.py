@@ -103,9 +103,9 @@ class MapperConfig:
     pose_learning_rate: float = 0.005
     """Learning rate of Adam for the pose at the first step (Sec. VI-A)."""
     pose_decay: float = 0.7
-    """Factor by which the pose's learning rate is multiplied every `pose_decay_every` steps (Sec. VI-A)."""
+    """Decay factor of the pose's learning rate, applied every `pose_decay_every` steps (Sec. VI-A)."""
     pose_decay_every: Count = 10
-    """Steps between two reductions of the pose's learning rate (Sec. VI-A)."""
+    """Steps between two decays of the pose's learning rate (Sec. VI-A)."""
     table_rate: float = 0.01
     """Learning rate of Adam for the feature grid."""
     free_margin: float = 0.6
@@ -132,11 +132,11 @@ class KeyframeConfig:
     rotation: float = 12.0
     """Rotation from the last keyframe [degrees] above which a frame becomes a keyframe."""
     in_view: float = 0.4
-    """If a smaller share of the reference keyframes' landmarks is in view, the frame becomes a keyframe, before too few are left to align
-    the next frames. Higher values keep more keyframes; only for the front end `alignment`."""
+    """Add a keyframe when less than this share of the reference keyframes' landmarks is visible, before too few are left to align the next
+    frames. Higher values keep more keyframes. Only for the front end `alignment`."""
     in_view_every: int = 3
-    """`in_view` applies only if the last keyframe is more than this many frames old, or every frame in front of a bare wall would become
-    a keyframe."""
+    """`in_view` adds a keyframe only if the last one is more than this many frames old. Without this, every frame in front of a bare wall
+    would become a keyframe."""
     cull: float = 0.92
     """sigma_cull: a new keyframe is dropped if its covisibility with a stored one is higher. Lower values keep fewer keyframes; 1 keeps
     all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/diary.md)."""
@@ -174,9 +174,9 @@ class TrackerConfig:
     grid: Count = 4
     """The image is divided into grid x grid cells, and a cell contributes at most K / grid^2 correspondences (Sec. V: 4). 1: no limit."""
     query_stride: Count = 4
-    """Matches are searched for every so many rows and columns of the frame. 1 (all pixels) is the paper's; larger values are faster."""
+    """Use every N-th row and column of the frame for matching. 1 (all pixels) is the paper's; larger values are faster."""
     target_stride: Count = 2
-    """Matches are searched among every so many rows and columns of the keyframe. 1 (all pixels) is the paper's."""
+    """Use every N-th row and column of the keyframe for matching. 1 (all pixels) is the paper's; larger values are faster."""
     mutual: bool = True
     """Keep a match only if each pixel is the other's nearest neighbour. When off, the matches of both directions are used together, as
     in the paper."""
@@ -205,12 +205,13 @@ class TrackerConfig:
     """Registrations at which a smaller share of the overlapping depth pixels agree are lost. At 0.93 none of 450 pairs was accepted wrongly
     and 24 right ones were refused (docs/model-card.md). 0: depth is not tested, as in the paper."""
     min_extent: float = 0.05
-    """Registrations whose inliers spread less than this [m] across their main direction are lost: the rotation about it is open."""
+    """Registrations whose inliers spread less than this [m] across their main direction are lost, because the rotation about that
+    direction is not determined."""
     precision: Literal["auto", "fp32", "bf16"] = "auto"
     """Arithmetic of the feature extractor. `auto` takes bf16 where the hardware is faster with it (AVX512-BF16: 57 instead of 136 ms a
     frame, docs/performance.md)."""
     weights: UserOption[Path | None] = None
-    """File of feature extractor weights, as `idf-slam pretrain` writes them; none given: those shipped with the package."""
+    """File of feature extractor weights from `idf-slam pretrain`. Default: those shipped with the package."""
 
 
 @dataclass(frozen=True)
@@ -365,7 +366,7 @@ class RefinementConfig:
     """Refinement of keyframe poses against the map, with each map update and after the last frame (not in the paper)."""
 
     updates: int = 20
-    """Least number of map updates after the last frame (only with `--refine`)."""
+    """Least number of map updates after the last frame. Only with `--refine`."""
     keyframes: int = 8
     """Keyframes in each of these updates, drawn at random. The map is trained on all of them, and half of them are aligned anew."""
     rounds: float = 2.0

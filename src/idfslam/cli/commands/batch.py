@@ -16,24 +16,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Batch:
-    """SLAM on many recordings, several at once, on this machine or a Ray cluster: a result folder each, and a table of all."""
+    """Run SLAM on many recordings, several at once.
+
+    It runs on this machine or on a Ray cluster, writes a result folder for each recording, and prints a table of all.
+    """
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings (or synthetic[:SEED][:kinect]; PATH@FRAMES takes the first FRAMES), or lists of recordings. A list is a .yaml file, or a
-    .txt file with a recording on each line, followed by options of `run` (`/data/office frames=500 camera.fx=525`)."""
+    """Recordings, or lists of recordings. PATH@FRAMES uses the first FRAMES. A list is a .yaml file, or a .txt file with one recording a
+    line, followed by options of `run` (`/data/office frames=500 camera.fx=525`)."""
     values: Values = FAST
     out: Path | None = None
     """Folder of the results: a folder for each recording, and batch.json; none given: results/batch, with a number if that is taken."""
     overwrite: bool = False
     """Replace the results in --out, each when its run is complete."""
     workers: int | None = None
-    """Runs at the same time; none given: one per core, as far as memory allows. The runs share the cores equally."""
+    """Number of runs at the same time. They share the cores equally. Default: one per core, as far as memory allows."""
     cluster: str | None = None
-    """Address of a Ray cluster; `auto`: the cluster of this machine, or its own cores. None given: processes of this machine."""
+    """Address of a Ray cluster. `auto` takes the cluster of this machine, or its own cores. Default: processes of this machine."""
     gpus: float = 0.0
-    """GPUs of the cluster for each run; with a fraction, several runs share a GPU."""
+    """GPUs for each run on the cluster. With a fraction, several runs share a GPU."""
     retries: int = 2
-    """Restarts of a run whose process was killed."""
+    """Number of restarts of a run whose process was killed. Failed nodes of a cluster are not counted."""
     config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:

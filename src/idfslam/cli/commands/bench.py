@@ -16,27 +16,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench:
-    """SLAM on a list of recordings with several seeds each: mean and spread of errors, speed, memory and stage times."""
+    """Measure SLAM on recordings, with several seeds each.
+
+    It reports mean and spread of errors, speed, memory and stage times.
+    """
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings as `run` takes them; PATH@FRAMES takes the first FRAMES. A gt_mesh.ply in the recording is its true surface."""
+    """Recordings as for `run`. PATH@FRAMES uses the first FRAMES. A file gt_mesh.ply in a recording is its true surface."""
     values: Values = FAST
     seeds: int = 3
-    """Number of seeds; the first is --seed."""
+    """Number of seeds. The first is --seed."""
     frames: int | None = None
-    """Number of frames of each recording; none given: all, or one tour of a generated recording."""
+    """Number of frames of each recording. Default: all, or one tour of a generated recording."""
     against: Literal["open3d"] | None = None
-    """Baseline that is measured on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
+    """Measure a baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
     out: Path | None = None
     """Folder of the results, with bench.json and bench.md; none given: results/bench, with a number if that is taken."""
     overwrite: bool = False
     """Replace the results in --out, each when its run is complete."""
     mesh: bool = True
-    """Evaluate the mesh where the true surface is known."""
+    """Evaluate the mesh if the true surface is known."""
     workers: int = 1
-    """Seeds of a recording that run at the same time; with more than one, the measured speed is lower."""
+    """Number of seeds that run at the same time. With more than one, the measured speed is lower."""
     cluster: str | None = None
-    """Address of a Ray cluster, or `auto`; none given: this machine."""
+    """Address of a Ray cluster, or `auto`. Default: this machine."""
     config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:

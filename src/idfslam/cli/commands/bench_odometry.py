@@ -16,17 +16,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BenchOdometry:
-    """The tracker alone, frame to keyframe: with and without finetuning, with and without the grid that spreads matches."""
+    """Measure the tracker alone, from frame to keyframe.
+
+    It is measured with and without finetuning, and with and without the grid that spreads matches.
+    """
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings with ground truth, of any layout, or synthetic[:SEED][:kinect]; PATH@FRAMES takes the first FRAMES."""
+    """Recordings with ground truth, as for `run`. PATH@FRAMES uses the first FRAMES."""
     values: Values = FAST
     seeds: int = 3
-    """Number of seeds, where anything is random; the first is --seed."""
+    """Number of seeds, where anything is random. The first is --seed."""
     json: bool = False
     """Print one line of JSON as the last line, instead of the table."""
     out: Path | None = None
-    """Folder for odometry.json and odometry.md; none given: none are written."""
+    """Folder for odometry.json and odometry.md. Default: no files are written."""
     config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:

@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BenchPairs:
-    """Relative poses of frames some frames apart: the tracker against SIFT, ORB, ICP, GICP and untrained features."""
+    """Measure the tracker on pairs of frames, against SIFT, ORB, ICP, GICP and untrained features."""
 
     recordings: Positional[tuple[str, ...]]
-    """Recordings with ground truth, as `run` takes them; PATH@FRAMES takes the first FRAMES."""
+    """Recordings with ground truth, as for `run`. PATH@FRAMES uses the first FRAMES."""
     values: Values = FAST
     gap: tuple[int, ...] = (5, 10, 20, 40)
-    """Distance between the frames of a pair, in frames; each one gives a block of rows."""
+    """Distances between the frames of a pair, in frames. Each gives a block of rows."""
     pairs: int = 100
-    """Pairs for each recording and gap, spread over the recording."""
+    """Number of pairs for each recording and gap, spread over the recording."""
     weights: tuple[Path, ...] = ()
-    """Files of further weights, as `idf-slam pretrain` writes them; each one gives a row."""
+    """Files of further weights from `idf-slam pretrain`. Each gives a row."""
     baselines: bool = True
-    """Measure untrained features, SIFT, ORB, ICP and GICP as well."""
+    """Measure untrained features, SIFT, ORB, ICP and GICP too."""
     json: bool = False
     """Print one line of JSON as the last line, instead of the table."""
     out: Path | None = None
-    """Folder for pairs.json, pairs.md and pictures of matches; none given: none are written."""
+    """Folder for pairs.json, pairs.md and pictures of matches. Default: no files are written."""
     config: ConfigFile = None
 
     def __call__(self, console: "Console") -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
 ConfigFile = Annotated[
     Path | None,
-    arg(help="YAML file of values, such as a run's config.yaml. Its values replace those of the preset; flags replace both."),
+    arg(help="YAML file of values, such as a run's config.yaml. They replace those of the preset. Options replace both."),
 ]
 
 

@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Demo:
-    """SLAM on a room that the package generates itself: run, evaluation and pictures, no files needed."""
+    """Run SLAM on a generated room, evaluate it and draw pictures. It needs no files."""
 
     values: Values = FAST
     out: Path | None = None
-    """Result folder, a new or an empty one; none given: results/demo, with a number if that is taken."""
+    """Result folder; it must be new or empty. Default: results/demo, with a number if that exists."""
     overwrite: bool = False
     """Replace the results in --out; they stay until the new ones are complete."""
     frames: int = 240
-    """Number of frames of the walk through the room."""
+    """Number of frames."""
     room: int = 0
     """Seed of the generated room."""
     report: bool = True

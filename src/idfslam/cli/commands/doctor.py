@@ -14,11 +14,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Doctor:
-    """What this machine has, what a run would use of it, and what is missing; ends with 1 if something should be done."""
+    """Check this machine: what it has, what a run would use, and what is missing.
+
+    It exits with status 1 if something needs fixing.
+    """
 
     values: Values = FAST
     out: Path = Path("results")
-    """Folder that results would be written to."""
+    """Folder for results; its free disk space is checked."""
     json: bool = False
     """Print JSON instead of the table."""
     config: ConfigFile = None

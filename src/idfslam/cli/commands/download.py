@@ -14,12 +14,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Download:
-    """A public sequence (TUM RGB-D, 7-Scenes, ICL-NUIM, Replica), from its authors' server. An interrupted download is continued."""
+    """Download a public sequence of TUM RGB-D, 7-Scenes, ICL-NUIM or Replica.
+
+    It comes from its authors' server. An interrupted download continues where it stopped.
+    """
 
     name: Positional[str] = ""
-    """Name of the sequence, such as tum-fr1-desk; --list shows all names."""
+    """Name of the sequence, such as tum-fr1-desk. --list shows all names."""
     out: Path = Path("data")
-    """Folder of downloads; the sequence becomes a folder in it."""
+    """Folder of downloads. The sequence becomes a folder in it."""
     listing: Annotated[bool, arg(name="list")] = False
     """Show all names, with their sizes and terms."""
 

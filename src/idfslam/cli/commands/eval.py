@@ -14,17 +14,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Eval:
-    """Errors of a run's trajectory and mesh against ground truth: a table, evaluation.json and pictures."""
+    """Compare a run with ground truth.
+
+    It prints the errors of trajectory and mesh, and writes evaluation.json and pictures.
+    """
 
     folder: Positional[Path]
     """Result folder."""
     gt: Path | None = None
     """True trajectory, camera-to-world: TUM (stamp tx ty tz qx qy qz qw), EuRoC's csv, or matrices of 12 or 16 numbers (KITTI), one for
-    each frame. None given: the recording's own."""
+    each frame. Default: the recording's own."""
     gt_mesh: Path | None = None
-    """True mesh [m], in the frame of the true trajectory; none given: that of a generated recording, or none is evaluated."""
+    """True mesh [m], in the frame of the true trajectory. Default: that of a generated recording; for others, no mesh is evaluated."""
     protocol: Literal["seen", "nice", "neural-rgbd", "coslam", "eslam"] | None = None
-    """Protocol of the mesh evaluation: which part of the true surface counts, and how it is sampled; none given: `seen`."""
+    """Protocol of the mesh evaluation: which part of the true surface counts, and how it is sampled. Default: `seen`."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.cli.tables import print_evaluation

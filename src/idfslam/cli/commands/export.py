@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Export:
-    """A run for other programs: poses, posed images, meshes, points, grids.
+    """Export a run for other programs: poses, posed images, meshes, points or grids.
 
     tum: poses of all frames, t tx ty tz qx qy qz qw.  kitti: the same as 3 x 4 matrices.
     nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
     ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
-    grid: T-SDF, colour and what was observed on a dense grid (npz).  blocks: the same, only near the surface.
-    All formats of one command share their axes (--up), so that poses and meshes fit; transform.json tells them.
+    grid: T-SDF, colour and observed cells on a dense grid (npz).  blocks: the same, only near the surface.
+    All formats of one command share their axes (--up); transform.json describes them.
     """
 
     folder: Positional[Path]
@@ -28,24 +28,24 @@ class Export:
     to: tuple[Format, ...]
     """One or more formats."""
     resolution: float = 0.02
-    """Cell edge of meshes and grids, and spacing of points [m]. The map has finest cells of its own (4 cm in the preset `fast`): cells
-    below half of that add vertices, not detail."""
+    """Cell edge of meshes and grids, and spacing of points [m]. The map's own finest cells are 4 cm in the preset `fast`; edges below
+    half of that add vertices, not detail."""
     up: Up = "z"
     """Axis that points up in the files. `z`: up by gravity, as the floor shows it, the walls along x and y. `y`: the same with y up.
     `camera`: the axes of the run's own trajectory.txt and mesh.ply (the first camera: x right, y down, z forward). In GLB files y is
     always up, since glTF demands it."""
     lost: Lost | None = None
     """Frames whose pose was not measured (lost, interpolated). `keep`: they are exported and marked. `drop`: they are left out.
-    None given: trajectories keep them, marked, and posed images leave them out."""
+    Default: trajectories keep them, marked, and posed images leave them out."""
     images: int | None = None
-    """Number of frames whose images and points are exported, spread over the run; none given: the keyframes, with those of the
-    map that the run started in."""
+    """Number of frames whose images and points are exported, spread over the run. Default: the keyframes, with those of the map that the
+    run started in."""
     texture: Texture | None = None
-    """Texture of OBJ and GLB, from the images of the recording or the colours of the map; none given: vertex colours."""
+    """Texture of OBJ and GLB, from the images of the recording or the colours of the map. Default: vertex colours."""
     recording: Path | None = None
     """New path of the recording, if it was moved after the run."""
     out: Path | None = None
-    """Folder of the files; none given: export/ in the result folder."""
+    """Folder of the files. Default: export/ in the result folder."""
     overwrite: bool = False
     """Replace files of the same names that are not from an earlier export, or that were changed since."""
 

@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mesh:
-    """The mesh of a saved map in cells of another size."""
+    """Extract the mesh of a saved map at another resolution."""
 
     folder: Positional[Path]
     """Result folder."""
     resolution: float = 0.02
-    """Edge of the marching-cubes cells [m]. The map has finest cells of its own (4 cm in the preset `fast`): cells below half of that
-    add vertices, not detail."""
+    """Edge of the marching-cubes cells [m]. The map's own finest cells are 4 cm in the preset `fast`; edges below half of that add
+    vertices, not detail."""
     out: Path | None = None
-    """Mesh file (.ply, .obj, .glb, .off, .stl); none given: mesh.ply in the result folder."""
+    """Mesh file (.ply, .obj, .glb, .off, .stl). Default: mesh.ply in the result folder."""
     up: Up | None = None
-    """Axis that points up in the file: `z` by gravity, `y` by gravity, or `camera`, the axes of trajectory.txt. None given: z, or camera
+    """Axis that points up in the file: `z` by gravity, `y` by gravity, or `camera`, the axes of trajectory.txt. Default: z, or camera
     for mesh.ply in the result folder. In GLB files y is always up."""
     overwrite: bool = False
     """Replace the file that --out names if it exists."""

@@ -16,27 +16,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pretrain:
-    """Self-supervised training of the tracker's features on recordings, no poses needed; under torchrun divided among its processes."""
+    """Train the tracker's features on recordings, self-supervised.
+
+    It needs no poses. Under torchrun the work is divided among its processes.
+    """
 
     recordings: Positional[tuple[Path, ...]]
-    """Recordings as `run` takes them."""
+    """Recordings, as for `run`."""
     values: Annotated[PretrainConfig, arg(name="")] = PRETRAIN
     out: Path = Path("weights.safetensors")
     """File of the trained weights (safetensors), for `run --tracker.weights`. The checkpoint is written next to it."""
     start: Path | None = None
-    """File of weights to start from; none given: random weights."""
+    """File of weights to start from. Default: random weights."""
     resume: bool = False
-    """Go on from the checkpoint next to --out."""
+    """Continue from the checkpoint next to --out."""
     overwrite: bool = False
     """Replace the weights and the checkpoint of an earlier training."""
     checkpoint_every: int = 500
-    """Steps between two checkpoints; 0: only at the end. Ctrl-C writes one as well."""
+    """Save a checkpoint every N steps (0: only at the end). Ctrl-C saves one too."""
     validate: tuple[Path, ...] = ()
-    """Recordings for validation during training; none of their frames is trained on."""
+    """Recordings for validation. None of their frames is trained on."""
     validate_every: int = 500
-    """Steps between two validations; 0: only at the end."""
+    """Validate every N steps (0: only at the end)."""
     log: Path | None = None
-    """Folder for TensorBoard logs; needs the extra [train]."""
+    """Folder for TensorBoard logs. It needs the package tensorboard (the extra [train])."""
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)

@@ -15,19 +15,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Record:
-    """A live camera into a recording that `run` and all other commands read; Ctrl-C ends it, and what was stored is whole."""
+    """Record a live camera.
+
+    All other commands read the recording. Press Ctrl-C to stop; the recording stays readable.
+    """
 
     source: Positional[Path]
-    """A camera: realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER] or
-    orbbec[:NUMBER]; replay[@SPEED]:PATH plays a recording as if it were one."""
+    """A camera: realsense[:SERIAL or FILE], openni[:NUMBER], orbbec[:NUMBER], or opencv:COLOUR:DEPTH for two video devices (with
+    --camera.fx and so on). `replay[@SPEED]:PATH` plays a recording like a live camera."""
     out: Path
-    """Folder of the new recording; it must not hold a recording already."""
+    """Folder of the new recording. It must not hold a recording already."""
     seconds: float | None = None
-    """Length [s]; none given: until Ctrl-C."""
+    """Length [s]. Default: until Ctrl-C."""
     frames: int | None = None
-    """Number of frames; none given: until Ctrl-C."""
+    """Number of frames. Default: until Ctrl-C."""
     png: bool = False
-    """Store colour as PNG, which is exact and several times as large as JPEG. Depth is exact to the millimetre in both cases."""
+    """Store colour as PNG, which is exact and several times as large as JPEG. Depth is always exact to the millimetre."""
     camera: CameraFlags = field(default_factory=CameraFlags)
 
     def __call__(self, console: "Console") -> None:

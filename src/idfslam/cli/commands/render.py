@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Render:
-    """Views of a saved map: colour and depth pictures from frames or any other poses, or a video."""
+    """Render a saved map: colour and depth pictures, or a video."""
 
     folder: Positional[Path]
     """Result folder."""
     frames: tuple[int, ...] = ()
-    """Frames of the trajectory whose views are rendered; none given: the keyframes."""
+    """Frames of the trajectory to render. Default: the keyframes."""
     poses: Path | None = None
-    """File of camera-to-world poses that are rendered instead: TUM, KITTI, EuRoC's csv, or a transforms.json, whose camera is used too."""
+    """File of camera-to-world poses to render instead: TUM, KITTI, EuRoC's csv, or a transforms.json, whose camera is used too."""
     width: int | None = None
-    """Width of the pictures [px]; none given: that of the camera."""
+    """Width of the pictures [px]. Default: that of the camera."""
     video: Literal["along", "orbit"] | None = None
     """Render a video: a smooth flight `along` the trajectory (or --poses), or an `orbit` seen from the middle of the room."""
     seconds: float = 10.0
@@ -29,7 +29,7 @@ class Render:
     fps: float = 30.0
     """Frame rate of the video [1/s]."""
     out: Path | None = None
-    """Folder of the pictures, or file of the video (.mp4); none given: render/ or video.mp4 in the result folder."""
+    """Folder of the pictures, or file of the video (.mp4). Default: render/ or video.mp4 in the result folder."""
     overwrite: bool = False
     """Replace the video that --out names if it exists."""
 

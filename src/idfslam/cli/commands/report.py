@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Report:
-    """A run as a page to look at: report.html, one file that needs no other, and its pictures."""
+    """Write the report of a run: report.html, a page in one file, and its pictures."""
 
     folder: Positional[Path]
     """Result folder."""
     gt: Path | None = None
-    """True trajectory, camera-to-world, in any form that `eval` takes; none given: the recording's own, where it has one."""
+    """True trajectory, camera-to-world, in any form that `eval` takes. Default: the recording's own, if it has one."""
     recording: Path | None = None
     """New path of the recording, if it was moved after the run."""
 

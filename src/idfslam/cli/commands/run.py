@@ -20,34 +20,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RecordingFlags:
-    """The frames that are used, and the layout of the recording."""
+    """Which frames are used, and how the recording is read."""
 
     start: int = 0
-    """First frame."""
+    """First frame to use."""
     frames: int | None = None
-    """Number of frames; none given: all."""
+    """Number of frames to use. Default: all."""
     stride: int = 1
-    """Distance between two frames that are used; 2 takes every second frame."""
+    """Use every N-th frame."""
     format: str | None = None
-    """Layout of the recording; none given: recognised by its files."""
+    """Force the input format. Default: detected from the files."""
     truth: bool = True
     """Read the recording's ground truth, for the errors at the end; `--no-truth` leaves it unread."""
 
 
 @dataclass(frozen=True)
 class CameraFlags:
-    """The pinhole camera; these values replace those of the recording."""
+    """The pinhole camera. These values replace those of the recording."""
 
     fx: float | None = None
     """Focal length along x [px]."""
     fy: float | None = None
     """Focal length along y [px]."""
     cx: float | None = None
-    """Principal point along x [px]; pixel centres lie at integers."""
+    """Principal point along x [px]. Pixel centres lie at integers."""
     cy: float | None = None
     """Principal point along y [px]."""
     depth_scale: float | None = None
-    """Units of the depth images per metre: 1000 for millimetres."""
+    """Units of the depth images per metre; 1000 for millimetres."""
 
     def given(self) -> dict[str, float]:
         """Those that are given."""
@@ -56,16 +56,16 @@ class CameraFlags:
 
 @dataclass(frozen=True)
 class TopicFlags:
-    """Topics of a ROS recording; none given: recognised by their types and names."""
+    """Topics of a ROS recording. Default: detected from their types and names."""
 
     colour: str | None = None
-    """Colour images."""
+    """Topic of the colour images."""
     depth: str | None = None
-    """Depth images. A topic named here counts as registered to colour unless the recording says otherwise."""
+    """Topic of the depth images. They count as registered to colour unless the recording says otherwise."""
     camera_info: str | None = None
-    """Calibration of the colour camera."""
+    """Topic of the colour camera's calibration."""
     poses: str | None = None
-    """Ground truth: poses of the camera, or of a frame that /tf_static connects with it."""
+    """Topic of the true poses: of the camera, or of a frame that /tf_static connects with it."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class OutputFlags:
     """The result folder."""
 
     out: Path | None = None
-    """Result folder, a new or an empty one; none given: results/ and the recording's name, with a number if that is taken."""
+    """Result folder; it must be new or empty. Default: results/NAME, with a number if that exists."""
     overwrite: bool = False
     """Replace the results in --out; they stay until the new ones are complete."""
     report: bool = True
@@ -88,34 +88,36 @@ class ViewerFlags:
     """The live view."""
 
     viewer: ViewerOption = "none"
-    """Show the run in a window, in a browser (`web`, also from another machine), or record it for later (`file`). `auto`, or --viewer
-    alone, is the window where there is a display and the browser elsewhere. recording.rrd keeps the view for `idf-slam view`."""
+    """Show the run live in a `window`, in a browser (`web`), or record it for `idf-slam view` (`file`). `auto`, or --viewer alone, opens a
+    window where there is a display and a page for the browser elsewhere. Every choice records the view in recording.rrd."""
     port: int = PORT
-    """Port of the page of --viewer web; the data use the next port."""
+    """Port of the page of --viewer web. Data is served on PORT+1."""
 
 
 @dataclass(frozen=True)
 class CheckpointFlags:
-    """Checkpoints, and going on with a run that was ended."""
+    """Checkpoints, and resuming an interrupted run."""
 
     checkpoint_every: int = 300
-    """Frames between two checkpoints in the result folder; 0: none. The checkpoint is deleted at the end of the run. Live cameras and runs
-    with --map have none."""
+    """Save a checkpoint every N frames (0: never). It is deleted when the run completes. Live cameras and runs with --map have none."""
     resume: Path | None = None
-    """Result folder of a run that was ended by Ctrl-C, a crash or a power failure; it is continued. Given instead of a recording."""
+    """Continue the run of this result folder, which was ended by Ctrl-C, a crash or a power failure. Give it instead of a recording."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """SLAM on a recording or a live camera: trajectory, mesh, map and figures into a folder. Ctrl-C ends it and writes them."""
+    """Run SLAM on a recording or a live camera.
+
+    It writes trajectory, mesh, map, metrics and a report to a folder. Press Ctrl-C to stop early; all results so far are saved.
+    """
 
     path: Positional[Path | None] = None
-    """A recording in any known layout, which is recognised by its files. Or a generated one: synthetic[:SEED][:kinect] or
-    corridor[:SEED][:kinect][:Nlaps]; `kidnap:` before any recording carries the camera off, five times. Or a live camera:
-    realsense[:SERIAL or FILE], opencv:COLOUR:DEPTH (two video devices, with --camera.fx and so on), openni[:NUMBER], orbbec[:NUMBER];
-    replay[@SPEED]:PATH plays a recording as if it were one. Frames of a live camera that come too fast are dropped."""
+    """A recording; its format is detected automatically. Generated recordings: synthetic[:SEED][:kinect] and
+    corridor[:SEED][:kinect][:Nlaps]. Live cameras: realsense[:SERIAL or FILE], openni[:NUMBER], orbbec[:NUMBER], and opencv:COLOUR:DEPTH
+    for two video devices (with --camera.fx and so on); frames that come too fast are dropped. `replay[@SPEED]:PATH` plays a recording like
+    a live camera. `kidnap:PATH` tests relocalisation: five blackouts of one second, each ending at an earlier place."""
     map: Path | None = None
-    """Result folder of an earlier run, in whose map the camera is relocalised; the run extends that map. Its recording must still exist."""
+    """Start in the map of this earlier result folder and extend it. The recording of that run must still exist."""
     config: ConfigFile = None
     recording: OmitArgPrefixes[RecordingFlags] = RecordingFlags()
     camera: CameraFlags = CameraFlags()

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """Shows the recorded live view of a run."""
+    """Open the recorded live view of a run."""
 
     folder: Positional[Path]
     """Result folder."""
     web: bool = False
-    """Show it in a browser instead of a window; this is the default without a display."""
+    """Show it in a browser instead of a window. Without a display this is the default."""
     port: int = PORT
-    """Port of the page; the data use the next port."""
+    """Port of the page of --web. Data is served on PORT+1."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.viewer.rerun_program import has_display
