@@ -26,7 +26,7 @@ class Batch:
     line, followed by options of `run` (`/data/office frames=500 camera.fx=525`)."""
     values: Values = FAST
     out: Path | None = None
-    """Folder of the results: a folder for each recording, and batch.json; none given: results/batch, with a number if that is taken."""
+    """Folder of the results: a folder for each recording, and batch.json. Default: results/batch, with a number if that exists."""
     overwrite: bool = False
     """Replace the results in --out, each when its run is complete."""
     workers: int | None = None

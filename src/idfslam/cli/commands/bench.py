@@ -31,7 +31,7 @@ class Bench:
     against: Literal["open3d"] | None = None
     """Measure a baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
     out: Path | None = None
-    """Folder of the results, with bench.json and bench.md; none given: results/bench, with a number if that is taken."""
+    """Folder of the results, with bench.json and bench.md. Default: results/bench, with a number if that exists."""
     overwrite: bool = False
     """Replace the results in --out, each when its run is complete."""
     mesh: bool = True
