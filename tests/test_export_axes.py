@@ -154,6 +154,8 @@ def test_textured_glb_is_matte_with_a_texture_of_srgb(known_run: Path, tmp_path:
     (material,) = tree["materials"]
     pbr = material["pbrMetallicRoughness"]
     assert (pbr["metallicFactor"], pbr["roughnessFactor"], pbr["baseColorTexture"]) == (0.0, 1.0, {"index": 0})
+    assert [texture["sampler"] for texture in tree["textures"]] == [0]
+    assert tree["samplers"][0]["minFilter"] == 9729  # linear: no mip levels
     assert set(arrays) == {"POSITION", "NORMAL", "TEXCOORD_0", "indices"}
     np.testing.assert_allclose(np.linalg.norm(arrays["NORMAL"], axis=1), 1, atol=1e-5)
     assert (tmp_path / "mesh.mtl").read_text() == "newmtl mesh\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nNs 0\nillum 1\nmap_Kd mesh.png\n"

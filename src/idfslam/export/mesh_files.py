@@ -16,6 +16,8 @@ from idfslam import __version__
 from idfslam.storage import atomic_files
 
 _MATTE = {"metallicFactor": 0.0, "roughnessFactor": 1.0}  # glTF takes a mesh that does not say so for metal
+# Linear, without mip levels, whose texels would mix neighbours in the atlas that are none in the room; no repetition
+_UNFILTERED = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
 _MATTE_MTL = "newmtl {name}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nNs 0\nillum 1\n"  # the colours as they are: no highlights
 
 
@@ -59,8 +61,11 @@ def write_glb(path: Path, mesh: trimesh.Trimesh) -> list[Path]:
 
 
 def _complete(tree: dict[str, Any]) -> None:
-    """Adds to the JSON of a glTF file the program that wrote it, and a material where there is none."""
+    """Adds to the JSON of a glTF file the program that wrote it, a sampler for a texture, and a material where there is none."""
     tree["asset"]["generator"] = f"idf-slam {__version__}"
+    for texture in tree.get("textures", ()):
+        tree["samplers"] = [_UNFILTERED]
+        texture["sampler"] = 0
     if "materials" not in tree:
         tree["materials"] = [{"name": "surface", "pbrMetallicRoughness": _MATTE, "doubleSided": True}]
         for mesh in tree["meshes"]:
