@@ -2,6 +2,7 @@
 
 import itertools
 import logging
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,15 +21,17 @@ from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
 from idfslam.export.lost_frames import LOST, remarked, write_lost
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
-from idfslam.export.record import ExportRecord
+from idfslam.export.record import RECORD, note_axes
 from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
 from idfslam.export.surface import turned
 from idfslam.export.texture import Floats, from_images, textured
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import Trajectory, save_tum
+from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.prior_map import earlier_keyframes
 from idfslam.storage import atomic_files
+from idfslam.storage.ledger import Ledger
 
 log = logging.getLogger(__name__)
 
@@ -77,17 +80,25 @@ class Exporter:
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
             "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
-        record = ExportRecord.of(self.out, self._axes)
-        if not self.overwrite:
-            record.refuse_to_replace(self.out / name for to in formats for name in _TARGETS[to])
+        ledger = self._ledger(formats)
         paths: list[Path] = []
         for to in dict.fromkeys(formats):
             written = writers[to]()
-            files = [self.out / name for name in _TARGETS[to]] if written[0].is_dir() else written
-            record.add(to, self._axes.gltf if to == "glb" else self._axes, files)
+            ledger.record(_existing(self.out, _TARGETS[to] if written[0].is_dir() else [path.name for path in written]))
+            note_axes(ledger, to, self._axes.gltf if to == "glb" else self._axes, newest=self._axes)
             paths += written
         self._axes.tell()
         return list(dict.fromkeys(paths))
+
+    def _ledger(self, formats: Sequence[Format]) -> Ledger:
+        """The ledger of the folder. Raises ResultError if the formats would replace a file of the user's own or of the run."""
+        ledger, targets = result_folder.ledger(self.out), [name for to in formats for name in _TARGETS[to]]
+        if self.out.resolve() == self.run.folder.resolve() and set(targets) & set(result_folder.FILES):
+            raise ResultError(f"{self.out}: its {result_folder.MESH} would be replaced; choose another folder with --out")
+        if not self.overwrite:
+            advice = "choose another folder with --out, or replace it with --overwrite"
+            ledger.refuse_foreign(_existing(self.out, [*targets, RECORD]), advice=advice)
+        return ledger
 
     @cached_property
     def _axes(self) -> Axes:
@@ -223,3 +234,9 @@ class Exporter:
         chunks = (torch.from_numpy(np.ascontiguousarray(array)).to(device).split(1 << 18) for array in (points, -normals))
         directed = field.direction_encoding is not None
         return torch.cat([field(p, d if directed else None)[1].cpu() for p, d in zip(*chunks)]).numpy()
+
+
+def _existing(folder: Path, names: Iterable[str]) -> list[str]:
+    """The files of these names, and those in folders of these names, relative to `folder`."""
+    paths = (path for name in names for path in (folder / name, *(folder / name).rglob("*")))
+    return [path.relative_to(folder).as_posix() for path in paths if os.path.lexists(path) and not path.is_dir()]

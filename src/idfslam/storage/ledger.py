@@ -39,12 +39,12 @@ class Ledger:
         path = self.folder / name
         return path.is_file() and not path.is_symlink() and _sha256(path) in self._names
 
-    def refuse_foreign(self, names: Collection[str]) -> None:
-        """Raises ResultError if one of the files exists and is not as the program wrote it."""
+    def refuse_foreign(self, names: Collection[str], *, advice: str = "move it away or rename it") -> None:
+        """Raises ResultError, with what to do, if one of the files exists and is not as the program wrote it."""
         for name in sorted(names):
             if os.path.lexists(self.folder / name) and not self.owns(name):
                 found = "was changed since idf-slam wrote it" if name in self.names else "was not written by idf-slam"
-                raise ResultError(f"{self.folder / name}: {found}, so it is not replaced; move it away or rename it")
+                raise ResultError(f"{self.folder / name}: {found}, so it is not replaced; {advice}")
 
     def record(self, names: Collection[str] = (), *, at: Path | None = None) -> None:
         """Enters files as they are now, in the folder or in the place `at` from where they will be moved there. Marks the folder."""
