@@ -11,8 +11,8 @@ import pytest
 from helpers.box_room import BOX_FRAMES, box_poses
 from helpers.known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from idfslam.cli import command_line
+from idfslam.datasets.pose_file import read_pose_file
 from idfslam.export import memory_need
-from idfslam.geometry.kitti import load_kitti
 from idfslam.geometry.trajectory import load_tum
 from idfslam.mapping.saved_map import load_map
 from idfslam.runs import result_folder
@@ -107,7 +107,7 @@ def test_the_record_tells_the_axes_of_each_format(known_run: Path, tmp_path: Pat
 def test_lost_frames_are_marked(known_run: Path, tmp_path: Path) -> None:
     export(known_run, "--to", "tum", "kitti", "--out", tmp_path)
     lines = (tmp_path / "tum.txt").read_text().splitlines()
-    assert len(load_tum(tmp_path / "tum.txt")) == len(load_kitti(tmp_path / "kitti.txt")) == BOX_FRAMES
+    assert len(load_tum(tmp_path / "tum.txt")) == len(read_pose_file(tmp_path / "kitti.txt").T_wc) == BOX_FRAMES
     remarks = {lines[i + 1].split()[0]: line for i, line in enumerate(lines[1:-1], 1) if line.startswith("#")}
     assert remarks == {
         f"{KNOWN_LOST / 30:.6f}": "# lost: the next pose was not measured",
@@ -134,7 +134,7 @@ def test_lost_frames_are_dropped(known_run: Path, tmp_path: Path) -> None:
     arguments = ("--to", "tum", "kitti", "nerfstudio", "colmap", "--images", "99", "--lost", "drop", "--out", tmp_path)
     export(known_run, *arguments)
     np.testing.assert_allclose(load_tum(tmp_path / "tum.txt").poses, box_poses()[MEASURED], atol=1e-8)
-    np.testing.assert_allclose(load_kitti(tmp_path / "kitti.txt").poses, box_poses()[MEASURED], atol=1e-8)
+    np.testing.assert_allclose(read_pose_file(tmp_path / "kitti.txt").T_wc, box_poses()[MEASURED], atol=1e-8)
     np.testing.assert_allclose(np.loadtxt(tmp_path / "kitti_times.txt"), np.array(MEASURED) / 30, atol=1e-6)
     for name in ("nerfstudio", "colmap"):
         assert sorted(path.name for path in (tmp_path / name / "images").iterdir()) == [f"{i:06d}.png" for i in MEASURED]
