@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import sys
 import zipfile
 from collections.abc import Callable
@@ -11,7 +12,17 @@ import cv2
 import numpy as np
 import pytest
 
-from helpers.recordings import DEPTH, HEIGHT, WIDTH, depth_image, write_folder
+from helpers.recordings import (
+    DEPTH,
+    HEIGHT,
+    WIDTH,
+    depth_image,
+    write_folder,
+    write_icl_nuim,
+    write_replica,
+    write_scannet,
+    write_tum,
+)
 from idfslam.datasets import open_recording
 from idfslam.datasets.images import as_depth, holds_floats, read_depth, readings
 from idfslam.errors import ConfigError, FrameError, RecordingError
@@ -105,6 +116,22 @@ def test_floats_are_metres_unless_a_scale_is_stated(kind: str, tmp_path: Path) -
     np.testing.assert_allclose(depth[1:], 1)
     assert recording.provenance is not None and recording.provenance.depth == "float images are metres"
     np.testing.assert_allclose(open_recording(path, depth_scale=2)[0].depth[1:], 0.5)
+
+
+@pytest.mark.parametrize("name", ["tum", "replica", "icl_nuim", "scannet"])
+def test_floats_are_metres_in_layouts_whose_integers_are_something_else(name: str, tmp_path: Path) -> None:
+    writers = {"tum": write_tum, "replica": write_replica, "icl_nuim": write_icl_nuim, "scannet": write_scannet}
+    path = writers[name](tmp_path / "room", cam_params=False)
+    (path / "intrinsics.txt").write_text("15 15 7.5 5.5\n")
+    for file in [file for file in path.rglob("*.png") if "depth" in str(file.relative_to(path))]:
+        write_opencv(file.with_suffix(".tiff"), float_image())
+        file.unlink()
+    for file in path.glob("*.txt"):
+        lines = [re.sub(r"(depth/\S+)\.png", r"\1.tiff", line) for line in file.read_text().splitlines()]
+        file.write_text("\n".join(lines) + "\n")
+    recording = open_recording(path, format=name)
+    np.testing.assert_allclose(recording[1].depth[1:], 1)
+    assert recording.provenance is not None and recording.provenance.depth == "float images are metres"
 
 
 @pytest.mark.parametrize("kind", INTEGERS)

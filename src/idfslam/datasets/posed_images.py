@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.file_numbers import counting_numbers, name_stamps
 from idfslam.datasets.image_pairs import warn_left_out
-from idfslam.datasets.images import Depth, ImageFiles, holds_floats, readings
+from idfslam.datasets.images import Depth, ImageFiles, readings
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Recording, regular_stamps
@@ -66,14 +67,13 @@ def open_frames(
     calibration = Calibration(fx, fy, cx, cy, distortion=distortion, source=source)
     calibration = calibration.resized(frames[0].size or recorded, recorded)
     scale = Calibration(depth_scale=depth_scale, source=source) if depth_scale else None
-    usual = assumed_scale(1, "float images are metres") if holds_floats(*files[0]) else assumed_scale(1000)
     return Recording(
         path.name,
         images,
         timestamps=stamps,
         stamps_source=stamps_source,
         ground_truth=lambda: Truth(np.stack([frame.T_wc for frame in frames]), source),
-        calibration=override.over(calibration).resized(recorded, size).over(scale or usual),
+        calibration=override.over(calibration).resized(recorded, size).over(scale or usual_scale(files)),
     )
 
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.array_files import hdf5_arrays, mat_arrays, npz_arrays, open_hdf5, plain_name, readable
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_text import from_matrix
+from idfslam.datasets.depth_units import metres_if
 from idfslam.datasets.images import Depth, as_depth
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
@@ -67,7 +68,7 @@ def open_array_recording(path: Path, override: Calibration) -> Recording:
         timestamps=stamps,
         stamps_source=stamps_source,
         ground_truth=lambda: arrays.truth(images.frames_last),
-        calibration=override.over(arrays.camera()).over(assumed_scale(1, "float images are metres") if floats else assumed_scale(1000)),
+        calibration=override.over(arrays.camera()).over(metres_if(floats)),
     )
 
 

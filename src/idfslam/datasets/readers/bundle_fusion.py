@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_beside
 from idfslam.datasets.camera_text import from_matrix
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import ImageFiles, numbered
 from idfslam.datasets.near_miss import Likeness, part
@@ -34,7 +35,7 @@ def open_bundle_fusion(path: Path, override: Calibration) -> Recording:
         timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
-        calibration=override.over(read_beside(path)).over(camera).over(assumed_scale(1000)),
+        calibration=override.over(read_beside(path)).over(camera).over(usual_scale(pairs.files)),
     )
 
 

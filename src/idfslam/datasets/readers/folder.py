@@ -6,17 +6,17 @@ Poses and timestamps.txt are optional. Frames that timestamps.txt does not list 
 its images, so that an interrupted recording is readable.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration, assumed_scale
+from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.image_folders import find_images, has_colour, has_depth
 from idfslam.datasets.image_pairs import Pairs, pair_images
-from idfslam.datasets.images import ImageFiles, by_number, holds_floats, numbered
+from idfslam.datasets.images import ImageFiles, by_number, numbered
 from idfslam.datasets.near_miss import Likeness, Part
 from idfslam.datasets.pose_file import read_pose_file
 from idfslam.datasets.poses import Truth, read_matrix, read_stamped
@@ -59,11 +59,6 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         calibration=calibration.over(usual_scale(pairs.files)),
         depth_camera=depth_camera,
     )
-
-
-def usual_scale(pairs: Sequence[tuple[Path, Path]]) -> Calibration:
-    """The depth scale where nobody states one: integers are millimetres, floating-point numbers are metres. pairs: colour and depth."""
-    return assumed_scale(1, "float images are metres") if pairs and holds_floats(*pairs[0]) else assumed_scale(1000)
 
 
 def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCameraCalibration | None]:

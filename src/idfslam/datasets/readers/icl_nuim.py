@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import CAM_PARAMS, read_beside, read_depth_camera
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.file_list import listed_image, listed_lines
 from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
@@ -46,7 +47,7 @@ def open_icl_nuim(path: Path, override: Calibration) -> Recording:
         timestamps=numbers / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_ground_truth(path, numbers),
-        calibration=override.over(read_beside(path)).over(PUBLISHED).over(assumed_scale(5000, "ICL-NUIM layout")),
+        calibration=override.over(read_beside(path)).over(PUBLISHED).over(usual_scale(pairs, 5000, "ICL-NUIM layout")),
         depth_camera=read_depth_camera(path),
     )
 

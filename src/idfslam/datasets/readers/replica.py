@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_beside, read_cam_params, read_depth_camera
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import ImageFiles, numbered
 from idfslam.datasets.near_miss import Likeness, part
@@ -29,7 +30,7 @@ def open_replica(path: Path, override: Calibration) -> Recording:
         timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_trajectory(path / "traj.txt", pairs, pairs.places / FPS),
-        calibration=stated.over(PUBLISHED).over(assumed_scale(6553.5, "Replica layout")),
+        calibration=stated.over(PUBLISHED).over(usual_scale(pairs.files, 6553.5, "Replica layout")),
         depth_camera=read_depth_camera(path),
     )
 

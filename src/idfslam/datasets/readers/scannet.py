@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_beside, read_camera_file
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.image_pairs import paired
 from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered
 from idfslam.datasets.near_miss import Likeness, part
@@ -59,7 +60,7 @@ def _open_exported(path: Path, override: Calibration) -> Recording:
         timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_poses(path, pairs, pairs.places / FPS),
-        calibration=calibration.over(depth).over(assumed_scale(1000, "ScanNet layout")),
+        calibration=calibration.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
     )
 
 

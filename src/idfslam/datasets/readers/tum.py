@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.file_list import listed_image, listed_lines
 from idfslam.datasets.image_pairs import warn_left_out
 from idfslam.datasets.images import ImageFiles
@@ -56,7 +57,7 @@ def open_tum(path: Path, override: Calibration) -> Recording:
         ImageFiles(files),
         timestamps=timestamps,
         ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=override.over(read_beside(path)).over(published(path)).over(assumed_scale(5000, "TUM layout")),
+        calibration=override.over(read_beside(path)).over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
     )
 

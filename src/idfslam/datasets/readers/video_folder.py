@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from idfslam.datasets import video
 from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.depth_units import usual_scale
 from idfslam.datasets.image_folders import depth_folder
 from idfslam.datasets.image_pairs import Pairs, warn_left_out
 from idfslam.datasets.images import DEPTH_SUFFIXES, Depth, numbered, read_depth
 from idfslam.datasets.near_miss import Likeness
-from idfslam.datasets.readers.folder import calibrated, read_poses, usual_scale
+from idfslam.datasets.readers.folder import calibrated, read_poses
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import RecordingError

@@ -1,0 +1,17 @@
+"""The unit of depth images where nobody states one."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.images import holds_floats
+
+
+def usual_scale(pairs: Sequence[tuple[Path, Path]], units: float = 1000, why: str = "assumed") -> Calibration:
+    """Floating-point numbers are metres; integers have the layout's `units` per metre, which `why` names. pairs: colour and depth."""
+    return metres_if(bool(pairs) and holds_floats(*pairs[0]), units, why)
+
+
+def metres_if(floats: bool, units: float = 1000, why: str = "assumed") -> Calibration:
+    """The same, where it is known whether the images hold floating-point numbers."""
+    return assumed_scale(1, "float images are metres") if floats else assumed_scale(units, why)
