@@ -14,7 +14,7 @@ import pytest
 
 from idfslam.batch.batch import DONE, FAILED, Row, batch, check_done, progress_line
 from idfslam.batch.batch_file import BatchJob, read_batch
-from idfslam.batch.executor import Crash, Executor, JobOutcome, thread_share
+from idfslam.batch.executor import Crash, Executor, JobOutcome, NodeFailure, thread_share
 from idfslam.batch.local_executor import LocalExecutor
 from idfslam.batch.open_executor import open_executor
 from idfslam.cli import command_line
@@ -180,6 +180,33 @@ def test_a_process_killed_in_the_middle_is_run_again(box_recording: Path, tmp_pa
     assert not killer.is_alive()
     assert [row.status for row in rows] == [DONE, DONE]
     assert sorted(row.attempts for row in rows) == [1, 2]
+
+
+class FailingNode(Executor):
+    """Its node fails some times; the third attempt after that is killed, and the next one ends well."""
+
+    def __init__(self, failures: int) -> None:
+        super().__init__(1, retries=1, wait=5.0)
+        self.left: list[Exception | None] = [NodeFailure("the node failed")] * failures + [Crash("killed"), None]
+        self.waits: list[float] = []
+        self._stopped.wait = lambda seconds=None: self.waits.append(seconds) or False  # type: ignore[method-assign, assignment, func-returns-value]
+
+    def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
+        if (error := self.left.pop(0)) is not None:
+            raise error
+        return None, "node-7"
+
+
+def test_failures_of_a_node_are_waited_for_and_counted_apart_from_retries() -> None:
+    executor = FailingNode(failures=5)
+    outcome = executor.run_module("some.module")
+    assert (outcome.error, outcome.host, outcome.attempts) == (None, "node-7", 7)
+    assert executor.waits == [5.0, 10.0, 20.0, 40.0, 60.0, 60.0]
+
+
+def test_a_cluster_that_keeps_failing_is_given_up() -> None:
+    outcome = FailingNode(failures=30).run_module("some.module")
+    assert (outcome.error, outcome.attempts) == ("the node failed", 11)
 
 
 def test_without_ray_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

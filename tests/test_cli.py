@@ -65,7 +65,7 @@ def test_help_of_run_shows_what_users_set(capsys: pytest.CaptureFixture[str], mo
     camera = {f"--camera.{name}" for name in ("fx", "fy", "cx", "cy", "depth-scale")}
     topics = {f"--topics.{name}" for name in ("colour", "depth", "camera-info", "poses")}
     recording = {"--start", "--frames", "--stride", "--format", "--truth", "--map"}
-    others = {"--out", "--overwrite", "--report", "--lost", "--viewer", "--port", "--checkpoint-every", "--resume"}
+    others = {"--out", "--overwrite", "--report", "--lost", "--viewer", "--port", "--host", "--checkpoint-every", "--resume"}
     assert shown == VALUES_IN_HELP | camera | topics | recording | others
 
 

@@ -25,6 +25,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.runs import result_folder
 from idfslam.runs.runner import run
 from idfslam.storage.ledger import Ledger
+from idfslam.viewer import rerun_program
 from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
 
 
@@ -169,8 +170,7 @@ def test_a_port_in_use(box_recording: Path, tmp_path: Path, capsys: pytest.Captu
     with listening() as port, pytest.raises(SystemExit) as caught:
         command_line.main(["run", str(box_recording), "--out", str(tmp_path / "out"), "--viewer", "web", "--port", str(port)])
     assert caught.value.code == 1
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
+    message = capsys.readouterr().err.splitlines()[-1]  # the line before says what the recording was taken to be
     assert f"port {port} cannot be used" in message
     assert "--port" in message
     assert not (tmp_path / "out").exists()  # said before the run
@@ -217,3 +217,20 @@ def test_viewer_with_and_without_a_place() -> None:
     assert place("--viewer", "recording") == "auto"
     assert place("recording", "--viewer", "--seed", "1") == "auto"
     assert place("recording", "--viewer", "web", "--port", "9000") == place("recording", "--viewer=web") == "web"
+
+
+def test_the_live_view_listens_on_this_machine_alone() -> None:
+    assert rerun_program.listening(90, rerun_program.LOOPBACK) == "listening on 127.0.0.1, ports 90 (page) and 91 (data)"
+    assert "every machine that reaches this address can look on" in rerun_program.listening(90, "0.0.0.0")
+
+
+def test_rerun_sends_no_usage_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CI", raising=False)
+    assert rerun_program.environment()["CI"] == "true"
+
+
+def test_page_and_data_are_bound_to_the_chosen_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rerun_program, "program", lambda: "rerun")
+    command = rerun_program.serve_command(90, "127.0.0.1", "recording.rrd")
+    assert command[:5] == ["rerun", "recording.rrd", "--serve-web", "--bind", "127.0.0.1"]
+    assert command[5:9] == ["--web-viewer-port", "90", "--port", "91"]

@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_NODE_FAILURES = 10  # attempts that failures of nodes may cost a run, apart from --retries; more: a broken cluster is reported later
+_LONGEST_WAIT = 60.0  # [s] between two attempts; longer: a node that is back is used later. Both chosen by hand
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 INTERRUPTED = "interrupted"
 
@@ -39,17 +41,21 @@ class JobOutcome:
 
 
 class Crash(Exception):
-    """A process was killed or its node failed. Another attempt may succeed."""
+    """A process was killed. Another attempt may succeed."""
+
+
+class NodeFailure(Crash):
+    """The machine under a process failed. That says nothing about the process, and attempts are counted apart."""
 
 
 class Executor(ABC):
     """Runs modules as processes, `workers` of them at once. Use it in a `with` block: at its end no process is left running."""
 
-    def __init__(self, workers: int, *, retries: int = 0) -> None:
-        """retries: how often a killed process is started again."""
+    def __init__(self, workers: int, *, retries: int = 0, wait: float = 0.0) -> None:
+        """retries: how often a killed process is started again. wait: [s] before the second attempt; each later one waits twice as long."""
         if workers < 1:
             raise ConfigError(f"--workers {workers}, expected at least 1")
-        self.workers, self.retries = workers, retries
+        self.workers, self.retries, self.wait = workers, retries, wait
         self._stopped = threading.Event()
 
     @abstractmethod
@@ -59,15 +65,20 @@ class Executor(ABC):
     def run_module(self, module: str, *arguments: str) -> JobOutcome:
         """Runs `python -m MODULE ARGUMENTS` and waits for its end. May be called from several threads at once."""
         error: str | None = INTERRUPTED
-        host, seconds, attempt = platform.node(), 0.0, 0
-        while attempt <= self.retries and not self._stopped.is_set():
+        host, seconds, attempt, crashes, node_failures = platform.node(), 0.0, 0, 0, 0
+        while not self._stopped.is_set():
             attempt += 1
             start = perf_counter()
             try:
                 error, host = self._attempt(module, arguments)
             except Crash as crash:
+                node_failures += isinstance(crash, NodeFailure)
+                crashes += not isinstance(crash, NodeFailure)
                 error, seconds = str(crash), perf_counter() - start
-                log.warning("%s (attempt %d of %d): %s", error, attempt, self.retries + 1, " ".join(arguments[:2]))
+                log.warning("%s (attempt %d): %s", error, attempt, " ".join(arguments[:2]))
+                if crashes > self.retries or node_failures > _NODE_FAILURES:
+                    break
+                self._stopped.wait(min(self.wait * 2 ** (attempt - 1), _LONGEST_WAIT))
                 continue
             return JobOutcome(error, perf_counter() - start, host, attempt)
         return JobOutcome(error, seconds, host, attempt)

@@ -7,6 +7,7 @@ task in its own worker process, which ends with the task. If the run is killed, 
 import importlib
 import io
 import logging
+import os
 import platform
 import socket
 import threading
@@ -14,11 +15,12 @@ import traceback
 from contextlib import redirect_stderr, redirect_stdout
 from typing import Any
 
-from idfslam.batch.executor import INTERRUPTED, THREAD_VARIABLES, Crash, Executor, last_line
+from idfslam.batch.executor import INTERRUPTED, THREAD_VARIABLES, Crash, Executor, NodeFailure, last_line
 from idfslam.compute.host import MOST_THREADS
 from idfslam.errors import ConfigError, pip_install
 
 _AUTO = "auto"
+_WAIT = 5.0  # [s] before a second attempt, so that a node that is failing is known to have failed; longer: attempts last longer
 _CONNECT_TIMEOUT = 5.0  # [s] for an answer from the cluster; larger: slow networks work, a wrong address is reported later
 
 
@@ -29,7 +31,7 @@ class RayExecutor(Executor):
         """Raises ConfigError if Ray is not installed, if the cluster cannot be reached, or if no node can hold a run."""
         self._ray = _connected(address)
         total, largest = self._size("CPU")
-        super().__init__(max(1, min(jobs, int(total))) if workers is None else workers, retries=retries)
+        super().__init__(max(1, min(jobs, int(total))) if workers is None else workers, retries=retries, wait=_WAIT)
         if gpus > self._size("GPU")[1]:
             raise ConfigError(f"--gpus {gpus:g}: the nodes of the cluster have at most {self._size('GPU')[1]:g}")
         threads = max(1, min(int(total / self.workers), int(largest), MOST_THREADS))
@@ -44,18 +46,27 @@ class RayExecutor(Executor):
         amounts = [float(node["Resources"].get(resource, 0)) for node in self._ray.nodes() if node["Alive"]]
         return sum(amounts), max(amounts, default=0.0)
 
+    def _alive(self) -> int:
+        """The number of nodes that answer."""
+        return sum(bool(node["Alive"]) for node in self._ray.nodes())
+
     def _attempt(self, module: str, arguments: tuple[str, ...]) -> tuple[str | None, str]:
         errors = self._ray.exceptions
         with self._lock:
             if self._stopped.is_set():
                 return INTERRUPTED, platform.node()
+            nodes = self._alive()
             task = self._task.remote(module, arguments)
             self._running.add(task)
         try:
             error, where = self._ray.get(task)
         except errors.TaskCancelledError:
             return INTERRUPTED, platform.node()
-        except (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError, errors.LocalRayletDiedError) as crash:
+        except (errors.NodeDiedError, errors.LocalRayletDiedError) as failure:
+            raise NodeFailure(f"the node failed ({type(failure).__name__})") from failure
+        except (errors.WorkerCrashedError, errors.OutOfMemoryError) as crash:
+            if self._alive() < nodes:
+                raise NodeFailure(f"the node failed ({type(crash).__name__})") from crash
             raise Crash(f"the worker died ({type(crash).__name__})") from crash
         finally:
             self._running.discard(task)
@@ -76,6 +87,7 @@ class RayExecutor(Executor):
 
 def _connected(address: str) -> Any:
     """The module `ray`, connected to the cluster. Raises ConfigError if that is not possible."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray would send statistics of its use to its makers
     try:
         import ray
     except ImportError:

@@ -10,6 +10,7 @@ from idfslam.errors import ConfigError, pip_install
 
 RECORDING = "recording.rrd"  # the recorded live view in a result folder
 PORT = 9090  # of the page for a browser, as in rerun; the data is served on PORT + 1
+LOOPBACK = "127.0.0.1"  # the default address that page and data listen on: this machine alone reaches them
 
 Place = Literal["window", "web", "file"]  # where a run is shown
 ViewerOption = Literal["none", "auto", "window", "web", "file"]  # what --viewer accepts; auto: a window if there is a display, else web
@@ -20,18 +21,36 @@ def has_display() -> bool:
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def check_ports(port: int) -> None:
-    """Raises ConfigError if `port` or `port` + 1 is in use."""
+def check_ports(port: int, host: str = LOOPBACK) -> None:
+    """Raises ConfigError if `port` or `port` + 1 of the address `host` is in use, or if `host` is no address of this machine."""
     for number in (port, port + 1):
         with socket.socket() as test:
             if os.name != "nt":  # on Windows this option lets two programs share a port
                 test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                test.bind(("0.0.0.0", number))
+                test.bind((host, number))
             except (OSError, OverflowError) as error:
                 raise ConfigError(
-                    f"port {number} cannot be used ({error}); choose a PORT with --port such that PORT and PORT+1 are free"
+                    f"port {number} cannot be used on {host} ({error}); choose a PORT with --port such that PORT and PORT+1 are free"
                 ) from error
+
+
+def listening(port: int, host: str) -> str:
+    """Where page and data listen, in one line, with a warning if other machines can reach them."""
+    line = f"listening on {host}, ports {port} (page) and {port + 1} (data)"
+    open_to_all = host != LOOPBACK and host != "localhost"
+    return f"{line}; every machine that reaches this address can look on, without a password" if open_to_all else line
+
+
+def serve_command(port: int, host: str, source: str) -> list[str]:
+    """The command that serves the page, and the data of `source` unless it is the address of a server."""
+    ports = ["--web-viewer-port", str(port), "--port", str(port + 1)]
+    return [program(), source, "--serve-web", "--bind", host, *ports, "--cors-allow-origin", pages(port)]
+
+
+def environment() -> dict[str, str]:
+    """The variables for rerun's program: few log lines, and no usage statistics, which rerun does not send from builds on servers (CI)."""
+    return {"RUST_LOG": "warn", "CI": "true"} | os.environ
 
 
 def pages(port: int) -> str:

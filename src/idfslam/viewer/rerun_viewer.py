@@ -1,6 +1,7 @@
-"""Shows a run live with rerun, in a window or a browser, and records it as recording.rrd (`pip install 'idf-slam[viewer]'`)."""
+"""Shows a run live with rerun, in a window or a browser, and records it as recording.rrd (package rerun-sdk)."""
 
 import os
+import platform
 import subprocess
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -19,7 +20,7 @@ from idfslam.errors import ConfigError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.camera import Camera
 from idfslam.viewer import rerun_program
-from idfslam.viewer.rerun_program import PORT, RECORDING, Place
+from idfslam.viewer.rerun_program import LOOPBACK, PORT, RECORDING, Place
 from idfslam.viewer.slam_view import ClosedLoop, SlamView
 from idfslam.viewer.time_budget import Budget
 
@@ -78,11 +79,14 @@ class RerunViewer:
 
     files = frozenset({RECORDING})
 
-    def __init__(self, place: Place, *, port: int = PORT) -> None:
+    def __init__(self, place: Place, *, port: int = PORT, host: str = LOOPBACK) -> None:
+        """host: the address of this machine that page and data listen on (`web`); 0.0.0.0 stands for all."""
+        os.environ.setdefault("CI", "true")  # no usage statistics: see rerun_program.environment
         self._rr = rerun_program.rerun()
-        self.place, self.port = place, port
+        self.place, self.port, self.host = place, port, host
+        self._page: subprocess.Popen[bytes] | None = None  # the program that serves the page
         if place == "web":
-            rerun_program.check_ports(port)
+            rerun_program.check_ports(port, host)
         if place == "window" and not rerun_program.has_display():
             raise ConfigError("there is no display to open a window on; `--viewer web` shows the run in a browser, on any machine")
         self._recorded: Any = None
@@ -113,6 +117,9 @@ class RerunViewer:
             self._send_pending()
             self._recorded.flush()
             self._recorded.disconnect()
+            if self._page is not None:
+                self._page.kill()
+                self._page.wait()
             os.replace(part, folder / RECORDING)
 
     def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None:
@@ -144,17 +151,24 @@ class RerunViewer:
 
     def address(self) -> str:
         """The address of the live view for a browser."""
-        return f"http://localhost:{self.port}/?url={quote(self._data_address(), safe='')}"
+        return f"http://{self._name()}:{self.port}/?url={quote(self._data_address(), safe='')}"
 
     def _data_address(self) -> str:
-        return f"rerun+http://localhost:{self.port + 1}/proxy"
+        return f"rerun+http://{self._name()}:{self.port + 1}/proxy"
+
+    def _name(self) -> str:
+        """The name under which a browser finds this machine."""
+        if self.host == LOOPBACK:
+            return "localhost"
+        return platform.node() if self.host == "0.0.0.0" else self.host
 
     def _sinks(self) -> list[Any]:
         """Where the data is sent besides the file."""
         rr = self._rr
         if self.place == "web":
-            sink = rr.GrpcServerSink(port=self.port + 1, cors_allow_origin=[rerun_program.pages(self.port)])
-            rr.serve_web_viewer(web_port=self.port, open_browser=rerun_program.has_display(), connect_to=self._data_address())
+            sink = rr.GrpcServerSink(bind_ip=self.host, port=self.port + 1, cors_allow_origin=[rerun_program.pages(self.port)])
+            command = rerun_program.serve_command(self.port, self.host, self._data_address())
+            self._page = subprocess.Popen(command, env=rerun_program.environment(), stdout=subprocess.DEVNULL)
             return [sink]
         if self.place == "window":
             rr.spawn(connect=False, executable_path=rerun_program.program())
@@ -303,7 +317,7 @@ def _frustum(camera: Camera) -> NDArray[np.float64]:
     return np.array([apex, a, b, apex, c, b, c, d, apex, d, a])
 
 
-def show(folder: Path, *, web: bool, port: int = PORT) -> None:
+def show(folder: Path, *, web: bool, port: int = PORT, host: str = LOOPBACK) -> None:
     """Shows the recording.rrd of a result folder in a window or a browser, until the window is closed or Ctrl-C is pressed.
 
     Raises ResultError if there is no such file, ConfigError as `RerunViewer` does.
@@ -312,20 +326,12 @@ def show(folder: Path, *, web: bool, port: int = PORT) -> None:
     if not path.is_file():
         found = "no such folder" if not folder.is_dir() else f"has no {RECORDING}"
         raise ResultError(f"{folder}: {found}; expected the results of `idf-slam run PATH --viewer`, which records what it shows")
-    viewer = RerunViewer("web" if web else "window", port=port)
+    viewer = RerunViewer("web" if web else "window", port=port, host=host)
     command = [rerun_program.program(), str(path)]
     if web:
-        print(f"{viewer.address()}   (Ctrl-C ends)", flush=True)
-        command += [
-            "--serve-web",
-            "--web-viewer-port",
-            str(port),
-            "--port",
-            str(port + 1),
-            "--cors-allow-origin",
-            rerun_program.pages(port),
-        ]
-    environment = {"RUST_LOG": "warn"} | os.environ
+        print(f"{viewer.address()}   (Ctrl-C ends)\n{rerun_program.listening(port, host)}", flush=True)
+        command = rerun_program.serve_command(port, host, str(path))
+    environment = rerun_program.environment()
     if os.name == "posix":
         os.execve(command[0], command, environment)  # replaces this process, so that no parent can end and leave the viewer behind
     with suppress(KeyboardInterrupt):

@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.cli.usage import wrong_usage
 from idfslam.config import FAST, check
-from idfslam.viewer.rerun_program import PORT, ViewerOption
+from idfslam.viewer.rerun_program import LOOPBACK, PORT, ViewerOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -92,6 +92,8 @@ class ViewerFlags:
     window where there is a display and a page for the browser elsewhere. Every choice records the view in recording.rrd."""
     port: int = PORT
     """Port of the page of --viewer web. Data is served on PORT+1."""
+    host: str = LOOPBACK
+    """Address of this machine that --viewer web listens on. 0.0.0.0 opens it to the network, without a password."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ class Run:
         print_run(done, output())
 
     def _viewer(self, console: "Console") -> "Viewer":
-        from idfslam.viewer.rerun_program import has_display
+        from idfslam.viewer.rerun_program import has_display, listening
         from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer
 
         place, port = self.live_view.viewer, self.live_view.port
@@ -200,9 +202,10 @@ class Run:
             return NullViewer()
         if place == "auto":
             place = "window" if has_display() else "web"
-        viewer = RerunViewer(place, port=port)
+        viewer = RerunViewer(place, port=port, host=self.live_view.host)
         if place == "web":
-            console.print(f"live view: {viewer.address()}", highlight=False, soft_wrap=True, markup=False)
+            told = f"live view: {viewer.address()}\n{listening(port, self.live_view.host)}"
+            console.print(told, highlight=False, soft_wrap=True, markup=False)
         return viewer
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from idfslam.viewer.rerun_program import PORT
+from idfslam.viewer.rerun_program import LOOPBACK, PORT
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,9 +22,11 @@ class View:
     """Show it in a browser instead of a window. Without a display this is the default."""
     port: int = PORT
     """Port of the page of --web. Data is served on PORT+1."""
+    host: str = LOOPBACK
+    """Address of this machine that --web listens on. 0.0.0.0 opens it to the network, without a password."""
 
     def __call__(self, console: "Console") -> None:
         from idfslam.viewer.rerun_program import has_display
         from idfslam.viewer.rerun_viewer import show
 
-        show(self.folder, web=self.web or not has_display(), port=self.port)
+        show(self.folder, web=self.web or not has_display(), port=self.port, host=self.host)
