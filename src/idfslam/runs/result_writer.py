@@ -58,8 +58,10 @@ class ResultWriter:
 
     def write_map(self, mesh: trimesh.Trimesh) -> None:
         """The mesh and the neural map."""
+        data = mesh.export(file_type="ply")
+        assert isinstance(data, bytes)
         with atomic_files.replacing(self._folder / result_folder.MESH) as part:
-            part.write_bytes(mesh.export(file_type="ply"))  # not by its path: a full disk would leave the file open, and its room taken
+            part.write_bytes(data)  # not by its path: a full disk would leave the file open, and its room taken
         with atomic_files.replacing(self._folder / result_folder.MAP) as part:
             self._slam.save_map(part)
 
