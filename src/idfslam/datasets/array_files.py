@@ -10,6 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.matlab_file import read_matlab
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, pip_install
 
 MOST_VALUES = 2**26  # [1] values of one image that is read; raised, a damaged header can claim more memory. 64 million, chosen by hand
@@ -122,17 +123,8 @@ def _mat(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
         if b"MATLAB 7.3" in file.read(128):
             return _hdf5(path)
-    arrays = mat_arrays(path)
+    arrays = read_matlab(path)
     return arrays[wanted(list(arrays), _DEPTH_NAMES, str(path))]
-
-
-def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of numbers in a MATLAB file up to version 7.2, by name."""
-    from scipy.io import loadmat, whosmat
-
-    no_numbers = ("cell", "struct", "object", "function", "char")
-    names = [name for name, shape, kind in whosmat(path) if kind not in no_numbers and math.prod(shape) > 0]
-    return {name: array for name, array in loadmat(path, variable_names=names).items() if name in names and array.dtype.kind in "fiub"}
 
 
 def wanted(names: list[str], preferred: tuple[str, ...], source: str) -> str:

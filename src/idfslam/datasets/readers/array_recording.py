@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.array_files import hdf5_arrays, mat_arrays, npz_arrays, open_hdf5, plain_name, readable
+from idfslam.datasets.array_files import hdf5_arrays, npz_arrays, open_hdf5, plain_name, readable
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.camera_text import from_matrix
 from idfslam.datasets.depth_units import metres_if
 from idfslam.datasets.images import Depth, as_depth
+from idfslam.datasets.matlab_file import read_matlab
 from idfslam.datasets.poses import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
@@ -85,7 +86,7 @@ class ArrayFile:
             return npz_arrays(self.path)
         with self.path.open("rb") as file:
             self.is_matlab_5 = self.path.suffix.lower() == ".mat" and b"MATLAB 7.3" not in file.read(128)
-        return mat_arrays(self.path) if self.is_matlab_5 else hdf5_arrays(open_hdf5(self.path))
+        return read_matlab(self.path) if self.is_matlab_5 else hdf5_arrays(open_hdf5(self.path))
 
     def named(self, names: Sequence[str], dimensions: int) -> Any | None:
         """The array with the first of these names and so many dimensions; None if there is none."""
