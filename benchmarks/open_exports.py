@@ -138,7 +138,7 @@ def pictures(given: Arguments, run: FinishedRun, axes: Axes) -> list[list[str]]:
     view = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     (given.out / "view.json").write_text(json.dumps({**view, "T_ec": (axes.T_ew @ run.trajectory.poses[0]).tolist()}))
     recorded = np.round(run.recording[0].colour * 255)
-    cv2.imwrite(str(given.out / "recorded.png"), recorded[..., ::-1])
+    cv2.imwrite(str(given.out / "recorded.png"), recorded[..., ::-1].astype(np.uint8))
     commands: list[list[str | Path]] = [[given.blender, HERE / "blender.py"]] if given.blender else []
     if given.three:
         commands.append(["node", HERE / "browser.mjs", given.three])

@@ -82,6 +82,13 @@ def test_the_floor_decides_what_is_up() -> None:
     found = level(floor, np.eye(4)[None])
     assert found.by_gravity
     assert found.R_lw[2] @ (tilt[:3, :3] @ [0, -1, 0]) == pytest.approx(1, abs=1e-6)
+    steep = trimesh.transformations.rotation_matrix(np.deg2rad(25), [1, 0, 0]) @ tilt
+    desk = trimesh.Trimesh([[-1, 0, 1], [1, 0, 1], [0, 0, 3]], [[0, 2, 1]]).apply_transform(
+        steep
+    )  # seen from 50 degrees above, as on a desk
+    down = level(desk, np.eye(4)[None])
+    assert down.by_gravity
+    assert down.R_lw[2] @ (steep[:3, :3] @ [0, -1, 0]) == pytest.approx(1, abs=1e-6)
     wall = trimesh.Trimesh([[0, 0, 2], [1, 0, 2], [0, 1, 2]], [[0, 2, 1]])
     bare = level(wall, np.eye(4)[None])
     assert not bare.by_gravity

@@ -12,6 +12,8 @@ _LEVEL_DEGREES = 10.0  # [degrees] a face within this of horizontal is part of a
 # [1] share of the surface that must be horizontal for gravity to be known. Raised, fewer places are set upright by their floor. Faces
 # in random directions have 0.015, a kitchen 0.2. Chosen by hand.
 _LEAST_LEVEL = 0.05
+_LOOKING_DOWN = 50.0  # [degrees] tilt at which a floor is looked for second. Raised, one seen at a slant is missed. Chosen by hand
+_STEEPEST = 60.0  # [degrees] mean tilt of the cameras that is believed. Raised, a wall may pass for a floor. Chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +41,28 @@ def level(mesh: trimesh.Trimesh | None, poses: Floats) -> Level:
 
 
 def up_direction(mesh: trimesh.Trimesh, poses: Floats) -> Floats:
-    """(3,) the room's up direction: the mean up of the cameras (N, 4, 4), refined by the normals of floor and ceiling."""
-    up = -poses[:, :3, 1].mean(0)
-    up /= np.linalg.norm(up)
+    """(3,) the room's up direction: the mean up of the cameras (N, 4, 4), refined by the normals of floor and ceiling.
+
+    If nothing is level so, the cameras may have looked down, as at a desk: then what faces up is looked for nearer to their view.
+    """
+    cameras = -poses[:, :3, 1].mean(0)
+    cameras /= np.linalg.norm(cameras)
+    up = _refined(mesh, cameras, one_sided=False)
+    ahead = poses[:, :3, 2].mean(0)
+    ahead -= (ahead @ cameras) * cameras
+    if _is_level(mesh, up) or np.linalg.norm(ahead) < 1e-6:
+        return up
+    tilt = np.deg2rad(_LOOKING_DOWN)
+    below = _refined(mesh, np.cos(tilt) * cameras - np.sin(tilt) * ahead / np.linalg.norm(ahead), one_sided=True)
+    return below if _is_level(mesh, below) and below @ cameras > np.cos(np.deg2rad(_STEEPEST)) else up
+
+
+def _refined(mesh: trimesh.Trimesh, up: Floats, *, one_sided: bool) -> Floats:
+    """The mean normal of the faces around `up` (3,), in ever narrower cones. one_sided: only of those that face that way."""
     normals, areas = np.asarray(mesh.face_normals), np.asarray(mesh.area_faces)
     for degrees in (35, 25, 15, 10, 5, 5):
         cosine = normals @ up
-        near = np.abs(cosine) > np.cos(np.deg2rad(degrees))
+        near = (cosine if one_sided else np.abs(cosine)) > np.cos(np.deg2rad(degrees))
         if areas[near].sum() == 0:
             break
         up = ((areas * np.sign(cosine))[near, None] * normals[near]).sum(0)
