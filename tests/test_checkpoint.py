@@ -369,7 +369,8 @@ def test_ctrl_c_can_be_gone_on_from(box_recording: Path, whole: Path, tmp_path: 
 
     broken(box_recording, tmp_path, Interrupted, every=100)
     assert json.loads((tmp_path / result_folder.METRICS).read_text())["interrupted"] is True
-    assert resume(tmp_path) is not None
+    command_line.main(["run", "--resume", str(tmp_path), "--no-report", "-q"])
+    assert not (tmp_path / result_folder.REPORT).exists()
     assert same(tmp_path, whole)
     metrics = json.loads((tmp_path / result_folder.METRICS).read_text())
     assert (metrics["interrupted"], metrics["resumed_at"]) == (False, [7])
@@ -472,9 +473,10 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
         stamp = path.stat().st_mtime_ns
         process.kill()
         process.wait()
-        arguments = ["--resume", str(folder), "--checkpoint-every", "3"]
-    subprocess.run([*begin, *arguments], check=True, capture_output=True)
+        arguments = ["--resume", str(folder), "--checkpoint-every", "3", "--no-report"]
+    subprocess.run([*begin, *arguments[:-1]], check=True, capture_output=True)
     assert same(folder, tmp_path / "whole")
+    assert visible_files(folder) == sorted([*result_folder.FILES, result_folder.REPORT, result_folder.PICTURES])
     resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]
     assert len(resumed) == 2
     assert 3 <= resumed[0] < resumed[1]

@@ -1,6 +1,8 @@
 """The result folder: what is not the run's own stays, results are replaced only by complete ones, and a folder in use is locked."""
 
+import errno
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -9,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from helpers.box_room import BOX_FRAMES
 from helpers.visible_files import visible_files
 from idfslam.cli import command_line
 from idfslam.config import FAST
@@ -16,7 +19,7 @@ from idfslam.errors import ResultError
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
-from idfslam.runs.run_folder import claimed, is_unfinished, result_folder_for
+from idfslam.runs.run_folder import RunFolder, check_usable, claimed, config_folder, folder_for, is_unfinished
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 from idfslam.storage import output_folder
@@ -204,6 +207,64 @@ def test_a_run_without_any_pose_leaves_nothing(box_recording: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+class FullDisk(KnownSlam):
+    """The disk has no room for the map."""
+
+    def save_map(self, path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+
+def test_a_full_disk_leaves_the_poses(box_recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(ResultError, match=r"cannot be written \(No space left on device\); make room or give permission"):
+        run_known(box_recording, tmp_path, FullDisk)
+    assert len(load_tum(tmp_path / result_folder.TRAJECTORY)) == BOX_FRAMES
+    assert result_folder.FRAMES in visible_files(tmp_path)
+    assert result_folder.METRICS not in visible_files(tmp_path)
+    assert is_unfinished(tmp_path)
+
+
+def test_a_full_disk_leaves_earlier_results_whole(box_recording: Path, tmp_path: Path) -> None:
+    run_known(box_recording, tmp_path)
+    before = content(tmp_path)
+    with pytest.raises(ResultError, match="No space left on device"):
+        run_known(box_recording, tmp_path, FullDisk, overwrite=True)
+    after = content(tmp_path)
+    assert {name: after[name] for name in before} == before
+
+
+@pytest.mark.parametrize("moved", range(len(result_folder.FILES)))
+def test_a_process_that_dies_while_files_are_moved_can_be_resumed(
+    box_recording: Path, tmp_path: Path, moved: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the last file, the config, is in its place, the run counts as unfinished, and every file as the program's own."""
+    run_known(box_recording, tmp_path)
+    partial = tmp_path / output_folder.PARTIAL
+    partial.mkdir()
+    for name in result_folder.FILES:
+        (partial / name).write_text(f"new {name}")
+    count = itertools.count()
+
+    def replace(source: Path, target: Path) -> None:
+        if source.parent == partial and next(count) == moved:
+            raise KeyboardInterrupt
+        source.rename(target)
+
+    monkeypatch.setattr("idfslam.runs.run_folder.os.replace", replace)
+    with pytest.raises(KeyboardInterrupt):
+        RunFolder(tmp_path, made=False, replaces=True).swap()
+    monkeypatch.undo()
+    assert sum((tmp_path / name).read_text(errors="replace").startswith("new ") for name in result_folder.FILES) == moved
+    assert is_unfinished(tmp_path)
+    assert config_folder(tmp_path) == partial
+    assert all(Ledger(tmp_path).owns(name) for name in result_folder.FILES)
+    with claimed(tmp_path, resume=True) as place:
+        for name in result_folder.FILES:
+            (partial / name).write_text(f"new {name}")
+        place.swap()
+    assert all((tmp_path / name).read_text() == f"new {name}" for name in result_folder.FILES)
+    assert not is_unfinished(tmp_path)
+
+
 # folders in use
 
 
@@ -234,12 +295,12 @@ def test_two_recordings_of_one_name_do_not_share_a_folder(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     taken = []
     for _ in range(3):
-        taken.append(result_folder_for("room", None, overwrite=False, report=True))
+        taken.append(folder_for("room", None, overwrite=False))
         with claimed(taken[-1]) as place:
             (place.partial / result_folder.TRAJECTORY).write_text("")
             place.swap()
     assert [str(folder) for folder in taken] == ["results/room", "results/room-2", "results/room-3"]
-    assert result_folder_for("room", None, overwrite=True, report=True) == Path("results/room")
+    assert folder_for("room", None, overwrite=True) == Path("results/room")
 
 
 def test_a_default_folder_of_somebody_else_is_left_alone(
@@ -249,10 +310,10 @@ def test_a_default_folder_of_somebody_else_is_left_alone(
     (tmp_path / "results" / "room").mkdir(parents=True)
     (tmp_path / "results" / "room" / "paper.tex").write_text("mine")
     with caplog.at_level("INFO", "idfslam"):
-        assert result_folder_for("room", None, overwrite=False, report=True) == Path("results/room-2")
+        assert folder_for("room", None, overwrite=False) == Path("results/room-2")
     assert "results/room is taken: the results go to results/room-2" in caplog.text
     with pytest.raises(ResultError, match="is not empty"):
-        result_folder_for("room", None, overwrite=True, report=True)
+        check_usable(folder_for("room", None, overwrite=True), overwrite=True)
 
 
 def test_a_report_of_somebody_else_is_told_before_the_run(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

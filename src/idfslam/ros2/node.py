@@ -80,7 +80,7 @@ class SlamNode:
     def __init__(self, ros: SimpleNamespace) -> None:
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.config import load, preset
-        from idfslam.runs.run_folder import claimed, result_folder_for
+        from idfslam.runs.run_folder import claimed, folder_for
         from idfslam.runs.run_state import RunState
         from idfslam.slam import Slam
 
@@ -90,7 +90,7 @@ class SlamNode:
         p = self.parameters
         config = load(Path(p.config), base=p.preset) if p.config else preset(p.preset)
         self._claim = ExitStack()
-        out = result_folder_for("ros2", Path(p.out) if p.out else None, overwrite=p.overwrite, report=False)
+        out = folder_for("ros2", Path(p.out) if p.out else None, overwrite=p.overwrite)
         self._folder = self._claim.enter_context(claimed(out, overwrite=p.overwrite))
         limit_torch_threads(config.field.encoding)
         self._state = RunState(Slam(config))

@@ -42,6 +42,21 @@ def config_folder(folder: Path) -> Path:
     return partial if (partial / result_folder.CONFIG).is_file() else folder
 
 
+def check_usable(folder: Path, *, overwrite: bool, report: bool = False) -> None:
+    """Raises the errors of `claimed` that are known without making the folder; to be called before a recording is opened, say.
+
+    report: also if a file that the program did not write is in the place of the report or of a picture of it.
+    """
+    output_folder.refuse_foreign(folder)
+    output_folder.refuse_unwritable(folder)
+    if folder.is_dir():
+        with output_folder.locked(folder):
+            if not overwrite:
+                refuse_results(folder)
+            if report:
+                Ledger(folder).refuse_foreign(result_folder.report_files(folder))
+
+
 @contextmanager
 def open_for_runs(folder: Path, runs: Iterable[str], files: Collection[str], *, overwrite: bool) -> Iterator[Ledger]:
     """Locks a folder for several runs, each in a folder of its own inside, and for files about all of them.
@@ -67,18 +82,6 @@ def folder_for(name: str, out: Path | None, *, overwrite: bool) -> Path:
     folder = output_folder.free_name(Path("results") / name)
     if folder.name != name:
         log.info("results/%s is taken: the results go to %s", name, folder)
-    return folder
-
-
-def result_folder_for(name: str, out: Path | None, *, overwrite: bool, report: bool) -> Path:
-    """The folder for the results of a recording, as `folder_for`.
-
-    Raises ResultError for a folder that holds anything but results, or another's file in the place of the report.
-    """
-    folder = folder_for(name, out, overwrite=overwrite)
-    output_folder.refuse_foreign(folder)
-    if report:
-        Ledger(folder).refuse_foreign(result_folder.report_files(folder))
     return folder
 
 

@@ -3,7 +3,9 @@
 The lock is the operating system's, so it ends with its process, however that ends.
 """
 
+import errno
 import itertools
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -32,6 +34,15 @@ def refuse_foreign(folder: Path) -> None:
     if not is_empty(folder) and not Ledger(folder).marks:
         inside = sorted(path.name for path in folder.iterdir() if path.name not in HIDDEN)
         raise ResultError(f"{folder.absolute()}: is not empty ({inside[0]} ...) and holds no results; choose a new folder with --out")
+
+
+def refuse_unwritable(folder: Path) -> None:
+    """Raises ResultError for a folder that cannot be made or written to, as far as that is known without touching anything."""
+    place = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if not place.is_dir():
+        raise atomic_files.unusable(folder, OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise atomic_files.unusable(folder, OSError(errno.EACCES, os.strerror(errno.EACCES)))
 
 
 @contextmanager

@@ -33,10 +33,11 @@ class Demo:
         from idfslam.cli.tables import print_evaluation, print_files, print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.demo.demo import demo
-        from idfslam.runs.run_folder import result_folder_for
+        from idfslam.runs.run_folder import check_usable, folder_for
 
         limit_torch_threads(values.field.encoding)
-        folder = result_folder_for("demo", self.out, overwrite=self.overwrite, report=self.report)
+        folder = folder_for("demo", self.out, overwrite=self.overwrite)
+        check_usable(folder, overwrite=self.overwrite, report=self.report)
         options: dict[str, Any] = {"report": self.report, "overwrite": self.overwrite, "console": console}
         done, evaluation, pictures = demo(values, folder, room=self.room, frames=self.frames, **options)
         print_run(done, output())

@@ -143,10 +143,13 @@ class Run:
         from idfslam.runs.lost_frames import leave_out_lost
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
-        from idfslam.runs.run_folder import result_folder_for
+        from idfslam.runs.run_folder import check_usable, folder_for
         from idfslam.runs.runner import run
         from idfslam.runs.source import open_feed
 
+        wanted = {"overwrite": self.output.overwrite, "report": self.output.report}
+        if self.output.out is not None:
+            check_usable(self.output.out, **wanted)
         camera = self.camera.given()
         scale = camera.pop("depth_scale", None)
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
@@ -157,7 +160,8 @@ class Run:
         limit_torch_threads(values.field.encoding)
         prior = None if self.map is None else load_prior(self.map)
         viewer, every, overwrite = self._viewer(console), self.checkpoints.checkpoint_every, self.output.overwrite
-        folder = result_folder_for(recording.name, self.output.out, overwrite=overwrite, report=self.output.report)
+        folder = folder_for(recording.name, self.output.out, overwrite=overwrite)
+        check_usable(folder, **wanted)
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
         done = run(recording, values, folder, source=source, console=console, **options)
         if self.output.report:
