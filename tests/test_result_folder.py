@@ -60,16 +60,18 @@ def test_a_folder_of_somebody_else_is_refused_untouched(
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("out", ["", ".", "../here"])
+@pytest.mark.parametrize("out", ["", ".", "../here", "new/../../here", "../link"])
 def test_the_current_folder_is_refused_untouched(
     box_recording: Path, tmp_path: Path, out: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here = tmp_path / "here"
     here.mkdir()
     (here / "config.yaml").write_text("seed: 3")
+    (tmp_path / "link").symlink_to(here)
     monkeypatch.chdir(here)
     assert "is not empty (config.yaml ...)" in refused(capsys, "run", box_recording, "--out", out)
-    assert content(tmp_path) == content(tmp_path) == {"here/config.yaml": hashlib.sha256(b"seed: 3").hexdigest()}
+    assert content(here) == {"config.yaml": hashlib.sha256(b"seed: 3").hexdigest()}
+    assert {path.name for path in here.iterdir()} == {"config.yaml"}
 
 
 @pytest.mark.parametrize(("out", "found"), [("file", "is a file"), ("file/out", "is a file"), ("x" * 5000, "File name too long")])

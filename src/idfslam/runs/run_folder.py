@@ -147,6 +147,7 @@ def claimed(path: Path, *, overwrite: bool = False, resume: bool = False, writes
     output_folder.refuse_foreign(path)
     made = not path.exists()
     with output_folder.locked(path):
+        output_folder.refuse_foreign(path)  # somebody may have written there since
         if not overwrite and not resume:
             refuse_results(path)
         ledger = Ledger(path)

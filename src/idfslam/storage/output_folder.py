@@ -23,6 +23,7 @@ _OF_THE_SYSTEM = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})  # made by
 
 def is_empty(folder: Path) -> bool:
     """Whether a folder is missing or holds nothing of anybody's. Raises ResultError if it cannot be looked into."""
+    folder = Path(os.path.realpath(folder))  # or new/../there would be missing until `new` is made
     try:
         return not folder.exists() or not {path.name for path in folder.iterdir()} - HIDDEN - _OF_THE_SYSTEM
     except OSError as error:
@@ -31,9 +32,10 @@ def is_empty(folder: Path) -> bool:
 
 def refuse_foreign(folder: Path) -> None:
     """Raises ResultError for a folder that holds something and is not marked as this program's, before anything in it is touched."""
+    folder = Path(os.path.realpath(folder))
     if not is_empty(folder) and not Ledger(folder).marks:
         inside = sorted(path.name for path in folder.iterdir() if path.name not in HIDDEN)
-        raise ResultError(f"{folder.absolute()}: is not empty ({inside[0]} ...) and holds no results; choose a new folder with --out")
+        raise ResultError(f"{folder}: is not empty ({inside[0]} ...) and holds no results; choose a new folder with --out")
 
 
 def refuse_unwritable(folder: Path) -> None:
