@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 
+_LONGEST_SIDE = 8192  # [px] of an image; raised, a damaged header makes more memory be taken. Chosen by hand
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm"})
 
 
@@ -43,8 +44,13 @@ def read_contents(path: Path) -> VideoContents:
             files = {stream.metadata.get("filename", ""): bytes(stream.data) for stream in container.streams.attachments}
             titles, formats = [track.metadata.get("title", "") for track in tracks], [str(track.pix_fmt) for track in tracks]
             return VideoContents(titles, formats, dict(container.metadata), files)
-    except av.FFmpegError as error:
+    except _errors(av) as error:
         raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
+
+
+def _errors(av: ModuleType) -> tuple[type[Exception], ...]:
+    """What PyAV raises for damaged files: ffmpeg's errors, and Python's for texts, sizes, decoders and time bases that are none."""
+    return (av.FFmpegError, ValueError, TypeError, AttributeError, OverflowError, ZeroDivisionError, MemoryError)
 
 
 class VideoTrack:
@@ -58,7 +64,7 @@ class VideoTrack:
         self.path, self._track = path, track
         self._lock = threading.Lock()
         av = pyav()
-        self._error: type[Exception] = av.FFmpegError
+        self._errors = _errors(av)
         stamps: dict[int, bool] = {}  # stamp in the track's time base -> whether it is a key frame
         try:
             self._container = av.open(str(path))
@@ -68,14 +74,18 @@ class VideoTrack:
             for packet in self._container.demux(self._stream):
                 if packet.pts is not None and packet.size and not packet.is_discard:
                     stamps[packet.pts] = packet.is_keyframe
-        except self._error as error:
+            second = float(self._stream.time_base)
+            self.size: tuple[int, int] = (self._stream.width, self._stream.height)  # [px]
+        except self._errors as error:
             raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
+        if not all(0 < side <= _LONGEST_SIDE for side in self.size):
+            size = f"{self.size[0]}x{self.size[1]}"
+            raise RecordingError(f"{path}: video track {track} is {size}, expected 1 to {_LONGEST_SIDE} pixels a side: copy it again")
         if not stamps:
             raise RecordingError(f"{path}: video track {track} holds no frames with stamps, expected a video: copy the recording again")
         self._stamps = np.array(sorted(stamps), np.int64)
         self._keys = np.flatnonzero([stamps[stamp] for stamp in self._stamps.tolist()])
-        self.times = np.array(self._stamps * float(self._stream.time_base), np.float64)  # (N,) [s]
-        self.size: tuple[int, int] = (self._stream.width, self._stream.height)  # [px]
+        self.times = np.array(self._stamps * second, np.float64)  # (N,) [s]
         self._frames: Iterator[Any] = iter(())
         self._next = len(self)  # the frame that the decoder returns next
 
@@ -85,14 +95,23 @@ class VideoTrack:
     def colour(self, i: int, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """Frame i (H, W, 3) BGR, scaled to `size` (width, height) by means over areas (None: not scaled); raises FrameError."""
         width, height = size or self.size
-        return np.asarray(self._decoded(i).to_ndarray(format="bgr24", width=width, height=height, interpolation="AREA"), np.uint8)
+        return np.asarray(self._array(i, format="bgr24", width=width, height=height, interpolation="AREA"), np.uint8)
 
     def grey16(self, i: int) -> NDArray[np.uint16]:
         """Frame i (H, W) of a track of 16-bit grey images; raises FrameError."""
         frame = self._decoded(i)
         if not frame.format.name.startswith("gray16"):
             raise FrameError(f"{self.path}: video track {self._track} holds {frame.format.name} images, expected depth as 16-bit grey")
-        return np.asarray(frame.to_ndarray(), np.uint16)
+        return np.asarray(self._array(i, frame), np.uint16)
+
+    def _array(self, i: int, frame: Any = None, **options: Any) -> NDArray[Any]:
+        """The pixels of frame i, which may be decoded already."""
+        frame = self._decoded(i) if frame is None else frame
+        try:
+            return np.asarray(frame.to_ndarray(**options))
+        except self._errors as error:
+            reason = _reason(error)
+            raise FrameError(f"{self.path}: frame {i} of video track {self._track}: {reason}: copy the recording again") from error
 
     def _decoded(self, i: int) -> Any:
         with self._lock:
@@ -107,7 +126,7 @@ class VideoTrack:
                     self._next = i + 1
                     return frame
                 reason = "it cannot be decoded"
-            except self._error as error:
+            except self._errors as error:
                 reason = _reason(error)
             self._next = len(self)  # the decoder's position is unknown now
             raise FrameError(f"{self.path}: frame {i} of video track {self._track}: {reason}: copy the recording again")
@@ -123,4 +142,5 @@ class VideoTrack:
 
 def _reason(error: Exception) -> str:
     """ffmpeg's message without the file's name and the log."""
-    return str(getattr(error, "strerror", None) or error).splitlines()[0]
+    lines = str(getattr(error, "strerror", None) or error).splitlines()
+    return lines[0] if lines else type(error).__name__

@@ -5,7 +5,6 @@ calibration describes the whole sensors, in fractions of their size; the size of
 Azure Kinect Sensor SDK: mode-specific calibration).
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from idfslam.datasets.resampling import limited_size
 from idfslam.datasets.video import VideoContents, VideoTrack, read_contents
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
+from idfslam.storage.json_file import parse_json
 
 _COLOUR, _DEPTH = "CALIBRATION_CameraLocationPV0", "CALIBRATION_CameraLocationD0"
 _DEPTH_MODES = {  # size of the images: size of the whole sensor after binning, first column and row of the images in it
@@ -91,18 +91,22 @@ def read_calibration(
 ) -> tuple[Calibration, DepthCameraCalibration]:
     """The calibrations of the colour camera, for images of `colour_size`, and of the depth camera; raises RecordingError."""
     try:
-        cameras = {camera["Location"]: camera for camera in json.loads(data)["CalibrationInformation"]["Cameras"]}
+        cameras = {camera["Location"]: camera for camera in _json(data, source)["CalibrationInformation"]["Cameras"]}
         colour, depth = cameras[_COLOUR], cameras[_DEPTH]
         T_colour_depth = _T(colour) @ np.linalg.inv(_T(depth))
         width, height = colour_size
         whole = (width, width * 3 // 4)  # the sensor is 4:3; images of other proportions show its middle rows
         depth_camera = DepthCameraCalibration(_camera(depth, depth_size, *_DEPTH_MODES[depth_size], source), T_colour_depth)
         return _camera(colour, colour_size, *whole, 0, (whole[1] - height) // 2, source), depth_camera
-    except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, np.linalg.LinAlgError) as error:
         sizes = f"depth images of {depth_size[0]}x{depth_size[1]}"
         raise RecordingError(
             f"{source}: {type(error).__name__} {error}, expected the calibration of an Azure Kinect for {sizes}"
         ) from error
+
+
+def _json(data: bytes, source: str) -> Any:
+    return parse_json(data, source=source, error=RecordingError, expected="the calibration of an Azure Kinect")
 
 
 def _camera(camera: dict[str, Any], size: tuple[int, int], width: int, height: int, left: int, top: int, source: str) -> Calibration:

@@ -4,8 +4,10 @@ Depth is float32 metres, packed with LZFSE, of 192x256 pixels; colour has 720x96
 Readings of low confidence are left out. ARKit's poses, with y up and z backwards, are converted to OpenCV's axes and are the ground truth.
 """
 
-import json
+import lzma
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.calibration import Calibration
 from idfslam.datasets.images import Depth, decode_colour
+from idfslam.datasets.lzfse_blocks import unpacked_size
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.pose_file import from_quaternions
 from idfslam.datasets.poses import Truth
@@ -23,9 +26,14 @@ from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
+from idfslam.storage.json_file import parse_json
+from idfslam.storage.plain_values import shown
 
 MEDIUM = 1  # ARKit's confidence: 0 low (guessed from the image rather than measured), 1 medium, 2 high
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backwards -> x right, y down, z forward
+_LARGEST = 1 << 28  # [bytes] of one file of an export, unpacked; raised, a damaged one takes more memory. Chosen by hand
+# What zipfile raises for damaged, encrypted and unusual archives
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _DEPTH_SIZES = ((192, 256), (480, 640))  # width, height [px] of LiDAR and TrueDepth, upright, if the metadata has none
 
 
@@ -75,8 +83,8 @@ class ExportFiles:
         self.path = path
         try:
             self._zip = None if path.is_dir() else zipfile.ZipFile(path)
-        except zipfile.BadZipFile as error:
-            raise RecordingError(f"{path}: {error}, expected a zip as Record3D exports it: copy the recording again") from error
+        except _ZIP_ERRORS as error:
+            raise RecordingError(f"{path}: {shown(error)}, expected a zip as Record3D exports it: copy the recording again") from error
         self._names = frozenset(self._zip.namelist() if self._zip else ())
 
     def __contains__(self, name: str) -> bool:
@@ -85,11 +93,14 @@ class ExportFiles:
     def read(self, name: str) -> bytes:
         """The content of a file; raises FrameError if it is missing or damaged."""
         try:
+            size = self._zip.getinfo(name).file_size if self._zip else (self.path / name).stat().st_size
+            if size > _LARGEST:
+                raise FrameError(f"{self.path}: {name} has {size >> 20} MB, expected less than {_LARGEST >> 20} MB: export again")
             return self._zip.read(name) if self._zip else (self.path / name).read_bytes()
         except (KeyError, OSError) as error:
             raise FrameError(f"{self.path}: {name} is missing, expected an export of Record3D: export the recording again") from error
-        except (zipfile.BadZipFile, EOFError) as error:
-            raise FrameError(f"{self.path}: {name} is damaged: copy the recording again") from error
+        except _ZIP_ERRORS as error:
+            raise FrameError(f"{self.path}: {name} is damaged ({shown(error)}): copy the recording again") from error
 
 
 @dataclass(frozen=True)
@@ -117,9 +128,12 @@ class Record3DImages:
         return np.where(confidence >= MEDIUM, raw, 0).astype(np.float32)
 
     def _unpacked(self, name: str) -> bytes:
+        data = self.files.read(name)
         try:
-            return bytes(self.lzfse.decompress(self.files.read(name)))
-        except self.lzfse.error as error:
+            if (size := unpacked_size(data)) > _LARGEST:
+                raise ValueError(f"{size} bytes")
+            return bytes(self.lzfse.decompress(data))
+        except (ValueError, MemoryError, self.lzfse.error) as error:  # MemoryError: for damaged data lzfse asks for ever more
             raise FrameError(f"{self.files.path}: {name} cannot be unpacked, expected LZFSE: copy the recording again") from error
 
     def _shaped(self, data: bytes, name: str, dtype: np.dtype[Any], width: int, height: int) -> NDArray[Any]:
@@ -153,7 +167,7 @@ def read_metadata(files: ExportFiles) -> Metadata:
     """Reads `metadata`; raises RecordingError if it is missing or malformed."""
     source = f"{files.path}: metadata"
     try:
-        values = json.loads(files.read("metadata"))
+        values = parse_json(files.read("metadata"), source=source, error=RecordingError, expected="Record3D's K, w, h, poses")
         K = np.array(values["K"], np.float64).reshape(3, 3).T  # stored column by column
         cameras = np.array(values.get("perFrameIntrinsicCoeffs") or [[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]], np.float64).reshape(-1, 4)
         stamps = np.array(values.get("frameTimestamps") or [], np.float64).reshape(-1)
@@ -161,7 +175,7 @@ def read_metadata(files: ExportFiles) -> Metadata:
         fps = float(values.get("fps") or 0)
     except FrameError as error:
         raise RecordingError(str(error)) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{source}: {type(error).__name__} {error}, expected Record3D's K, w, h, poses: export it again") from error
     count = 0
     while f"rgbd/{count}.jpg" in files:

@@ -28,6 +28,7 @@ from idfslam.errors import FrameError, RecordingError
 _VERSION = 4
 _COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
 _DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2 is "occi", which no published recording uses
+_LONGEST_SIDE = 8192  # [px] of an image; raised, a damaged header makes more memory be taken. Chosen by hand
 _FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth
 
 
@@ -139,6 +140,8 @@ def read_sens_index(path: Path) -> tuple[SensHeader, list[SensFrame]]:
     size = path.stat().st_size
     with path.open("rb") as file:
         header = _read_header(file, path)
+        if not header.frames:
+            raise RecordingError(f"{path}: holds no frames, expected a recording: copy it again")
         frames = []
         for i in range(header.frames):
             data = file.read(_FRAME.size)
@@ -171,6 +174,9 @@ def _read_header(file: BinaryIO, path: Path) -> SensHeader:
     if colour_codec not in _COLOUR_CODECS or depth_codec not in _DEPTH_CODECS:
         found = f"colour compression {colour_codec}, depth compression {depth_codec}"
         raise RecordingError(f"{path}: {found}, expected raw, png or jpeg colour (0-2) and raw or zlib depth (0, 1): export the recording")
+    if max(colour_width, colour_height, depth_width, depth_height) > _LONGEST_SIDE:
+        found = f"colour {colour_width}x{colour_height}, depth {depth_width}x{depth_height}"
+        raise RecordingError(f"{path}: {found}, expected at most {_LONGEST_SIDE} pixels a side: copy the recording again")
     return SensHeader(
         _calibration(K_colour, colour_width, colour_height, None, path),
         _calibration(K_depth, depth_width, depth_height, scale, path),
@@ -213,8 +219,8 @@ class SensImages:
 
     def _depth(self, data: bytes, source: str) -> NDArray[np.uint16]:
         height, width = self.header.depth.height or 0, self.header.depth.width or 0
-        try:
-            raw = zlib.decompress(data) if self.header.depth_codec == "zlib" else data
+        try:  # a byte more than expected tells that there are more
+            raw = zlib.decompressobj().decompress(data, height * width * 2 + 1) if self.header.depth_codec == "zlib" else data
         except zlib.error as error:
             raise FrameError(f"{source}: depth cannot be unpacked ({error}): copy the recording again") from error
         if len(raw) != height * width * 2:
