@@ -53,8 +53,10 @@ check: $(DEV)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
 
+# Damaged files of every kind that is read. The files of each fault are kept.
+MUTATIONS ?= 200000
 fuzz: $(DEV)
-	PYTHONPATH=tests $(VENV)/bin/python -m fuzz
+	PYTHONPATH=tests $(VENV)/bin/python -m fuzz --mutations $(MUTATIONS) --keep $(VENV)/fuzz
 
 docs: $(DEV)
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict  # the variable: no notice of the theme about its successor
