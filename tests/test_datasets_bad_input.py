@@ -69,7 +69,7 @@ DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "colour cut off": ("rgb", cut_off, "cut off"),
     "depth cut off": ("depth", cut_off, "cut off"),
     "colour no image": ("rgb", lambda path: path.write_bytes(b"not an image"), "not a readable image"),
-    "colour absurd": ("rgb", absurd_size, "not a readable image"),
+    "colour absurd": ("rgb", absurd_size, r"\d+x\d+ pixels"),
     "depth 8-bit": (
         "depth",
         lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 9, np.uint8)),

@@ -23,6 +23,7 @@ from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.resampling import limited_size, upscaled_depth
 from idfslam.datasets.video import VideoTrack
 from idfslam.errors import FrameError, RecordingError
+from idfslam.storage.text_file import read_text
 
 log = logging.getLogger(__name__)
 
@@ -102,10 +103,12 @@ class Odometry:
 
 def read_odometry(path: Path) -> Odometry:
     """Reads odometry.csv; raises RecordingError if it is malformed."""
-    with path.open(encoding="utf-8", errors="replace", newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
+    reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
+    try:
         names = [name.strip() for name in reader.fieldnames or ()]
         lines = list(reader)
+    except csv.Error as error:
+        raise RecordingError(f"{path}: {error}, expected lines of {', '.join(_COLUMNS)}") from error
     if missing := [name for name in _COLUMNS if name not in names]:
         raise RecordingError(f"{path}: no column {', '.join(missing)}, expected {', '.join(_COLUMNS)}")
     try:
@@ -117,6 +120,8 @@ def read_odometry(path: Path) -> Odometry:
     if not len(table):
         raise RecordingError(f"{path}: empty, expected a line for each frame")
     table = table.reshape(-1, len(_COLUMNS))
+    if not np.isfinite(table[:, :2]).all():
+        raise RecordingError(f"{path}: a timestamp or a frame is not finite, expected numbers: export the recording again")
     rows = {int(frame): row for row, frame in enumerate(table[:, 1])}
     if not cameras:
         return Odometry(rows, table, Calibration())
