@@ -24,6 +24,17 @@ def claimed_size(data: bytes) -> tuple[int, int]:
     return (int(found[1]), int(found[2])) if found else (0, 0)
 
 
+def is_whole_png(data: bytes) -> bool:
+    """Whether all chunks of a PNG file, by their stated lengths, lie in the file; OpenCV takes memory for what is missing."""
+    at = 8
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + length
+    return False
+
+
 def _jpeg(data: bytes) -> tuple[int, int]:
     """From the first marker with a size; bytes between markers are skipped, as JPEG's library does."""
     at = 2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets import array_files
 from idfslam.datasets.file_numbers import counting_numbers
-from idfslam.datasets.image_header import claimed_size
+from idfslam.datasets.image_header import claimed_size, is_whole_png
 from idfslam.errors import FrameError, RecordingError
 from idfslam.frame_images import SATURATED
 from idfslam.geometry.camera import Camera
@@ -117,8 +117,8 @@ def as_depth(image: NDArray[Any], source: str) -> Depth:
 def _decode(data: bytes, flags: int, source: str) -> NDArray[np.generic]:
     width, height = claimed_size(data)
     absurd = width * height > array_files.MOST_VALUES
-    # OpenCV fills the missing rest of a truncated file and reports success. The end markers tell whether a file is complete
-    cut = (data.startswith(_PNG) and b"IEND" not in data[-64:]) or (data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:])
+    # OpenCV fills the missing rest of a truncated file and reports success. Chunks and the end marker tell whether a file is complete
+    cut = (data.startswith(_PNG) and not is_whole_png(data)) or (data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:])
     try:
         image = None if cut or absurd or not data else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:  # a damaged header with an absurd size
