@@ -5,7 +5,6 @@ files; `camera_matrix: data: [...]` as ROS and OpenCV write it; a line of COLMAP
 a comma may also be the decimal point. `#`, `%` and `//` start comments.
 """
 
-import math
 import re
 from collections.abc import Sequence
 
@@ -17,7 +16,6 @@ from idfslam.errors import RecordingError
 
 DISTORTION_LENGTHS = (4, 5, 8)
 MAX_SKEW = 1e-3  # [1] of fx; what a calibration leaves of rounding. Raised, more slanted pixels pass. 1e-3 moves an image's edge by 0.3 px
-_DIGITS = 9  # of an image size; raised, larger images pass
 _EXACT = 1e-6  # [1] to which the zeros and the one of a matrix must hold; raised, more matrices pass. Chosen by hand
 _EXPECTED = "expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]]"
 
@@ -109,8 +107,6 @@ def _from_colmap(lines: list[tuple[str, str, str, str]], source: str) -> Calibra
     if len(set(lines)) > 1:
         raise RecordingError(f"{source}: {len(lines)} cameras, expected one for all images: keep the line of the recording's camera")
     model, width, height, rest = lines[0]
-    if max(len(width), len(height)) > _DIGITS:
-        raise RecordingError(f"{source}: images of more than {_DIGITS} digits a side, expected pixels: export the model again")
     values = _flat(rest, source)
     if model not in _COLMAP_MODELS:
         raise RecordingError(f"{source}: a camera of model {model}, expected {', '.join(_COLMAP_MODELS)}: undistort the images first")
@@ -137,7 +133,7 @@ def _with_keys(camera: Calibration, text: str, source: str) -> Calibration:
     lens = _flat(coefficients[1], source) if coefficients else [keys.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
     if not coefficients:
         lens = lens if any(lens[5:]) else lens[:5]
-    width, height = (int(keys[name]) or None if math.isfinite(keys.get(name, math.nan)) else None for name in ("width", "height"))
+    width, height = (int(keys[name]) or None if name in keys else None for name in ("width", "height"))
     distortion = checked_distortion(lens, source, fisheye=bool(_FISHEYE.search(text)))
     return Calibration(camera.fx, camera.fy, camera.cx, camera.cy, width, height, distortion, keys.get("scale") or None, source=source)
 
