@@ -160,7 +160,9 @@ def test_a_recording_that_has_another_camera_now(first: Path, tmp_path: Path, ca
 def exported(second: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("exported")
     formats = ("nerfstudio", "colmap", "points", "ply", "obj", "grid", "blocks")
-    command_line.main(["export", str(second), "--to", *formats, "--texture", "images", "--resolution", "0.06", "--out", str(out)])
+    command_line.main(
+        ["export", str(second), "--to", *formats, "--texture", "images", "--resolution", "0.06", "--out", str(out), "--up", "camera"]
+    )
     return out
 
 
@@ -210,7 +212,7 @@ def test_other_exports_show_the_room(exported: Path) -> None:
 
 
 def test_mesh_pictures_and_report(second: Path, tmp_path: Path) -> None:
-    command_line.main(["mesh", str(second), "--resolution", "0.05", "--out", str(tmp_path / "mesh.ply")])
+    command_line.main(["mesh", str(second), "--resolution", "0.05", "--up", "camera", "--out", str(tmp_path / "mesh.ply")])
     assert np.median(on_the_walls(np.asarray(trimesh.load(tmp_path / "mesh.ply").vertices))) < 0.01
     command_line.main(["render", str(second), "--frames", "0", "9", "--out", str(tmp_path / "views")])
     for i in (0, 9):
