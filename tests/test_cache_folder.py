@@ -14,6 +14,7 @@ from idfslam.compute import cache_folder
 PROJECT = """
 import os, sys, tempfile
 if "nothing" in sys.argv: tempfile.tempdir = "/dev/null/none"
+if "memory" in sys.argv: tempfile._get_default_tempdir = lambda: open("/dev/null/none")
 import idfslam
 import numpy as np
 from idfslam.compute.cache_folder import prepare_caches
@@ -69,6 +70,15 @@ def test_else_a_temporary_folder_with_one_line(sealed: Path, tmp_path: Path) -> 
     assert folder.stat().st_mode & 0o777 == 0o700
     assert len(lines) == 1
     assert f"kept in the temporary folder {folder}; set NUMBA_CACHE_DIR" in lines[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.access("/dev/shm", os.W_OK), reason="needs /dev/shm")
+def test_else_a_folder_in_memory(sealed: Path) -> None:
+    words, lines = project(sealed, "memory", HOME="/dev/null/home")
+    assert words[0] == f"/dev/shm/idf-slam-{os.getuid()}"
+    assert len(lines) == 1
+    shutil.rmtree(words[0])
 
 
 @pytest.mark.slow

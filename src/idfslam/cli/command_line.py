@@ -2,6 +2,7 @@
 
 import argparse
 import io
+import logging
 import os
 import re
 import shutil
@@ -39,9 +40,12 @@ from idfslam.cli.streams import prepare_streams
 from idfslam.cli.usage import COMMON, WRONG_USAGE, condensed, did_you_mean, overview, version_line, wrong_usage
 from idfslam.cli.user_options import HELP, HELP_ALL, parser_rules
 from idfslam.cli.verbosity import Verbosity, open_console, take_verbosity
+from idfslam.compute.cache_folder import prepare_caches
 from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.viewer.rerun_program import ViewerOption
+
+log = logging.getLogger(__name__)
 
 _NARROWEST = 60  # [columns] help for a narrower terminal is laid out for this many; fewer: a column of single letters
 
@@ -173,4 +177,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             return
         command = parse(words)
         prepare_process()
-        command(open_console(verbosity))
+        console = open_console(verbosity)
+        log.debug("%s; kernels are kept in %s", version_line(), prepare_caches().folder)
+        command(console)

@@ -6,7 +6,7 @@ to compile at all. `prepare_caches` finds a folder that can be written to, befor
 1. NUMBA_CACHE_DIR, if the user has set it,
 2. the installation,
 3. the user's cache folder: `$XDG_CACHE_HOME/idf-slam` or `~/.cache/idf-slam`, and their like on Windows and macOS,
-4. a folder of this user in the temporary folder (TMPDIR),
+4. a folder of this user in the temporary folder (TMPDIR), or in memory (/dev/shm),
 5. none: kernels are compiled in every process.
 
 Matplotlib and torch are given a folder too if the user's cache folder cannot be written to.
@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 VARIABLE = "NUMBA_CACHE_DIR"
 INSTALLATION = Path(__file__).parents[1]
 _ROOM = 2**26  # [bytes] free space that an empty folder needs; all kernels take 12 MB. Larger: fuller disks are passed over
+_IN_MEMORY = "/dev/shm"  # a folder in memory, which Linux has even where the disk is read-only
 _TORCH = "TORCHINDUCTOR_CACHE_DIR"
 _OTHERS = {"MPLCONFIGDIR": "matplotlib", _TORCH: "torch", "TRITON_CACHE_DIR": "triton"}
 
@@ -99,12 +100,17 @@ def temporary_folder() -> Path | None:
     Numba runs what lies in its cache. A folder that another user owns or may write to is therefore not used.
     """
     try:
+        base = tempfile.gettempdir()
+    except OSError:  # no folder for temporary files at all: then this one is theirs, of other libraries too
+        base = _IN_MEMORY
+        os.environ["TMPDIR"] = base
+    try:
         user = os.getuid() if hasattr(os, "getuid") else "cache"
-        folder = Path(tempfile.gettempdir(), f"idf-slam-{user}")
+        folder = Path(base, f"idf-slam-{user}")
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
         if hasattr(os, "getuid") and (folder.is_symlink() or status.st_uid != os.getuid() or status.st_mode & 0o022):
-            folder = Path(tempfile.mkdtemp(prefix="idf-slam-"))
+            folder = Path(tempfile.mkdtemp(prefix="idf-slam-", dir=base))
     except OSError:
         return None
     return folder if usable(folder) else None
