@@ -24,7 +24,7 @@ from helpers.recordings import (
     write_tum,
 )
 from idfslam.datasets import open_recording
-from idfslam.datasets.images import as_depth, holds_floats, read_depth, readings
+from idfslam.datasets.images.decoding import as_depth, holds_floats, read_depth, readings
 from idfslam.errors import ConfigError, FrameError, RecordingError
 
 

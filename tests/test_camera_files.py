@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from helpers.recordings import HEIGHT, WIDTH, write_cam_params, write_folder, write_replica, write_sens, write_seven_scenes, write_tum
 from idfslam.datasets import open_recording
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import read_beside, read_camera_json
-from idfslam.datasets.camera_text import parse_camera
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_beside, read_camera_json
+from idfslam.datasets.cameras.camera_text import parse_camera
 from idfslam.datasets.provenance import provenance
 from idfslam.datasets.recording_path import absolute, names
 from idfslam.errors import RecordingError

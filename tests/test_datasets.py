@@ -26,7 +26,7 @@ from helpers.recordings import (
 )
 from helpers.shared_data import shared_recording
 from idfslam.datasets import FORMATS, Prefetch, open_recording
-from idfslam.datasets.images import Undistortion
+from idfslam.datasets.images.decoding import Undistortion
 from idfslam.datasets.recording import Selection, reading_threads
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import Frame

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from helpers.recordings import write_folder
 from idfslam.datasets import open_recording
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.depth_registration import DepthRegistration
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.images.depth_registration import DepthRegistration
 from idfslam.errors import RecordingError
 from idfslam.geometry.camera import Camera
 

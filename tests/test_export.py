@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from helpers.box_room import BOX, BOX_FRAMES, BOX_HEIGHT, BOX_WIDTH, box_poses
 from helpers.known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from idfslam.cli import command_line
-from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays

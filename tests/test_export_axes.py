@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from helpers.box_room import BOX, box_poses
 from idfslam.cli import command_line
-from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.export.mesh_files import linear
 from idfslam.export.surface import cleaned, turned
 from idfslam.geometry.level import level

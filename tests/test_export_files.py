@@ -11,7 +11,7 @@ import pytest
 from helpers.box_room import BOX_FRAMES, box_poses
 from helpers.known_run import KNOWN_INTERPOLATED, KNOWN_KEYFRAMES, KNOWN_LOST
 from idfslam.cli import command_line
-from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.export import memory_need
 from idfslam.geometry.trajectory import load_tum
 from idfslam.mapping.saved_map import load_map

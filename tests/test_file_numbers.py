@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from idfslam.datasets.file_numbers import counting_numbers, name_stamps
+from idfslam.datasets.images.file_numbers import counting_numbers, name_stamps
 
 
 @pytest.mark.parametrize(

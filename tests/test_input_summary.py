@@ -6,7 +6,7 @@ import numpy as np
 
 from helpers.box_room import write_box_recording
 from idfslam.datasets import Kidnapped, open_recording
-from idfslam.datasets.calibration import Calibration, assumed_scale
+from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
 from idfslam.datasets.provenance import Provenance, provenance
 
 

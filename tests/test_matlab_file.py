@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from idfslam.datasets.matlab_file import read_matlab
+from idfslam.datasets.images.matlab_file import read_matlab
 
 
 @pytest.mark.parametrize("compressed", [False, True])

@@ -13,7 +13,7 @@ from helpers.box_room import write_box_recording
 from helpers.recordings import write_folder, write_tum
 from helpers.shared_data import shared_recording
 from idfslam.datasets import open_recording
-from idfslam.datasets.camera_plausibility import doubts, in_fractions, lens_doubt, of_another_size
+from idfslam.datasets.cameras.plausibility import doubts, in_fractions, lens_doubt, of_another_size
 from idfslam.datasets.plausibility import depth_doubt, stamps_doubt
 from idfslam.errors import FrameError
 from idfslam.geometry.camera import Camera

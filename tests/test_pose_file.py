@@ -8,7 +8,7 @@ import pytest
 
 from helpers.recordings import freiburg, pose, write_tum
 from idfslam.datasets import open_recording
-from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.errors import RecordingError
 
 STAMPS = [100 + i / 30 for i in range(3)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idfslam.datasets.resampling import OneView, downscaled_colour, limited_size, upscaled_depth
+from idfslam.datasets.images.resampling import OneView, downscaled_colour, limited_size, upscaled_depth
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.recordings import freiburg, pose
-from idfslam.datasets.pose_file import from_quaternions
+from idfslam.datasets.poses.pose_file import from_quaternions
 from idfslam.errors import IdfSlamError
 from idfslam.evaluation.evaluate import evaluate
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error

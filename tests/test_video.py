@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.videos import shade, write_video
-from idfslam.datasets.video import VideoTrack
+from idfslam.datasets.images.video import VideoTrack
 from idfslam.errors import FrameError, RecordingError
 
 CODECS = {"h264": "mp4", "mpeg4": "avi", "mjpeg": "mkv"}  # with B-frames, key frames 12 apart, and key frames only

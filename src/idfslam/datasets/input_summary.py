@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import camera_plausibility, plausibility
+from idfslam.datasets import plausibility
+from idfslam.datasets.cameras import plausibility as camera_plausibility
 from idfslam.datasets.provenance import ASSUMED, GENERATED, Provenance, provenance
 from idfslam.errors import FrameError
 from idfslam.frame import Frame

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 from urllib.parse import unquote
 
-from idfslam.datasets.images import hidden
+from idfslam.datasets.images.decoding import hidden
 from idfslam.errors import ArchiveError, RecordingError
 from idfslam.storage.unpack import SUFFIXES, unpack
 

@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from idfslam.datasets import generated, input_summary, video
-from idfslam.datasets.calibration import Calibration, override
-from idfslam.datasets.camera_files import read_beside_recording
+from idfslam.datasets import generated, input_summary
+from idfslam.datasets.cameras.calibration import Calibration, override
+from idfslam.datasets.cameras.camera_files import read_beside_recording
 from idfslam.datasets.generated.kidnapped import Kidnapped
+from idfslam.datasets.images import video
 from idfslam.datasets.location import locate, without_scheme
 from idfslam.datasets.near_miss import near_miss
 from idfslam.datasets.readers import (

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.file_numbers import counting_numbers, name_stamps
-from idfslam.datasets.image_pairs import warn_left_out
-from idfslam.datasets.images import Depth, ImageFiles, readings
-from idfslam.datasets.poses import Truth
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.decoding import Depth, ImageFiles, readings
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.file_numbers import counting_numbers, name_stamps
+from idfslam.datasets.images.pairs import warn_left_out
+from idfslam.datasets.images.resampling import downscaled_colour, limited_size, upscaled_depth
+from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Recording, regular_stamps
-from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.datasets.time_stamps import in_seconds
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.transforms_json import OPENGL

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.camera_files import CAM_PARAMS
-from idfslam.datasets.depth_registration import DepthRegistration
-from idfslam.datasets.images import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.cameras.camera_files import CAM_PARAMS
+from idfslam.datasets.images.decoding import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.images.depth_registration import DepthRegistration
+from idfslam.datasets.images.resampling import OneView
 from idfslam.datasets.near_miss import Likeness
-from idfslam.datasets.poses import ReadTruth, optional_truth
+from idfslam.datasets.poses.truth import ReadTruth, optional_truth
 from idfslam.datasets.provenance import ASSUMED, STATED, Provenance, provenance
-from idfslam.datasets.resampling import OneView
 from idfslam.datasets.time_stamps import in_seconds, increasing
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from idfslam.datasets.file_list import listed_lines
+from idfslam.datasets.images.file_list import listed_lines
 from idfslam.errors import RecordingError
 from idfslam.storage.text_file import read_text
 

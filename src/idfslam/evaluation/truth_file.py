@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.datasets.pose_file import read_pose_file
-from idfslam.datasets.poses import in_seconds, warn_if_in_millimetres
+from idfslam.datasets.poses.pose_file import read_pose_file
+from idfslam.datasets.poses.truth import in_seconds, warn_if_in_millimetres
 from idfslam.datasets.recording import FPS
 from idfslam.geometry.association import TOLERANCE, associate
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from idfslam.datasets import generated
-from idfslam.datasets.calibration import Calibration, override
+from idfslam.datasets.cameras.calibration import Calibration, override
 from idfslam.errors import ConfigError
 from idfslam.live.depth_camera import Capture, DepthCamera
 from idfslam.live.stream import LiveStream

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import metres, rgb
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.decoding import metres, rgb
 from idfslam.errors import CameraError
 from idfslam.frame import Frame
 from idfslam.live.depth_camera import Capture

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images import Undistortion, metres, rgb
+from idfslam.datasets.images.decoding import Undistortion, metres, rgb
 from idfslam.errors import CameraError, ConfigError, pip_install
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera

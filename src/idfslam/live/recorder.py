@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.compute.interrupt import stop_on_interrupt
-from idfslam.datasets.images import SATURATED
+from idfslam.datasets.images.decoding import SATURATED
 from idfslam.datasets.readers.folder import COLOUR_FOLDERS
 from idfslam.datasets.stamps import STAMPS
 from idfslam.errors import ResultError

@@ -204,7 +204,7 @@ class SlamNode:
 
 def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float) -> Any:
     """An undistorted Frame of sensor_msgs/Image (colour and depth) and CameraInfo. Raises FrameError if they do not fit together."""
-    from idfslam.datasets.images import Undistortion, metres, rgb
+    from idfslam.datasets.images.decoding import Undistortion, metres, rgb
     from idfslam.frame import Frame
     from idfslam.geometry.camera import Camera
 

@@ -3,7 +3,7 @@
 import os
 import re
 
-from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.recording import Dataset
 from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError

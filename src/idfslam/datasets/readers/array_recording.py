@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.array_files import hdf5_arrays, npz_arrays, open_hdf5, plain_name, readable
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_text import from_matrix
-from idfslam.datasets.depth_units import metres_if
-from idfslam.datasets.images import Depth, as_depth
-from idfslam.datasets.matlab_file import read_matlab
-from idfslam.datasets.poses import Truth
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_text import from_matrix
+from idfslam.datasets.images.array_files import hdf5_arrays, npz_arrays, open_hdf5, plain_name, readable
+from idfslam.datasets.images.decoding import Depth, as_depth
+from idfslam.datasets.images.depth_units import metres_if
+from idfslam.datasets.images.matlab_file import read_matlab
+from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.datasets.time_stamps import in_seconds

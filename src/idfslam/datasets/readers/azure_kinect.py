@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.images import Depth
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.images.decoding import Depth
+from idfslam.datasets.images.resampling import limited_size
+from idfslam.datasets.images.video import VideoContents, VideoTrack, read_contents
 from idfslam.datasets.recording import Reader, Recording
-from idfslam.datasets.resampling import limited_size
-from idfslam.datasets.video import VideoContents, VideoTrack, read_contents
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 from idfslam.storage.json_file import parse_json

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import read_beside
-from idfslam.datasets.camera_text import from_matrix
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.image_pairs import paired
-from idfslam.datasets.images import ImageFiles, numbered
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_beside
+from idfslam.datasets.cameras.camera_text import from_matrix
+from idfslam.datasets.images.decoding import ImageFiles, numbered
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.camera_files import read_beside, read_depth_camera
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.image_folders import find_images, has_colour, has_depth
-from idfslam.datasets.image_pairs import Pairs, pair_images
-from idfslam.datasets.images import ImageFiles, by_number, numbered
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.cameras.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.images.decoding import ImageFiles, by_number, numbered
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.folders import find_images, has_colour, has_depth
+from idfslam.datasets.images.pairs import Pairs, pair_images
 from idfslam.datasets.near_miss import Likeness, Part
-from idfslam.datasets.pose_file import read_pose_file
-from idfslam.datasets.poses import Truth, read_matrix, read_stamped
+from idfslam.datasets.poses.pose_file import read_pose_file
+from idfslam.datasets.poses.truth import Truth, read_matrix, read_stamped
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.datasets.stamps import STAMPS, read_stamps

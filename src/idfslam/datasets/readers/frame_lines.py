@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.image_folders import colour_folder, depth_folder
-from idfslam.datasets.images import DEPTH_SUFFIXES, SUFFIXES, numbered
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, SUFFIXES, numbered
+from idfslam.datasets.images.folders import colour_folder, depth_folder
 from idfslam.datasets.near_miss import Likeness, Part, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import CAM_PARAMS, read_beside, read_depth_camera
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.file_list import listed_image, listed_lines
-from idfslam.datasets.image_pairs import warn_left_out
-from idfslam.datasets.images import ImageFiles
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import CAM_PARAMS, read_beside, read_depth_camera
+from idfslam.datasets.images.decoding import ImageFiles
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.file_list import listed_image, listed_lines
+from idfslam.datasets.images.pairs import warn_left_out
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.poses import Truth, read_stamped
+from idfslam.datasets.poses.truth import Truth, read_stamped
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.datasets.recording_path import names

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import numbered
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.decoding import numbered
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording

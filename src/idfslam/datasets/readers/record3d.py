@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.images import Depth, decode_colour
-from idfslam.datasets.lzfse_blocks import unpacked_size
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.decoding import Depth, decode_colour
+from idfslam.datasets.images.lzfse_blocks import unpacked_size
+from idfslam.datasets.images.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.pose_file import from_quaternions
-from idfslam.datasets.poses import Truth
+from idfslam.datasets.poses.pose_file import from_quaternions
+from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
-from idfslam.datasets.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 from idfslam.storage.json_file import parse_json
 from idfslam.storage.plain_values import shown

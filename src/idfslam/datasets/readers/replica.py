@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import read_beside, read_cam_params, read_depth_camera
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.image_pairs import paired
-from idfslam.datasets.images import ImageFiles, numbered
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_beside, read_cam_params, read_depth_camera
+from idfslam.datasets.images.decoding import ImageFiles, numbered
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_trajectory

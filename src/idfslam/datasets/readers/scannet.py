@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import read_beside, read_camera_file
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.image_pairs import paired
-from idfslam.datasets.images import Depth, ImageFiles, decode_colour, numbered
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_beside, read_camera_file
+from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.poses import Truth
+from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import FPS, Reader, ReadImages, Recording, regular_stamps

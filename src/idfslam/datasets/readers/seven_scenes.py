@@ -5,10 +5,10 @@ The published depth is not registered to colour; like other programs, this reade
 
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
-from idfslam.datasets.camera_files import read_beside, read_depth_camera
-from idfslam.datasets.image_pairs import paired
-from idfslam.datasets.images import ImageFiles, numbered
+from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
+from idfslam.datasets.cameras.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.images.decoding import ImageFiles, numbered
+from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files

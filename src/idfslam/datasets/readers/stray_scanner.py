@@ -13,15 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.camera_files import read_camera_file
-from idfslam.datasets.images import Depth, numbered, read_depth
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_camera_file
+from idfslam.datasets.images.decoding import Depth, numbered, read_depth
+from idfslam.datasets.images.resampling import limited_size, upscaled_depth
+from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.pose_file import from_quaternions
-from idfslam.datasets.poses import Truth
+from idfslam.datasets.poses.pose_file import from_quaternions
+from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.recording import Reader, Recording
-from idfslam.datasets.resampling import limited_size, upscaled_depth
-from idfslam.datasets.video import VideoTrack
 from idfslam.errors import FrameError, RecordingError
 from idfslam.storage.text_file import read_text
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
-from idfslam.datasets.camera_files import read_beside
-from idfslam.datasets.image_pairs import pair_images
-from idfslam.datasets.images import Depth, ImageFiles, numbered
+from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
+from idfslam.datasets.cameras.camera_files import read_beside
+from idfslam.datasets.images.decoding import Depth, ImageFiles, numbered
+from idfslam.datasets.images.pairs import pair_images
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording

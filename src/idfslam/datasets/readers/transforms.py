@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.file_list import listed_image
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.file_list import listed_image
 from idfslam.datasets.near_miss import Likeness, Part, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import video
-from idfslam.datasets.calibration import Calibration
-from idfslam.datasets.depth_units import usual_scale
-from idfslam.datasets.image_folders import depth_folder
-from idfslam.datasets.image_pairs import Pairs, warn_left_out
-from idfslam.datasets.images import DEPTH_SUFFIXES, Depth, numbered, read_depth
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images import video
+from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, Depth, numbered, read_depth
+from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.folders import depth_folder
+from idfslam.datasets.images.pairs import Pairs, warn_left_out
+from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.readers.folder import calibrated, read_poses
 from idfslam.datasets.recording import Reader, Recording
-from idfslam.datasets.video import VideoTrack
 from idfslam.errors import RecordingError
 
 _MISSING = 0.05  # [1] of the frames, at the end of video or depth images; raised, images of other frames are paired. Chosen by hand

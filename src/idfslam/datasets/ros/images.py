@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images import Depth, decode_colour, decode_depth
+from idfslam.datasets.images.decoding import Depth, decode_colour, decode_depth
 from idfslam.datasets.ros.rvl import decode_rvl
 from idfslam.errors import FrameError
 

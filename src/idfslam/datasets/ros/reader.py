@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.images import Depth
-from idfslam.datasets.poses import Truth, at_stamps
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.images.decoding import Depth
+from idfslam.datasets.poses.truth import Truth, at_stamps
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.ros import realsense_bag
 from idfslam.datasets.ros.bag import SUFFIXES, Bag, IndexedMessage

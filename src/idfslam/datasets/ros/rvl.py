@@ -9,7 +9,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.array_files import MOST_VALUES
+from idfslam.datasets.images.array_files import MOST_VALUES
 from idfslam.errors import FrameError
 
 _SIZE = struct.Struct("<II")  # width, height [px]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.ros import realsense_bag
 from idfslam.datasets.ros.bag import Bag
 from idfslam.datasets.ros.images import COMPRESSED, IMAGE, kind

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.pose_file import from_quaternions
+from idfslam.datasets.poses.pose_file import from_quaternions
 from idfslam.errors import RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from idfslam.datasets import video
-from idfslam.datasets.images import DEPTH_SUFFIXES, SUFFIXES, hidden
+from idfslam.datasets.images import video
+from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, SUFFIXES, hidden
 
 # Names without case, digits and separators; of several folders the first name counts
 COLOUR_NAMES = ("rgb", "color", "colour", "rgbimages", "colorimages", "colourimages", "rgbimage", "colorimage", "images", "image", "img")

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from idfslam.datasets.calibration import Calibration, assumed_scale
-from idfslam.datasets.images import holds_floats
+from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
+from idfslam.datasets.images.decoding import holds_floats
 
 
 def usual_scale(pairs: Sequence[tuple[Path, Path]], units: float = 1000, why: str = "assumed") -> Calibration:

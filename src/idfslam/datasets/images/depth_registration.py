@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import DepthCameraCalibration
-from idfslam.datasets.images import Depth, readings
+from idfslam.datasets.cameras.calibration import DepthCameraCalibration
+from idfslam.datasets.images.decoding import Depth, readings
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import to_pixel
 

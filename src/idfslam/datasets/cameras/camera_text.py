@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.calibration import Calibration
+from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.errors import RecordingError
 
 DISTORTION_LENGTHS = (4, 5, 8)

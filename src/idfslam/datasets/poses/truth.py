@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.pose_file import read_pose_file
+from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.errors import IdfSlamError, RecordingError
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.rigid_transform import RIGID, is_rigid

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images import Depth, readings
+from idfslam.datasets.images.decoding import Depth, readings
 
 LARGEST = 640  # [px] longest side of the images that SLAM gets; raised, frames cost more time and depth has no more detail
 ONE_SURFACE = 1.05  # [1] largest ratio of neighbouring depths on one surface; raised, more edges are smeared. Chosen by hand

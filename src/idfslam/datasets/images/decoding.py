@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets import array_files
-from idfslam.datasets.file_numbers import counting_numbers
-from idfslam.datasets.image_header import claimed_size, is_whole_png
+from idfslam.datasets.images import array_files
+from idfslam.datasets.images.file_numbers import counting_numbers
+from idfslam.datasets.images.image_header import claimed_size, is_whole_png
 from idfslam.errors import FrameError, RecordingError
 from idfslam.frame_images import SATURATED
 from idfslam.geometry.camera import Camera

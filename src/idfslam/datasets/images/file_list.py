@@ -4,7 +4,7 @@ import os
 import re
 from pathlib import Path
 
-from idfslam.datasets.images import DEPTH_SUFFIXES, SUFFIXES
+from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, SUFFIXES
 from idfslam.storage.text_file import read_text
 
 _COMMAS = re.compile(r"[^\s,;]+\s*[,;]")  # a first word with a comma behind it: the file's separator

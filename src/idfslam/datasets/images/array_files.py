@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.matlab_file import read_matlab
+from idfslam.datasets.images.matlab_file import read_matlab
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, pip_install
 
 MOST_VALUES = 2**26  # [1] values of one image that is read; raised, a damaged header can claim more memory. 64 million, chosen by hand

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.camera_plausibility import flags, in_fractions, meant_for
+from idfslam.datasets.cameras.plausibility import flags, in_fractions, meant_for
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
 

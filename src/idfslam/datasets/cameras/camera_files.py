@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from idfslam.datasets.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.camera_text import checked_distortion, from_matrix, parse_camera
+from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.cameras.camera_text import checked_distortion, from_matrix, parse_camera
 from idfslam.errors import RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
 from idfslam.storage.json_file import read_json

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.file_numbers import name_stamps
+from idfslam.datasets.images.file_numbers import name_stamps
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import associate
 

@@ -1,0 +1,1 @@
+"""Poses in files, and the ground truth of a recording."""
