@@ -1,9 +1,9 @@
 # install: what users need. dev: the tools of developers too; every target below it sees to that by itself, again when dependencies change.
 PYTHON ?= python3
 VENV ?= .venv
-# Where torch is taken from. On Linux without an NVIDIA GPU: torch's own index of CPU builds, which are a tenth of the size of those on PyPI.
-# `make install TORCH_INDEX=ADDRESS` takes a CUDA build, `TORCH_INDEX=` whatever pip takes by itself.
-TORCH_INDEX ?= $(shell test "$$(uname -s)" = Linux && ! nvidia-smi -L > /dev/null 2>&1 && echo ADDRESS)
+# An index of packages to take torch from. None: what pip takes by itself, which on Linux is the CUDA build, a download of 2 to 3 GB.
+# The selector on pytorch.org gives the address of the CPU builds, a tenth of that: make install TORCH_INDEX=ADDRESS
+TORCH_INDEX ?=
 
 PIP := $(VENV)/bin/pip --disable-pip-version-check
 INSTALLED := $(VENV)/.installed
@@ -15,7 +15,7 @@ COMPILED := $(VENV)/.compiled
 install: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml constraints.txt
-	@echo "Installing idf-slam and the packages that it uses into $(VENV): some minutes, and about 2 GB with the CPU build of torch."
+	@echo "Installing idf-slam and the packages that it uses into $(VENV): some minutes, and about 2 GB with a CPU build of torch."
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --retries 2 --no-deps -c constraints.txt $(TORCH_INDEX:%=--extra-index-url %) torch
 	$(PIP) install -c constraints.txt -e .
