@@ -112,7 +112,7 @@ def test_a_scan_with_one_bad_frame(tmp_path: Path) -> None:
     path = write_stray(tmp_path / "scan")
     recording = open_recording(path)
     (path / "confidence/000001.png").write_bytes(b"cut off")
-    with pytest.raises(FrameError, match=r"000001.png: confidence of frame 1 is unreadable"):
+    with pytest.raises(FrameError, match=r"000001.png: (empty|cut off|not a readable image)"):
         recording[1]
     assert cv2.imwrite(str(path / "confidence/000001.png"), np.zeros((3, 4), np.uint8))
     with pytest.raises(FrameError, match="of another size than the depth image"):
@@ -171,6 +171,7 @@ def without(name: str) -> dict[str, bytes]:
         (record3d_entries() | {"metadata": b"{"}, "is not JSON"),
         (record3d_entries() | {"metadata": b"[]"}, "TypeError"),
         (record3d_entries(K=[1, 2]), "cannot reshape array of size 2"),
+        (record3d_entries(dw=-12, dh=-16), r"sizes \(48, 64\) and \(-12, -16\), expected Record3D's K, w, h, poses"),
         (record3d_entries(dw=13), r"rgbd/0.depth holds 768 bytes, expected 13x16 of 4"),
         (record3d_entries() | {"rgbd/0.jpg": b"cut off"}, "rgbd/0.jpg: not a readable image"),
     ],

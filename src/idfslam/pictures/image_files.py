@@ -45,7 +45,7 @@ def draw_views(path: Path, views: Sequence[View]) -> None:
 
 def write_colour(path: Path, colour: Image) -> None:
     """(H, W, 3) RGB in [0, 1] -> 8-bit PNG."""
-    cv2.imwrite(str(path), to_bytes(colour[..., ::-1]))
+    _write(path, to_bytes(colour[..., ::-1]))
 
 
 def to_bytes(colour: Image) -> NDArray[np.uint8]:
@@ -56,4 +56,9 @@ def to_bytes(colour: Image) -> NDArray[np.uint8]:
 def write_depth(path: Path, depth: Image) -> None:
     """(H, W) [m] -> 16-bit PNG [mm], 0 = no surface."""
     millimetres = np.nan_to_num(depth * _MILLIMETRES, nan=0, posinf=0)
-    cv2.imwrite(str(path), np.clip(millimetres, 0, _FARTHEST).round().astype(np.uint16))
+    _write(path, np.clip(millimetres, 0, _FARTHEST).round().astype(np.uint16))
+
+
+def _write(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Not cv2.imwrite, which crashes for names that are no UTF-8, and says nothing of a full disk."""
+    path.write_bytes(cv2.imencode(path.suffix, image)[1].tobytes())

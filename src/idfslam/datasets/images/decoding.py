@@ -53,6 +53,11 @@ def read_depth(path: Path) -> Depth:
     return decode_depth(_read(path), str(path))
 
 
+def read_values(path: Path) -> NDArray[Any]:
+    """Reads an image of any kind as stored; raises FrameError."""
+    return _decode(_read(path), cv2.IMREAD_UNCHANGED, str(path))
+
+
 def holds_floats(colour: Path, depth: Path) -> bool:
     """Whether a depth image holds floating-point numbers, which are metres where nobody states another scale; False if it is unreadable."""
     if depth.suffix.lower() in _INTEGERS:

@@ -173,6 +173,8 @@ def read_metadata(files: ExportFiles) -> Metadata:
         stamps = np.array(values.get("frameTimestamps") or [], np.float64).reshape(-1)
         size, depth_size = ((int(values[w]), int(values[h])) if w in values else None for w, h in (("w", "h"), ("dw", "dh")))
         fps = float(values.get("fps") or 0)
+        if any(side <= 0 for side in (*(size or ()), *(depth_size or ()))):
+            raise ValueError(f"sizes {size} and {depth_size}")
     except FrameError as error:
         raise RecordingError(str(error)) from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:

@@ -9,13 +9,12 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_camera_file
-from idfslam.datasets.images.decoding import Depth, numbered, read_depth
+from idfslam.datasets.images.decoding import Depth, numbered, read_depth, read_values
 from idfslam.datasets.images.resampling import limited_size, upscaled_depth
 from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness, part
@@ -81,9 +80,9 @@ class StrayImages:
 
     def _confidence(self, number: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         path = self.confidence.get(number)
-        image = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        image = None if path is None else read_values(path)
         if image is None or image.shape != shape:
-            found = "missing" if path is None else "unreadable" if image is None else "of another size than the depth image"
+            found = "missing" if path is None else "of another size than the depth image"
             raise FrameError(f"{path or self.depth[number]}: confidence of frame {number} is {found}: export the recording again")
         return np.asarray(image, np.uint8)
 
