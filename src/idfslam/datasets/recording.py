@@ -207,7 +207,8 @@ class Selection:
 
     def __getitem__(self, i: int) -> Frame:
         i = range(len(self))[i]
-        return replace(self._dataset[int(self._indices[i])], index=i)
+        frame = self._dataset[int(self._indices[i])]
+        return frame if frame.index == i else replace(frame, index=i)  # each new frame is checked, which takes time
 
     def surface(self) -> "trimesh.Trimesh | None":
         """The whole dataset's true surface, if known."""
