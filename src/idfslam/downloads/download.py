@@ -1,6 +1,5 @@
 """Downloads a public sequence: the archive is fetched, checked by its hash, unpacked into a temporary folder and moved into place."""
 
-import hashlib
 import os
 import shutil
 import time
@@ -12,6 +11,7 @@ from idfslam.downloads.fetch import Report, discard, fetch
 from idfslam.errors import ArchiveError, DownloadError
 from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
+from idfslam.storage.sha256 import sha256
 from idfslam.storage.unpack import unpack
 
 LEDGER = "downloads.json"  # in the folder of downloads: when each sequence was downloaded, and the hash of its archive
@@ -31,7 +31,7 @@ def download(sequence: Sequence, out: Path, *, report: Report = lambda done, tot
     atomic_files.prepare(out)
     archive = out / f".part-{sequence.name}"
     fetch(sequence.url, archive, report=report)
-    digest = _sha256(archive)
+    digest = sha256(archive)
     _check(sequence, digest, ledger, archive, out)
     staging = out / f".part-{sequence.name}-unpacked"
     shutil.rmtree(staging, ignore_errors=True)
@@ -85,11 +85,3 @@ def _root(staging: Path) -> Path:
     """The only folder of the archive, or the whole archive if it has other entries."""
     entries = list(staging.iterdir())
     return entries[0] if len(entries) == 1 and entries[0].is_dir() else staging
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()

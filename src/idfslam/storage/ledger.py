@@ -4,8 +4,6 @@
 somebody else put there, or changed, is told from the program's own.
 """
 
-import hashlib
-import json
 import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -13,9 +11,11 @@ from pathlib import Path
 
 from idfslam.errors import ResultError
 from idfslam.storage import atomic_files
+from idfslam.storage.json_file import read_json
+from idfslam.storage.sha256 import sha256
 
 LEDGER = ".idf-slam.json"
-_ABOUT = "SHA-256 of the files that idf-slam wrote here; it replaces and deletes no others"
+_ABOUT = "SHA-256 of the files that idf-slam wrote here; all others are left alone"
 SCHEMA = 1  # counts up with each change that older versions cannot read
 
 
@@ -37,7 +37,7 @@ class Ledger:
     def owns(self, name: str) -> bool:
         """Whether the file exists as the program wrote it."""
         path = self.folder / name
-        return path.is_file() and not path.is_symlink() and _sha256(path) in self._names
+        return path.is_file() and not path.is_symlink() and sha256(path) in self._names
 
     def refuse_foreign(self, names: Collection[str], *, advice: str = "move it away or rename it") -> None:
         """Raises ResultError, with what to do, if one of the files exists and is not as the program wrote it."""
@@ -48,13 +48,8 @@ class Ledger:
 
     def record(self, names: Collection[str] = (), *, at: Path | None = None) -> None:
         """Enters files as they are now, in the folder or in the place `at` from where they will be moved there. Marks the folder."""
-        self._names |= {_sha256((at or self.folder) / name): name for name in names}
-        values = {
-            "schema": SCHEMA,
-            "about": "SHA-256 of the files that idf-slam wrote here; all others are left alone",
-            "files": self._names,
-        }
-        atomic_files.write_json(self.folder / LEDGER, values)
+        self._names |= {sha256((at or self.folder) / name): name for name in names}
+        atomic_files.write_json(self.folder / LEDGER, {"schema": SCHEMA, "about": _ABOUT, "files": self._names})
         self.marks = True
 
     def remove(self, names: Collection[str]) -> None:
@@ -76,18 +71,10 @@ class Ledger:
 def _read(path: Path) -> dict[str, str] | None:
     """The content of a ledger; None if there is none, or if it is damaged: then nothing in the folder counts as the program's own."""
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        schema, files = values["schema"], values["files"]
-        if isinstance(schema, int) and schema > SCHEMA:
-            raise ResultError(f"{path}: has schema {schema}, expected at most {SCHEMA}; use the version of idf-slam that wrote this folder")
-        return {str(digest): str(name) for digest, name in files.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        values = read_json(path, error=ResultError, expected="the ledger of a folder")
+        schema, files = values["schema"], {str(digest): str(name) for digest, name in values["files"].items()}
+    except (ResultError, KeyError, TypeError, AttributeError):
         return None
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+    if isinstance(schema, int) and schema > SCHEMA:
+        raise ResultError(f"{path}: has schema {schema}, expected at most {SCHEMA}; use the version of idf-slam that wrote this folder")
+    return files
