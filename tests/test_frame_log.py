@@ -42,7 +42,9 @@ def test_no_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["a,b\n1,2\n", "index,timestamp,status,keyframe,ms\n0,0.0,fine,1,3\n", "index,timestamp,status,keyframe,ms\n0\n"]
+    "text",
+    ["a,b\n1,2\n"]
+    + [f"index,timestamp,status,keyframe,ms\n{row}\n" for row in ("0,0.0,fine,1,3", "0", f"{10**30},0.0,ok,1,3", "-1,0.0,ok,1,3")],
 )
 def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "frames.csv").write_text(text)

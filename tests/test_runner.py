@@ -242,6 +242,10 @@ def test_damaged_result_files_are_named(tmp_path: Path) -> None:
         result_folder.read_keyframes(tmp_path)
     with pytest.raises(ResultError, match="'recording' is"):
         result_folder.read_config(tmp_path)
+    for value in ("start: two", "camera: {fx: wide}", "frames: true", "truth: 1", "path: 5"):
+        (tmp_path / result_folder.CONFIG).write_text(f"recording: {{{value if 'path' in value else 'path: here, ' + value}}}")
+        with pytest.raises(ResultError, match=f"'{value.split(':')[0]}' of the recording is .*, expected"):
+            result_folder.read_config(tmp_path)
     with pytest.raises(ResultError, match=r"has no mesh\.ply \(found keyframes\.json, config\.yaml\)"):
         result_folder.existing(tmp_path, result_folder.MESH)
 

@@ -63,6 +63,8 @@ def read_all(path: Path, **options: Any) -> None:
     """Opens a recording and reads its frames; one that cannot be read is no fault."""
     recording = open_recording(path, **options)
     assert np.isfinite(recording.timestamps).all(), "a time stamp is not finite"
+    truth = recording.ground_truth
+    assert truth is None or truth.shape == (len(recording), 4, 4), "the truth is not of these frames"
     for i in range(min(len(recording), MOST_FRAMES)):
         try:
             recording[i]
@@ -72,11 +74,14 @@ def read_all(path: Path, **options: Any) -> None:
 
 def use_run(folder: Path) -> None:
     """Reads all results of a run, as export, report, eval and view do."""
+    refused: IdfSlamError | None = None
     for read in (_read_config, _read_metrics, *(partial(_read_part, name=name) for name in ("frames", "keyframes", "trajectory"))):
         try:
             read(folder)
-        except IdfSlamError:
-            continue
+        except IdfSlamError as error:
+            refused = error
+    if refused is not None:
+        raise refused
 
 
 def _read_part(folder: Path, name: str) -> object:

@@ -17,6 +17,7 @@ from idfslam.errors import ResultError
 from idfslam.frame import FrameResult, Status
 from idfslam.storage.state import State
 
+_MOST_FRAMES = 1 << 31  # of a run; raised, larger numbers pass than arrays of indices hold everywhere
 _FIXED = ("index", "timestamp", "status", "keyframe", "ms")
 
 
@@ -85,4 +86,6 @@ class FrameLog:
 def _line(row: dict[str, str]) -> FrameLine:
     losses = {name: float(value) for name, value in row.items() if name not in _FIXED and value}
     index, timestamp, ms = int(row["index"]), float(row["timestamp"]), float(row["ms"])
+    if not 0 <= index < _MOST_FRAMES:
+        raise ValueError(f"frame {row['index'][:20]}")
     return FrameLine(index, timestamp, Status(row["status"]), bool(int(row["keyframe"])), ms, losses)

@@ -82,7 +82,7 @@ def _numbers(metrics: Any) -> dict[str, Any]:
     for name, inner in (("ms_per_frame", None), ("ate_m", "rmse")):
         values = metrics.get(name, {})
         if not isinstance(values, dict):
-            found[name] = values
+            found[name] = None
         else:
             found |= {f"{name}.{key}": values.get(key) for key in (values if inner is None or not values else (inner,))}
     return found

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import yaml
@@ -15,11 +16,12 @@ from numpy.typing import NDArray
 
 from idfslam import __version__
 from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
-from idfslam.errors import ResultError
+from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
 from idfslam.storage.ledger import Ledger
+from idfslam.storage.plain_values import shown
 from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
@@ -109,9 +111,29 @@ def read_config(folder: Path) -> tuple[Config, Source | None]:
     recording = read_yaml(path).get(RUN_SECTIONS[0])
     if recording is None:
         return load(path), None
-    if not isinstance(recording, dict) or not set(recording) <= set(Source.__dataclass_fields__) or "path" not in recording:
-        raise ResultError(f"{path}: 'recording' is {recording!r}, expected {', '.join(Source.__dataclass_fields__)}")
-    return load(path), Source(**recording)
+    return load(path), _source(recording, path)
+
+
+def _source(values: Any, path: Path) -> Source:
+    """The source that values of a file state. Raises ResultError for other names, and for values of other types."""
+    types = get_type_hints(Source)
+    if not isinstance(values, dict) or "path" not in values or not values.keys() <= types.keys():
+        raise ResultError(f"{path}: 'recording' is {shown(values)}, expected {', '.join(types)}")
+    if wrong := [name for name, value in values.items() if not _fits(value, types[name])]:
+        raise ResultError(f"{path}: '{wrong[0]}' of the recording is {shown(values[wrong[0]])}, expected {types[wrong[0]]}")
+    return Source(**values)
+
+
+def _fits(value: Any, expected: Any) -> bool:
+    """Whether a value is of a type, of one of several, or a mapping of such."""
+    if isinstance(expected, UnionType):
+        return any(_fits(value, one) for one in get_args(expected))
+    if get_origin(expected) is dict:
+        of_names, of_values = get_args(expected)
+        return isinstance(value, dict) and all(_fits(name, of_names) and _fits(inner, of_values) for name, inner in value.items())
+    if expected in (int, float):
+        return isinstance(value, int | expected) and not isinstance(value, bool)
+    return isinstance(value, expected)
 
 
 def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
@@ -145,16 +167,18 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
             np.array([k["index"] for k in keyframes], np.int64),
             np.array([k["timestamp"] for k in keyframes], np.float64),
             np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
-            [_earlier_keyframe(k) for k in values.get("earlier", [])],
+            [_earlier_keyframe(k, path) for k in values.get("earlier", [])],
         )
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, ConfigError) as error:
         raise ResultError(f"{path}: is damaged ({error}); run again into this folder") from error
 
 
-def _earlier_keyframe(values: dict[str, Any]) -> EarlierKeyframe:
+def _earlier_keyframe(values: dict[str, Any], path: Path) -> EarlierKeyframe:
     camera = Camera(**values["camera"]) if values.get("camera") else None
     T_wk = np.array(values["T_wk"], np.float64).reshape(4, 4)
-    return EarlierKeyframe(Source(**values["source"]), values["index"], values["timestamp"], T_wk, camera)
+    if not _fits(values["index"], int) or not _fits(values["timestamp"], float):
+        raise ValueError(f"a keyframe of index {shown(values['index'])} at {shown(values['timestamp'])}")
+    return EarlierKeyframe(_source(values["source"], path), values["index"], values["timestamp"], T_wk, camera)
 
 
 def existing(folder: Path, name: str) -> Path:
