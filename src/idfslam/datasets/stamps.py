@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from idfslam.datasets.images.file_list import listed_lines
+from idfslam.datasets.images.file_list import listed_lines, number
 from idfslam.errors import RecordingError
 from idfslam.storage.text_file import read_text
 
@@ -18,23 +18,15 @@ def read_stamps(path: Path, *series: list[float]) -> dict[float, float] | None:
     """
     if not path.is_file():
         return None
-    rows = [(line, [_number(word) for word in words[:2]]) for line, words in listed_lines(path)]
+    rows = [(line, [number(word) for word in words[:2]]) for line, words in listed_lines(path)]
     if rows and all(len(row) == 1 for _, row in rows):
         numbers = next((numbers for numbers in series if len(numbers) == len(rows)), None)
         if numbers is None:
             found = f"{len(rows)} stamps for {len(series[0])} images"
             raise RecordingError(f"{path}: {found}, expected one for each: complete or remove the file")
-        return {number: row[0] for number, (_, row) in zip(numbers, rows)}
+        return {counted: row[0] for counted, (_, row) in zip(numbers, rows)}
     if rows and not read_text(path).endswith("\n"):
         rows.pop()
     if without := [line for line, row in rows if row[0] != row[0]]:
         raise RecordingError(f"{path}: line {without[0]} begins with no number, expected the number of a frame and its stamp in seconds")
     return dict(sorted((row[0], row[1] if len(row) > 1 else float("nan")) for _, row in rows))
-
-
-def _number(word: str) -> float:
-    """A number; NaN if the word is none."""
-    try:
-        return float(word)
-    except ValueError:
-        return float("nan")

@@ -17,13 +17,21 @@ def listed_lines(path: Path) -> list[tuple[int, list[str]]]:
     """
     lines: list[tuple[int, list[str]]] = []
     header = True
-    for number, text in enumerate(read_text(path).split("\n"), 1):
+    for place, text in enumerate(read_text(path).split("\n"), 1):
         line = text.split("#")[0].strip()
         words = [word for word in (re.split(r"\s*[,;]\s*|\s+", line) if _COMMAS.match(line) else line.split()) if word]
         if words and not (header and not any(c.isdigit() for c in line)):
-            lines.append((number, words))
+            lines.append((place, words))
         header = header and not words
     return lines
+
+
+def number(word: str) -> float:
+    """The number that a word states; NaN if it states none."""
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")
 
 
 def listed_image(folder: Path, word: str) -> tuple[Path, str]:

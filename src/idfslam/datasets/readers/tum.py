@@ -15,7 +15,7 @@ from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_beside, read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles
 from idfslam.datasets.images.depth_units import usual_scale
-from idfslam.datasets.images.file_list import listed_image, listed_lines
+from idfslam.datasets.images.file_list import listed_image, listed_lines, number
 from idfslam.datasets.images.pairs import warn_left_out
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses.truth import Truth, read_stamped
@@ -100,13 +100,13 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
     """
     rows: set[tuple[tuple[float, ...], tuple[Path, ...]]] = set()
     problems = []
-    for number, words in listed_lines(path):
-        stamps = tuple(map(_stamp, words[: 2 * images : 2]))
+    for line, words in listed_lines(path):
+        stamps = tuple(map(number, words[: 2 * images : 2]))
         found = [listed_image(path.parent, word) for word in words[1 : 2 * images : 2]]
         if len(found) < images or not np.isfinite(stamps).all():
-            problems.append(f"line {number} is '{' '.join(words)[:100]}', expected a stamp in seconds and a file")
+            problems.append(f"line {line} is '{' '.join(words)[:100]}', expected a stamp in seconds and a file")
         elif missing := [f"{file} {problem}"[-200:] for file, problem in found if problem]:
-            problems.append(f"line {number}: {missing[0]}")
+            problems.append(f"line {line}: {missing[0]}")
         else:
             rows.add((stamps, tuple(file for file, _ in found)))
     if not rows:
@@ -115,14 +115,6 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
     warn_left_out(str(path), problems)
     ordered = sorted(rows)
     return np.array([stamps for stamps, _ in ordered]), [files for _, files in ordered]
-
-
-def _stamp(word: str) -> float:
-    """A stamp; NaN if the word is no number."""
-    try:
-        return float(word)
-    except ValueError:
-        return float("nan")
 
 
 def read_ground_truth(path: Path, timestamps: NDArray[np.float64]) -> Truth | None:
