@@ -3,6 +3,7 @@
 import re
 import struct
 
+LONGEST_SIDE = 8192  # [px] of an image; raised, a damaged header makes more memory be taken. Chosen by hand
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # JPEG's markers with the size; the three others are tables
 _BARE = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG's markers without a length
 _PNM = re.compile(rb"P[1-7]\s+(?:#[^\n]*\n\s*)*(\d{1,20})\s+(?:#[^\n]*\n\s*)*(\d{1,20})")

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.images.image_header import LONGEST_SIDE
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 
-_LONGEST_SIDE = 8192  # [px] of an image; raised, a damaged header makes more memory be taken. Chosen by hand
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm"})
 
 
@@ -78,9 +78,9 @@ class VideoTrack:
             self.size: tuple[int, int] = (self._stream.width, self._stream.height)  # [px]
         except self._errors as error:
             raise RecordingError(f"{path}: not a readable video ({_reason(error)}): copy the recording again") from error
-        if not all(0 < side <= _LONGEST_SIDE for side in self.size):
+        if not all(0 < side <= LONGEST_SIDE for side in self.size):
             size = f"{self.size[0]}x{self.size[1]}"
-            raise RecordingError(f"{path}: video track {track} is {size}, expected 1 to {_LONGEST_SIDE} pixels a side: copy it again")
+            raise RecordingError(f"{path}: video track {track} is {size}, expected 1 to {LONGEST_SIDE} pixels a side: copy it again")
         if not stamps:
             raise RecordingError(f"{path}: video track {track} holds no frames with stamps, expected a video: copy the recording again")
         self._stamps = np.array(sorted(stamps), np.int64)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.images.confidence import MEDIUM
 from idfslam.datasets.images.decoding import Depth, decode_colour
 from idfslam.datasets.images.lzfse_blocks import unpacked_size
 from idfslam.datasets.images.resampling import downscaled_colour, limited_size, upscaled_depth
@@ -26,12 +27,10 @@ from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
+from idfslam.geometry.transforms_json import OPENGL
 from idfslam.storage.json_file import parse_json
-from idfslam.storage.plain_values import shown
+from idfslam.storage.plain_values import LARGEST, shown
 
-MEDIUM = 1  # ARKit's confidence: 0 low (guessed from the image rather than measured), 1 medium, 2 high
-FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backwards -> x right, y down, z forward
-_LARGEST = 1 << 28  # [bytes] of one file of an export, unpacked; raised, a damaged one takes more memory. Chosen by hand
 # What zipfile raises for damaged, encrypted and unusual archives
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _DEPTH_SIZES = ((192, 256), (480, 640))  # width, height [px] of LiDAR and TrueDepth, upright, if the metadata has none
@@ -94,8 +93,8 @@ class ExportFiles:
         """The content of a file; raises FrameError if it is missing or damaged."""
         try:
             size = self._zip.getinfo(name).file_size if self._zip else (self.path / name).stat().st_size
-            if size > _LARGEST:
-                raise FrameError(f"{self.path}: {name} has {size >> 20} MB, expected less than {_LARGEST >> 20} MB: export again")
+            if size > LARGEST:
+                raise FrameError(f"{self.path}: {name} has {size >> 20} MB, expected less than {LARGEST >> 20} MB: export again")
             return self._zip.read(name) if self._zip else (self.path / name).read_bytes()
         except (KeyError, OSError) as error:
             raise FrameError(f"{self.path}: {name} is missing, expected an export of Record3D: export the recording again") from error
@@ -130,7 +129,7 @@ class Record3DImages:
     def _unpacked(self, name: str) -> bytes:
         data = self.files.read(name)
         try:
-            if (size := unpacked_size(data)) > _LARGEST:
+            if (size := unpacked_size(data)) > LARGEST:
                 raise ValueError(f"{size} bytes")
             return bytes(self.lzfse.decompress(data))
         except (ValueError, MemoryError, self.lzfse.error) as error:  # MemoryError: for damaged data lzfse asks for ever more
@@ -160,7 +159,7 @@ class Metadata:
         if not self.poses:
             return None
         table = np.array(self.poses, np.float64).reshape(-1, 7)
-        return Truth(from_quaternions(table[:, 4:], table[:, :4]) @ FLIP_YZ, self.source)
+        return Truth(from_quaternions(table[:, 4:], table[:, :4]) @ OPENGL, self.source)
 
 
 def read_metadata(files: ExportFiles) -> Metadata:

@@ -17,6 +17,7 @@ from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_beside, read_camera_file
 from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered
 from idfslam.datasets.images.depth_units import usual_scale
+from idfslam.datasets.images.image_header import LONGEST_SIDE
 from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses.truth import Truth
@@ -28,7 +29,6 @@ from idfslam.errors import FrameError, RecordingError
 _VERSION = 4
 _COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
 _DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2 is "occi", which no published recording uses
-_LONGEST_SIDE = 8192  # [px] of an image; raised, a damaged header makes more memory be taken. Chosen by hand
 _FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth
 
 
@@ -174,9 +174,9 @@ def _read_header(file: BinaryIO, path: Path) -> SensHeader:
     if colour_codec not in _COLOUR_CODECS or depth_codec not in _DEPTH_CODECS:
         found = f"colour compression {colour_codec}, depth compression {depth_codec}"
         raise RecordingError(f"{path}: {found}, expected raw, png or jpeg colour (0-2) and raw or zlib depth (0, 1): export the recording")
-    if max(colour_width, colour_height, depth_width, depth_height) > _LONGEST_SIDE:
+    if max(colour_width, colour_height, depth_width, depth_height) > LONGEST_SIDE:
         found = f"colour {colour_width}x{colour_height}, depth {depth_width}x{depth_height}"
-        raise RecordingError(f"{path}: {found}, expected at most {_LONGEST_SIDE} pixels a side: copy the recording again")
+        raise RecordingError(f"{path}: {found}, expected at most {LONGEST_SIDE} pixels a side: copy the recording again")
     return SensHeader(
         _calibration(K_colour, colour_width, colour_height, None, path),
         _calibration(K_depth, depth_width, depth_height, scale, path),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_camera_file
+from idfslam.datasets.images.confidence import MEDIUM
 from idfslam.datasets.images.decoding import Depth, numbered, read_depth, read_values
 from idfslam.datasets.images.resampling import limited_size, upscaled_depth
 from idfslam.datasets.images.video import VideoTrack
@@ -26,7 +27,6 @@ from idfslam.storage.text_file import read_text
 
 log = logging.getLogger(__name__)
 
-MEDIUM = 1  # ARKit's confidence: 0 low, 1 medium, 2 high
 _COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _CAMERA = ("fx", "fy", "cx", "cy")  # of each frame, because of autofocus; later versions of the app write them
 
