@@ -14,6 +14,7 @@ from urllib.request import Request, urlopen
 
 from idfslam import __version__
 from idfslam.errors import DownloadError
+from idfslam.storage.json_file import read_json
 
 log = logging.getLogger(__name__)
 
@@ -105,8 +106,8 @@ def _version(response: Any) -> str | None:
 
 def _read_state(path: Path, url: str) -> dict[str, Any]:
     try:
-        state = json.loads(_state_file(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        state = read_json(_state_file(path), error=DownloadError, expected="the state of a download")
+    except DownloadError:
         return {}
     return state if isinstance(state, dict) and state.get("url") == url else {}
 

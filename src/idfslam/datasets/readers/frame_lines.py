@@ -4,7 +4,6 @@ The names of values differ from app to app; those in use are listed below. Where
 images of the colour and depth folders. Poses are ARKit's, with y up and z backward; matrices by columns are recognised.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,10 @@ from idfslam.datasets.near_miss import Likeness, Part, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.storage.json_file import parse_json
 from idfslam.storage.text_file import read_text
 
+_EXPECTED = "an object with intrinsics, pose and timestamp of a frame"
 _COLOUR = ("image", "rgb", "color", "colour", "image_path", "rgb_path", "color_path", "file_path", "image_file", "rgb_file", "color_file")
 _DEPTH = ("depth", "depth_path", "depth_file", "depth_file_path", "depth_image")
 _CAMERA = ("intrinsics", "camera_intrinsics", "cameraIntrinsics", "intrinsic_matrix", "intrinsicMatrix", "K")
@@ -54,7 +55,7 @@ def open_frame_lines(path: Path, override: Calibration) -> Recording:
     frames, poses = [], []
     for place, (number, line) in enumerate(lines):
         try:
-            values = json.loads(line)
+            values = parse_json(line, source=f"{file}: line {number}", error=RecordingError, expected=_EXPECTED)
             counted = stated_number(values, *_NUMBER)
             counted = counted if counted == counted else float(place)
             images = _named(path, values, _COLOUR, colour.get(counted)), _named(path, values, _DEPTH, depth.get(counted))
@@ -63,9 +64,8 @@ def open_frame_lines(path: Path, override: Calibration) -> Recording:
             poses.append(np.array(next((values[name] for name in _POSE if name in values), np.full(16, np.nan)), np.float64).reshape(4, 4))
             size = (int(width), int(height)) if min(width, height) > 0 else None
             frames.append((*images, (fx, fy, cx, cy), size, stated_number(values, *_STAMP)))
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-            expected = "expected an object with intrinsics, pose and timestamp of a frame"
-            raise RecordingError(f"{file}: line {number}: {type(error).__name__} {error}, {expected}") from error
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            raise RecordingError(f"{file}: line {number}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
     T_wc = [from_opengl(pose) for pose in _by_rows(np.array(poses).reshape(-1, 4, 4))]
     return open_frames(path, [PosedFrame(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], override, str(file))
 

@@ -4,7 +4,6 @@ Colour is larger than depth; both become at most 640 pixels a side (see `resampl
 preferred: Polycam's after its own optimisation, without distortion. Poses t_00 to t_23 have y up and z backward, and are the ground truth.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
-from idfslam.storage.text_file import read_text
+from idfslam.storage.json_file import read_json
 
 _KINDS = ("corrected_", "")
+_EXPECTED = "fx, fy, cx, cy and t_00 to t_23"
 
 
 def _keyframes(path: Path) -> Path:
@@ -53,13 +53,13 @@ def open_polycam(path: Path, override: Calibration) -> Recording:
 
 def _frame(colour: Path, depth: Path, camera: Path, confidence: Path | None) -> PosedFrame:
     try:
-        values = json.loads(read_text(camera))
+        values = read_json(camera, error=RecordingError, expected=_EXPECTED)
         rows = [[stated_number(values, f"t_{i}{k}") for k in range(4)] for i in range(3)]
         fx, fy, cx, cy, width, height = (stated_number(values, name) for name in ("fx", "fy", "cx", "cy", "width", "height"))
         stamp = stated_number(values, "timestamp")
         size = (int(width), int(height)) if min(width, height) > 0 else None
-    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise RecordingError(f"{camera}: {type(error).__name__} {error}, expected fx, fy, cx, cy and t_00 to t_23") from error
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        raise RecordingError(f"{camera}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
     return PosedFrame(colour, depth, (fx, fy, cx, cy), size, from_opengl(np.array(rows)), stamp, confidence)
 
 

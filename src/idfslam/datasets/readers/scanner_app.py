@@ -4,7 +4,6 @@ Colour is larger than depth; both become at most 640 pixels a side (see `resampl
 ground truth. Only some frames have a colour image: those are read.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,9 @@ from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
-from idfslam.storage.text_file import read_text
+from idfslam.storage.json_file import read_json
+
+_EXPECTED = "intrinsics of 9 numbers and cameraPoseARFrame of 16"
 
 
 def recognises(path: Path) -> bool:
@@ -36,14 +37,12 @@ def open_scanner_app(path: Path, override: Calibration) -> Recording:
 
 def _frame(colour: Path, depth: Path, state: Path, confidence: Path | None) -> PosedFrame:
     try:
-        values = json.loads(read_text(state))
+        values = read_json(state, error=RecordingError, expected=_EXPECTED)
         K = np.array(values["intrinsics"], np.float64).reshape(3, 3)
         T = np.array(values.get("cameraPoseARFrame", np.full(16, np.nan)), np.float64).reshape(4, 4)
         stamp = stated_number(values, "time")
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise RecordingError(
-            f"{state}: {type(error).__name__} {error}, expected intrinsics of 9 numbers and cameraPoseARFrame of 16"
-        ) from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise RecordingError(f"{state}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
     intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
     return PosedFrame(colour, depth, intrinsics, None, from_opengl(T), stamp, confidence)
 

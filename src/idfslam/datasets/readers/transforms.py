@@ -4,7 +4,6 @@ Cameras look along -z with y up, and pixel centres lie at half integers; both ar
 `depth_path`. Integers are millimetres unless `integer_depth_scale` or `depth_unit_scale_factor` says how many metres a unit is.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,11 @@ from idfslam.datasets.near_miss import Likeness, Part, part
 from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.storage.json_file import read_json
 from idfslam.storage.text_file import read_text
 
 TRANSFORMS = "transforms.json"
+_EXPECTED = "frames with file_path, depth_file_path and transform_matrix, and fl_x, fl_y, cx, cy"
 _DEPTH = ("depth_file_path", "depth_path")
 _UNITS = ("integer_depth_scale", "depth_unit_scale_factor")  # [m] of one unit
 _SUFFIXES = (".png", ".jpg", ".jpeg")  # of images that are named without
@@ -34,13 +35,12 @@ def open_transforms(path: Path, override: Calibration) -> Recording:
     if not file.is_file():
         raise RecordingError(f"{path}: {TRANSFORMS} is missing, expected the file that nerfstudio and NeRFCapture write")
     try:
-        values = json.loads(read_text(file))
+        values = read_json(file, error=RecordingError, expected=_EXPECTED)
         frames = [_frame(path, {**values, **frame}) for frame in values["frames"] if any(name in frame for name in _DEPTH)]
         unit, distortion = stated_number(values, *_UNITS), tuple(stated_number(values, name) for name in ("k1", "k2", "p1", "p2", "k3"))
         model = str(values.get("camera_model", ""))
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        expected = "expected frames with file_path, depth_file_path and transform_matrix, and fl_x, fl_y, cx, cy"
-        raise RecordingError(f"{file}: {type(error).__name__} {error}, {expected}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise RecordingError(f"{file}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
     lens = tuple(0.0 if value != value else value for value in distortion)
     if "FISHEYE" in model.upper() and any(lens):
         raise RecordingError(f"{file}: camera_model {model}, expected OPENCV or PINHOLE: undistort the images")
