@@ -5,7 +5,7 @@ from typing import Any
 from idfslam.errors import IdfSlamError
 
 LARGEST = 1 << 28  # [bytes] of a file that is read as a whole; raised, more memory is needed. 500 000 keyframes fit. Chosen by hand
-_DEEPEST = 32  # lists and mappings inside each other; raised, deeper files pass. Our own have 5. Chosen by hand
+DEEPEST = 32  # lists and mappings inside each other; raised, deeper files pass. Our own have 5. Chosen by hand
 _INTEGERS = 1 << 63  # integers beyond this are no numbers of anything here, and float() and numpy refuse the longest ones
 _LONGEST = 200  # characters of a value or a reason that a message shows; raised, messages are longer. Chosen by hand
 
@@ -13,7 +13,7 @@ _LONGEST = 200  # characters of a value or a reason that a message shows; raised
 def check_plain(values: Any) -> None:
     """Raises ValueError for nesting that is too deep, integers beyond 64 bits, and text with NUL or half a character."""
     level = [values]
-    for _ in range(_DEEPEST):
+    for _ in range(DEEPEST):
         inner: list[Any] = []
         for value in level:
             if isinstance(value, dict):
@@ -30,7 +30,7 @@ def check_plain(values: Any) -> None:
         if not inner:
             return
         level = inner
-    raise ValueError(f"more than {_DEEPEST} lists and mappings inside each other")
+    raise ValueError(f"more than {DEEPEST} lists and mappings inside each other")
 
 
 def shown(value: Any) -> str:
@@ -47,7 +47,7 @@ def one_line(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
-def check_size(size: int, source: str, error: type[IdfSlamError], expected: str) -> None:
-    """Raises `error` if a file has too many bytes to be read as a whole."""
-    if size > LARGEST:
-        raise error(f"{source}: {size >> 20} MB, expected {expected} of at most {LARGEST >> 20} MB: is it another file?")
+def check_size(size: int, source: str, error: type[IdfSlamError], expected: str, *, largest: int = LARGEST) -> None:
+    """Raises `error` if a file has more bytes than the `largest` that is read as a whole."""
+    if size > largest:
+        raise error(f"{source}: {size >> 20} MB, expected {expected} of at most {largest >> 20} MB: is it another file?")

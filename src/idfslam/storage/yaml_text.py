@@ -6,11 +6,10 @@ from typing import Any
 import yaml
 
 from idfslam.errors import IdfSlamError
-from idfslam.storage.plain_values import check_plain, shown
+from idfslam.storage.plain_values import DEEPEST, check_plain, check_size, one_line, shown
 from idfslam.storage.text_file import read_text
 
-_LARGEST = 1 << 20  # [bytes] More: longer lists can be read, and PyYAML takes minutes for tens of megabytes. Chosen by hand
-_DEEPEST = 32  # lists and mappings inside each other, of which PyYAML calls itself for each. Chosen by hand
+_LARGEST = 1 << 20  # [bytes] of a file; raised, longer lists can be read, and PyYAML takes minutes for tens of megabytes. Chosen by hand
 # What PyYAML raises besides its own errors for a value that does not fit its tag, such as `!!bool maybe`
 _MISFITS = (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError)
 
@@ -24,8 +23,8 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(None, None, "an alias (*name), write the value out", self.peek_event().start_mark)
         self._depth += 1
-        if self._depth > _DEEPEST:
-            raise yaml.composer.ComposerError(None, None, f"more than {_DEEPEST} levels", self.peek_event().start_mark)
+        if self._depth > DEEPEST:  # PyYAML calls itself for each level
+            raise yaml.composer.ComposerError(None, None, f"more than {DEEPEST} levels", self.peek_event().start_mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
@@ -44,9 +43,7 @@ def read_yaml(path: Path, *, error: type[IdfSlamError], expected: str) -> Any:
     expected: what the file should be, for the message, such as "the values of a run".
     """
     try:
-        size = path.stat().st_size
-        if size > _LARGEST:
-            raise error(f"{path}: {size >> 20} MB, expected {expected} of at most {_LARGEST >> 20} MB: is it another file?")
+        check_size(path.stat().st_size, str(path), error, expected, largest=_LARGEST)
         text = read_text(path)
     except OSError as caught:
         raise error(f"{path}: {caught.strerror}, expected {expected}") from caught
@@ -68,4 +65,4 @@ def _reason(error: Exception) -> str:
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return shown(error)
-    return f"line {mark.line + 1}, column {mark.column + 1}: {' '.join(str(getattr(error, 'problem', '')).split())[:200]}"
+    return f"line {mark.line + 1}, column {mark.column + 1}: {one_line(str(getattr(error, 'problem', '')))}"
