@@ -6,7 +6,7 @@ from pathlib import Path
 
 import trimesh
 
-from idfslam.errors import ConfigError, ResultError
+from idfslam.errors import ConfigError
 from idfslam.export.axes import Axes
 from idfslam.export.formats import Up
 from idfslam.export.mesh_files import write_glb, write_obj, write_plain, write_ply
@@ -34,8 +34,8 @@ def write_mesh(folder: Path, out: Path | None = None, *, resolution: float, up: 
         raise ConfigError(f"--out {path}: meshes are written as {', '.join(_WRITERS)}")
     if own and up not in (None, "camera"):
         raise ConfigError(f"--up {up}: {path} keeps the axes of {result_folder.TRAJECTORY}; name another file with --out")
-    if not own and not overwrite and path.exists():
-        raise ResultError(f"{path}: exists already; choose another file with --out, or replace it with --overwrite")
+    if not own and not overwrite:
+        output_folder.refuse_existing(path)
     check_resolution(resolution)
     run = FinishedRun(folder)
     with _own_mesh(folder) if own else nullcontext():

@@ -19,7 +19,7 @@ from idfslam.pictures.image_files import write_colour, write_depth
 from idfslam.pictures.video import write_video
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.storage import atomic_files
+from idfslam.storage import atomic_files, output_folder
 from idfslam.storage.ledger import Ledger
 
 Item = TypeVar("Item")
@@ -105,8 +105,8 @@ def write_flight(
         raise ConfigError(f"--seconds {seconds} at --fps {fps}, expected a video of two frames or more, at most 240 a second")
     flight = fly_through(poses, frames, fps=fps) if kind == "along" else _orbit(run, poses, frames)
     own = path.parent == run.folder and Ledger(run.folder).owns(path.name)
-    if path.exists() and not own and not overwrite:
-        raise ResultError(f"{path}: exists already; choose another file with --out, or replace it with --overwrite")
+    if not own and not overwrite:
+        output_folder.refuse_existing(path)
     saved = run.map
     atomic_files.prepare(path.parent)
 

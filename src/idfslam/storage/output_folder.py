@@ -38,6 +38,12 @@ def refuse_foreign(folder: Path) -> None:
         raise ResultError(f"{folder}: is not empty ({inside[0]} ...) and holds no results; choose a new folder with --out")
 
 
+def refuse_existing(path: Path) -> None:
+    """Raises ResultError if there is a file already; to be called where --overwrite was not given."""
+    if os.path.lexists(path):
+        raise ResultError(f"{path}: exists already; choose another file with --out, or replace it with --overwrite")
+
+
 def refuse_unwritable(folder: Path) -> None:
     """Raises ResultError for a folder that cannot be made or written to, as far as that is known without touching anything."""
     place = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
