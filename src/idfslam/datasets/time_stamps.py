@@ -9,9 +9,12 @@ from bisect import bisect_left
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.geometry.association import TOLERANCE
+
 log = logging.getLogger(__name__)
 
-_UNITS = {1e9: "nanoseconds", 1e6: "microseconds", 1e3: "milliseconds"}  # per second
+UNITS = (1.0, 1e3, 1e6, 1e9)  # [1/s] in which stamps are written
+_NAMES = {1e9: "nanoseconds", 1e6: "microseconds", 1e3: "milliseconds"}
 _STEPS = {1e9: 1e6, 1e6: 2e3, 1e3: 5.0}  # smallest median step of a unit [in it]: 1000 to 200 frames/s; raised, quick cameras in a unit
 #    are taken to be slow ones in the next one. A step of more than 5 s is no video
 _SINCE_1970 = {1e9: 1e17, 1e6: 1e14, 1e3: 1e11}  # smallest stamp of a unit that counts from 1970 [in it]: the year 1973
@@ -39,8 +42,16 @@ def in_seconds(stamps: NDArray[np.float64], source: str = "") -> NDArray[np.floa
     if unit == 1.0:
         return stamps
     if source:
-        log.warning("%s: the stamps are taken for %s, and converted to seconds", source, _UNITS[unit])
+        log.warning("%s: the stamps are taken for %s, and converted to seconds", source, _NAMES[unit])
     return np.asarray(stamps / unit, np.float64)
+
+
+def in_seconds_near(stamps: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Stamps (M,), converted from the unit in which they overlap in time with `reference` (N,) [s]; unchanged if there is none."""
+    for unit in UNITS:
+        if stamps.min() / unit <= reference.max() + TOLERANCE and reference.min() - TOLERANCE <= stamps.max() / unit:
+            return np.asarray(stamps / unit, np.float64) if unit != 1 else stamps
+    return stamps
 
 
 def increasing(stamps: NDArray[np.float64], source: str) -> NDArray[np.float64] | None:

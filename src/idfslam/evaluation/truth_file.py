@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from idfslam.datasets.poses.pose_file import read_pose_file
-from idfslam.datasets.poses.truth import in_seconds, warn_if_in_millimetres
+from idfslam.datasets.poses.truth import warn_if_in_millimetres
 from idfslam.datasets.recording import FPS
+from idfslam.datasets.time_stamps import in_seconds_near
 from idfslam.geometry.association import TOLERANCE, associate
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
 
@@ -35,7 +36,7 @@ def read_truth(path: Path, run: Trajectory) -> Trajectory:
             raise TrajectoryError(f"{path}: {found}; expected one for each frame, or lines of stamp tx ty tz qx qy qz qw")
         log.warning("%s: has no time stamps; its poses are taken in the order of the frames", path)
         return Trajectory(run.timestamps, file.T_wc)
-    truth = Trajectory(in_seconds(file.timestamps, run.timestamps), file.T_wc)
+    truth = Trajectory(in_seconds_near(file.timestamps, run.timestamps), file.T_wc)
     if len(run) and has_assumed_stamps(run) and not len(associate(run.timestamps, truth.timestamps)):
         return _in_order(path, truth, run)
     return truth

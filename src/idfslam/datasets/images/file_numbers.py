@@ -6,12 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.time_stamps import UNITS
+
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _SIZE = re.compile(r"(?<!\d)\d+x\d+(?!\d)")  # 640x480
 _SECONDS_NANOSECONDS = re.compile(r"(?<!\d)(\d{10})[_-](\d{9})(?!\d)")  # ROS: 1403636579_763555584
 
 _EPOCH = (5e8, 5e9)  # [s] since 1970 that count as a time stamp: 1985 to 2128. Wider, dates such as 20240131 are taken for one
-_UNITS = (1.0, 1e3, 1e6, 1e9)  # per second
 # Steps between names that are stamps of a camera's own clock. Wider, other numbers are taken for stamps. Chosen by hand
 _DECIMAL_SECONDS = (1e-3, 2.0)  # [s]
 _DECIMAL_MILLISECONDS = (2.0, 2000.0)  # [ms]
@@ -60,7 +61,7 @@ def _last(stem: str) -> str | None:
 def _units_per_second(texts: Sequence[str]) -> float | None:
     """Units per second of numbers that are time stamps; None if they are not."""
     values = np.array([float(text) for text in texts])
-    for unit in _UNITS:
+    for unit in UNITS:
         if np.all((values >= _EPOCH[0] * unit) & (values <= _EPOCH[1] * unit)):
             return unit
     if len(values) < 3:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.poses.pose_file import read_pose_file
+from idfslam.datasets.time_stamps import in_seconds_near
 from idfslam.errors import IdfSlamError, RecordingError
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
@@ -20,7 +21,6 @@ from idfslam.storage.text_file import read_text
 log = logging.getLogger(__name__)
 
 _LONGEST_STEP = 2.0  # [m] from pose to pose, in the median; raised, slow cameras in millimetres pass (20 mm a frame is 20). Chosen by hand
-_UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] in which stamps are written: seconds, ms, us, ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,21 +98,13 @@ def read_stamped(path: Path, wanted: NDArray[np.float64]) -> Truth:
     known = np.isfinite(file.T_wc).all((1, 2))
     if not known.any():
         raise RecordingError(file.problems[0])
-    stamps, T_wc = in_seconds(file.timestamps[known], wanted), file.T_wc[known]
+    stamps, T_wc = in_seconds_near(file.timestamps[known], wanted), file.T_wc[known]
     order = np.argsort(stamps, kind="stable")
     selected = at_stamps(stamps[order], T_wc[order], wanted, TOLERANCE)
     if not np.isfinite(selected).all((1, 2)).any():
         span = f"poses from {stamps.min():.3f} to {stamps.max():.3f} s, images from {wanted.min():.3f} to {wanted.max():.3f} s"
         raise RecordingError(f"{path}: {span}: no pose within {1000 * TOLERANCE:.0f} ms of an image, expected stamps of one clock")
     return Truth(selected, str(path), file.problems)
-
-
-def in_seconds(stamps: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Stamps (M,), converted from the unit in which they overlap in time with `reference` (N,) [s]; unchanged if there is none."""
-    for unit in _UNITS:
-        if stamps.min() * unit <= reference.max() + TOLERANCE and reference.min() - TOLERANCE <= stamps.max() * unit:
-            return stamps * unit if unit != 1 else stamps
-    return stamps
 
 
 def at_stamps(
