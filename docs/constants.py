@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-PACKAGES = ("sensing", "alignment", "tracking", "graph", "mapping", "slam")
-"""Those whose constants decide what a run gives."""
+PACKAGES = (
+    *("sensing", "alignment", "tracking", "graph", "mapping", "slam"),
+    *("datasets", "runs", "storage", "export", "batch", "viewer", "evaluation"),
+)
+"""Those whose constants decide what is read, what a run gives, and what is made of it."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +27,12 @@ class Constant:
 def constants(package: Path) -> Iterator[Constant]:
     """All constants of PACKAGES that are numbers or made of numbers; kernels' own block sizes are not among them."""
     for part in PACKAGES:
-        for path in sorted((package / part).glob("*.py")):
-            text = path.read_text(encoding="utf-8")
+        for path in sorted(path for path in (package / part).rglob("*.py") if "kernels" not in path.parts):
+            text, module = path.read_text(encoding="utf-8"), path.relative_to(package).as_posix()
             for node in ast.parse(text).body:
                 if isinstance(node, ast.Assign) and _is_numeric(node.value):
                     for name in _names(node.targets[0]):
-                        yield Constant(f"{part}/{path.name}", name, ast.unparse(node.value), _comment(text.splitlines(), node))
+                        yield Constant(module, name, ast.unparse(node.value), _comment(text.splitlines(), node))
 
 
 def _names(target: ast.expr) -> list[str]:

@@ -19,7 +19,7 @@ from idfslam.storage.unpack import SUFFIXES, unpack
 log = logging.getLogger(__name__)
 
 _LEVELS_UP = 2  # folders above a named file or folder in which the recording around it is looked for; raised, one further away is taken
-_LEVELS_DOWN = 2  # likewise below
+_LEVELS_DOWN = 2  # folders below one in which a recording is looked for; raised, one further away is taken
 _MOST_FOLDERS = 1000  # folders that are looked into below; raised, a wrong path takes longer to be refused. All three chosen by hand
 
 T = TypeVar("T")

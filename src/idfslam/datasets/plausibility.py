@@ -11,7 +11,8 @@ ASSUMED_NEAR = 0.6  # [m] median depth below which a scale that nobody stated is
 ASSUMED_FAR = (6.0, 3.5)  # [m] median depth, and a twentieth of the depths, above which such a scale is doubted; lowered, halls are doubted
 ROOM = (0.7, 5.0)  # [m] median depth that another scale must give; widened, more scales are proposed. Chosen by hand
 BEYOND = (20.0, 0.25)  # [m] reach of depth cameras indoors, [1] share of readings beyond it; raised, fewer wrong scales are found
-SCALES = (1000.0, 5000.0, 6553.5, 1.0, 10000.0)  # units per metre that are common, the commonest first
+SCALES = (1000.0, 5000.0, 6553.5, 1.0, 10000.0)  # units per metre that are common, the commonest first; more: more scales are proposed,
+#    wrongly too
 RATE = (1.0, 300.0)  # [frames/s] of cameras; widened, fewer wrong stamps are found
 
 

@@ -13,13 +13,14 @@ from idfslam.geometry.association import TOLERANCE
 
 log = logging.getLogger(__name__)
 
-UNITS = (1.0, 1e3, 1e6, 1e9)  # [1/s] in which stamps are written
+UNITS = (1.0, 1e3, 1e6, 1e9)  # [1/s] in which stamps are written; more: stamps in seconds may be taken for those of a unit
 _NAMES = {1e9: "nanoseconds", 1e6: "microseconds", 1e3: "milliseconds"}
 _STEPS = {1e9: 1e6, 1e6: 2e3, 1e3: 5.0}  # smallest median step of a unit [in it]: 1000 to 200 frames/s; raised, quick cameras in a unit
 #    are taken to be slow ones in the next one. A step of more than 5 s is no video
 _SINCE_1970 = {1e9: 1e17, 1e6: 1e14, 1e3: 1e11}  # smallest stamp of a unit that counts from 1970 [in it]: the year 1973
-_NOW = (9e8, 3e9)  # [s] since 1970, the years 1998 to 2065: stamps between are seconds up to a step of
-_SLOWEST = 3600.0  # [s] raised, nanoseconds since the start of the recording may be taken for seconds
+_NOW = (9e8, 3e9)  # [s] since 1970, the years 1998 to 2065: what lies between is in seconds; wider: milliseconds since the start of the
+#    recording too
+_SLOWEST = 3600.0  # [s] largest median step of such stamps; raised, nanoseconds since the start of the recording may be taken for seconds
 _USABLE = 0.5  # [1] share of stamps that must increase; raised, more recordings get regular stamps. Chosen by hand
 
 

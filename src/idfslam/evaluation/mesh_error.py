@@ -40,7 +40,8 @@ from idfslam.geometry.trajectory import align
 Floats = NDArray[np.float64]
 SAMPLES = 200_000  # points on each surface, as in the published protocols; raised, the errors scatter less and take longer
 VIEWS = 1000  # for depth L1, as in NICE-SLAM; raised, depth L1 scatters less and takes longer
-_FOUND = 0.05  # [m] distance up to which the reconstruction contains a true point (completion ratio < 5 cm, as published)
+_FOUND = 0.05  # [m] distance up to which the reconstruction contains a true point, 5 cm as published; raised, the completion ratio is
+#    larger
 _CANDIDATES = 8  # triangles to which a point's distance is measured; raised, the nearest one is missed less often. Chosen by hand
 _ICP_REACH = 0.1  # [m] largest distance of points that ICP pairs; raised, ICP corrects larger misalignments. NICE-SLAM's value
 _VIRTUAL_REACH = 1.0  # [m] of virtual views from recorded camera centres; raised, more hidden surface counts. Chosen by hand

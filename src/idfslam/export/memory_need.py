@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 _TRIANGLES, _TRIANGLE_BYTES = 3.0, 650
 _POINT_BYTES = 40  # of a lattice point near the surface: its position, distance, colour and marks. Raised, more is refused
 _BLOCK = 32  # [cells] around the truncation distance that blocks reach beyond it, on both sides together. Raised, more is refused
-_UNKNOWN = 16e9  # [bytes] taken as free where the system does not tell. Chosen by hand
+_UNKNOWN = 16e9  # [bytes] taken as free where the system does not tell; raised, larger meshes are tried. Chosen by hand
 
 
 def check_mesh(area: float, resolution: float) -> None:

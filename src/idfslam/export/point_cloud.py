@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from idfslam import __version__
 from idfslam.frame import Frame
 
-_EDGE = 0.03  # relative difference in depth to a neighbour beyond which a reading is dropped: depth cameras measure false depths at edges
-_OFFSET = 1 << 20  # voxel coordinates are packed into 21 bits each
+_EDGE = 0.03  # [1] relative difference in depth to a neighbour beyond which a reading is dropped, since depth cameras measure false depths
+#    at edges; raised, fewer are. Chosen by hand
+_OFFSET = 1 << 20  # added to voxel coordinates, which are packed into 21 bits each: larger ones do not fit
 _REACH = 2  # [px] to the neighbours that give a reading's normal. More: less noise, rounder edges. Chosen by hand
 
 Floats = NDArray[np.float64]

@@ -18,12 +18,12 @@ from idfslam.errors import ConfigError
 from idfslam.frame import Frame
 from idfslam.geometry.projection import intrinsics_of, project
 
-_SQUARE = 8  # texels along the edge of a square
-_LEG = _SQUARE - 3  # texels along a triangle's leg
+_SQUARE = 8  # texels along the edge of a square; raised, the texture is larger and sharper. Chosen by hand
+_LEG = _SQUARE - 3  # texels along a triangle's leg; raised, the two triangles of a square would touch
 _LARGEST = 16384  # texels along the edge of an atlas; larger ones exceed the limit of common graphics cards
 _SHARPNESS = 4  # exponent of a view's weight; larger: the best view of a point dominates, smaller: views are blended
 _DEPTH_TOLERANCE = 0.02  # a measured depth may differ from the surface's by 2 cm + 2 %; larger: colours leak past occluding edges
-_NEAREST = 0.05  # [m] points nearer to the camera are not coloured by it
+_NEAREST = 0.05  # [m] points nearer to the camera are not coloured by it; raised, close-ups colour less. Chosen by hand
 
 Floats = NDArray[np.float32]
 Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N, 3) -> RGB (N, 3) in [0, 1]

@@ -21,7 +21,7 @@ from idfslam.mapping.ray_samples import RaySamples
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.sphere_tracing import Trace
 
-_BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam
+_BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam: larger betas average over more steps
 
 
 def fusable(field: Field) -> bool:

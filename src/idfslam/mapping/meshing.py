@@ -22,7 +22,7 @@ _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more 
 # [cells], [tr] Their sum is the largest distance of a vertex from a reading. More: surfaces extend beyond what was seen. Chosen by hand.
 _CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3
 _SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth, since the tolerance is in depth. More: more blocks are evaluated
-_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at cells of 1 cm
+_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at cells of 1 cm; larger ones do not fit
 
 
 def extract_mesh(

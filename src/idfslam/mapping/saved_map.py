@@ -25,7 +25,7 @@ from idfslam.mapping.sphere_tracing import trace_image
 from idfslam.storage.safetensors_file import ordered
 
 FORMAT = 3  # format of the file, counted up with each change that older versions cannot read
-_ONE_CAMERA = 2  # the format before, in which all views have one camera
+_ONE_CAMERA = 2  # the format before, in which all views have one camera: a fact of older files
 # [m] Largest distance of rendered surface from a reading to count as observed, added to 0.3 tr: as in a mesh of 2 cm. More: surfaces
 # extend beyond what was seen.
 _OBSERVED = 0.03

@@ -11,7 +11,7 @@ import torch
 
 from idfslam.storage.state import State
 
-BLOCK = 100  # frames over which each value of the speed is a mean
+BLOCK = 100  # frames over which each value of the speed is a mean; more: smoother values, fewer of them
 
 
 class Meter:

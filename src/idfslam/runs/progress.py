@@ -8,7 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from idfslam.frame import FrameResult, Status
 
-_WIDE = 140  # [columns] a terminal at least as wide shows every loss, a narrower one the first
+_WIDE = 140  # [columns] of a terminal that shows every loss, a narrower one the first; larger: fewer terminals show all
 _SETTLED = 30  # frames after which the time left is estimated; fewer: compiling and the first frame count too much. Chosen by hand
 _BETWEEN_LINES = 10.0  # [s] between two lines of text; larger: shorter logs, told later. Chosen by hand
 

@@ -2,9 +2,11 @@
 
 from torch import Tensor
 
-NEAREST = 0.4  # [m] depth of a reading at the sensor's best; nearer ones are no better (Nguyen et al. 2012)
+NEAREST = 0.4  # [m] depth of a reading at the sensor's best (Nguyen et al. 2012): nearer ones are no better; raised, more readings count
+#    as the best
 GROWTH = 1.5  # [1/m^2] of the noise with the square of the depth beyond, as a share of the best; raised, far readings count less
-BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at 0.4 m, its best (Nguyen et al. 2012)
+BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading at 0.4 m (Nguyen et al. 2012); raised, all readings are
+#    trusted less
 
 
 def noise_ratio(depth: Tensor) -> Tensor:

@@ -6,7 +6,8 @@ from idfslam.errors import IdfSlamError
 
 LARGEST = 1 << 28  # [bytes] of a file that is read as a whole; raised, more memory is needed. 500 000 keyframes fit. Chosen by hand
 DEEPEST = 32  # lists and mappings inside each other; raised, deeper files pass. Our own have 5. Chosen by hand
-_INTEGERS = 1 << 63  # integers beyond this are no numbers of anything here, and float() and numpy refuse the longest ones
+_INTEGERS = 1 << 63  # integers beyond this are refused; raised, float() and numpy refuse the longest ones. Nothing that is read counts so
+#    far
 _LONGEST = 200  # characters of a value or a reason that a message shows; raised, messages are longer. Chosen by hand
 
 

@@ -9,10 +9,10 @@ import re
 from pathlib import Path
 from typing import BinaryIO
 
-_LENGTH, _ALIGNMENT = 8, 8  # [bytes] of the header's length, and what the header is filled up to a multiple of
+_LENGTH, _ALIGNMENT = 8, 8  # [bytes] of the header's length, and what the header is filled up to a multiple of: a fact of the format
 _METADATA = "__metadata__"
 _CHECKSUM = re.compile(rb'"sha256":"([0-9a-f]{64})"')
-_BLOCK = 1 << 20  # [bytes] read at once
+_BLOCK = 1 << 20  # [bytes] read at once; raised, more memory is taken. Chosen by hand
 UNKNOWN = "0" * 64  # the checksum in the metadata while the file is written
 
 

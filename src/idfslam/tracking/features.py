@@ -14,8 +14,8 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from idfslam.errors import ConfigError
 
-WIDTH = 64  # channels of the trunk
-CHANNELS = 32  # channels of a feature
+WIDTH = 64  # channels of the trunk; more: a slower network, and the stored weights do not fit
+CHANNELS = 32  # channels of a feature; more: slower matching, and the stored weights do not fit
 
 
 class BasicBlock(nn.Module):

@@ -23,7 +23,8 @@ _REACH = (0.10, 0.03)
 _FACING = 0.8  # [1] least cosine between the normals of a pair. More: fewer wrong pairs, and fewer pairs
 _MATCH_NOISE = 0.01  # [m] noise of a match, added to the sensor's: a pixel of the features, seen from 2 m. More: matches count less
 _MATCH_WEIGHT = 0.1  # [1] weight of a match relative to a point: errors of neighbouring matches are correlated. More: matches count more
-_PRIOR = 1.0  # [1/m^2, 1/rad^2] prior information at the present pose. It keeps the system solvable; a point has about 10^4
+_PRIOR = 1.0  # [1/m^2, 1/rad^2] prior information at the present pose; raised, steps are shorter. It keeps the system solvable; a point
+#    has about 10^4
 _ROBUST = 3.0  # [standard deviations] residual at which the weight has fallen to a quarter. More: outliers count more
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from idfslam.errors import ConfigError, pip_install
 
 RECORDING = "recording.rrd"  # the recorded live view in a result folder
-PORT = 9090  # of the page for a browser, as in rerun; the data is served on PORT + 1
+PORT = 9090  # of the page for a browser, as in rerun: a larger number by one is the port of the data
 LOOPBACK = "127.0.0.1"  # the default address that page and data listen on: this machine alone reaches them
 
 Place = Literal["window", "web", "file"]  # where a run is shown

@@ -30,14 +30,14 @@ _MESH_RESOLUTION = 0.05  # [m] cells of the mesh during the run; larger: coarser
 _MAX_ROWS = 240  # [px] height of the images; larger: sharper, and a larger file
 _PLOT_BATCH = 30  # frames whose losses and times are sent in one call; larger: cheaper, and the plots lag behind by as many frames
 _MAX_TAIL = 30  # frames; a path of more frames since the last keyframe makes the whole trajectory due; larger: corrections show later
-_FRUSTUM_DEPTH = 0.08  # [m] depth of the pyramid that is drawn for a keyframe
+_FRUSTUM_DEPTH = 0.08  # [m] depth of the pyramid that is drawn for a keyframe; larger: easier to see, and they overlap
 _COLOURS = {
     Status.OK: (90, 200, 120),
     Status.DEGENERATE: (240, 180, 60),
     Status.LOST: (235, 70, 60),
     Status.INTERPOLATED: (200, 120, 230),
 }
-_KEYFRAME, _COVISIBLE, _LOOP = (70, 140, 240), (120, 170, 240, 70), (240, 60, 200)
+_KEYFRAME, _COVISIBLE, _LOOP = (70, 140, 240), (120, 170, 240, 70), (240, 60, 200)  # RGB or RGBA, 0 to 255; larger: lighter
 _TRAJECTORY, _TAIL = "world/trajectory", "world/trajectory/newest"
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.errors import RecordingError
 
-DISTORTION_LENGTHS = (4, 5, 8)
+DISTORTION_LENGTHS = (4, 5, 8)  # numbers of OpenCV's distortion models that are read: a fact of OpenCV
 MAX_SKEW = 1e-3  # [1] of fx; what a calibration leaves of rounding. Raised, more slanted pixels pass. 1e-3 moves an image's edge by 0.3 px
 _EXACT = 1e-6  # [1] to which the zeros and the one of a matrix must hold; raised, more matrices pass. Chosen by hand
 _EXPECTED = "expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]]"

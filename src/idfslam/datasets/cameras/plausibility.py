@@ -13,7 +13,8 @@ MAX_OFFSET = 0.15  # [1] of width and height, of the principal point from the mi
 MAX_ANISOTROPY = 0.1  # [1] difference of fx and fy; raised, more exchanged values pass. Pixels are square to a per cent. Chosen by hand
 FRACTIONAL = 4.0  # largest focal length that is in image sizes rather than in pixels; raised, images of very few pixels are refused
 LENS = (0.3, 3.0)  # [1] factors by which distortion may move the image's corner; widened, more nonsense passes. Chosen by hand
-_SIZES = (2.0, 0.5, 3.0, 1 / 3, 4.0, 0.25, 1.5, 2 / 3)  # of our images over those that a camera may be meant for, the commonest first
+_SIZES = (2.0, 0.5, 3.0, 1 / 3, 4.0, 0.25, 1.5, 2 / 3)  # [1] of our images over those that a camera may be meant for, the commonest first;
+#    more: more is proposed, wrongly too. By hand
 
 
 def flags(camera: Camera) -> str:

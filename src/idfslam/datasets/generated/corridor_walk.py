@@ -21,7 +21,7 @@ _STEP = 0.01  # [m] between points of the path; raised, the path is coarser
 _RADIUS = 0.75  # [m] of corners; raised, turns are slower
 _SPEED = 0.67  # [m/s] along straight stretches; raised, frames are farther apart
 _EASE = 0.08  # [1] share of the speed lost in corners; raised, the walk is slower there
-_EYE = 1.45  # [m] height of the camera above the floor
+_EYE = 1.45  # [m] height of the camera above the floor; raised, more of the ceiling is seen
 _GLANCE = 1.7  # [s] half the duration of a look to the side; raised, the head turns more slowly
 
 

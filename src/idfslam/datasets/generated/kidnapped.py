@@ -21,8 +21,9 @@ from idfslam.frame import Frame
 if TYPE_CHECKING:
     import trimesh
 
-BLACK = -1  # in `order`: a black frame
-_RETURN = (0.2, 0.8)  # [1] range of the frames seen so far to which the camera returns. Chosen by hand
+BLACK = -1  # stands for a black frame in `order`, where others are numbers from 0: raised, it would be one of them
+_RETURN = (0.2, 0.8)  # [1] range of the frames seen so far to which the camera returns; wider: nearer to the newest or the first. Chosen
+#    by hand
 _APART = 0.5, np.deg2rad(30)  # [m], [rad] smallest difference of the pose after darkness; raised, fewer frames qualify. Chosen by hand
 
 Array = NDArray[np.float64]

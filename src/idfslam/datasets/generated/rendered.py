@@ -12,8 +12,8 @@ from idfslam.geometry.camera import Camera
 from idfslam.scenes.baked_scene import BakedScene
 from idfslam.scenes.shading import Rendering
 
-FPS = 30.0
-_FOCAL = 577.0  # [px] for a width of 640: about a Kinect's
+FPS = 30.0  # [Hz] of generated recordings; raised, a walk through the corridor has more frames
+_FOCAL = 577.0  # [px] for a width of 640, about a Kinect's; raised, the field of view is narrower
 
 
 class RenderedRecording:

@@ -12,7 +12,7 @@ from idfslam.errors import ConfigError
 from idfslam.scenes.room import BARE_WALL, build_room, wall_frame
 
 TOUR = 600  # frames of one round; raised, the camera moves more slowly
-BARE_PASSAGE = (104, 128)  # first and last frame that face the bare wall
+BARE_PASSAGE = (104, 128)  # first and last frame that face the bare wall; wider: a longer passage without shape. Chosen by hand
 _APPROACH, _LEAVE = 95, 200  # frames in which the camera turns towards the bare wall and away from it; raised, it turns more slowly
 
 

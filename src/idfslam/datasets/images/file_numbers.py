@@ -13,13 +13,13 @@ _SIZE = re.compile(r"(?<!\d)\d+x\d+(?!\d)")  # 640x480
 _SECONDS_NANOSECONDS = re.compile(r"(?<!\d)(\d{10})[_-](\d{9})(?!\d)")  # ROS: 1403636579_763555584
 
 _EPOCH = (5e8, 5e9)  # [s] since 1970 that count as a time stamp: 1985 to 2128. Wider, dates such as 20240131 are taken for one
-# Steps between names that are stamps of a camera's own clock. Wider, other numbers are taken for stamps. Chosen by hand
-_DECIMAL_SECONDS = (1e-3, 2.0)  # [s]
-_DECIMAL_MILLISECONDS = (2.0, 2000.0)  # [ms]
-_MICROSECONDS = (4e3, 1e6)  # [us]
-_NANOSECONDS = (4e6, 1e10)  # [ns]
+_DECIMAL_SECONDS = (1e-3, 2.0)  # [s] steps between names that are stamps of a camera's own clock. Wider, here and in the four below: other
+#    numbers are taken for stamps. Chosen by hand
+_DECIMAL_MILLISECONDS = (2.0, 2000.0)  # [ms] likewise, with digits behind a point
+_MICROSECONDS = (4e3, 1e6)  # [us] likewise, whole numbers
+_NANOSECONDS = (4e6, 1e10)  # [ns] likewise, whole numbers
 _STEADY = 0.25  # [1] how much a step may differ from the median step and still count as regular; raised, chosen frames look like a clock
-_MILLISECONDS = (8.0, 500.0)  # [ms] whole ones, whose rounding shows: 33, 67, 100
+_MILLISECONDS = (8.0, 500.0)  # [ms] likewise, whole ones, whose rounding shows: 33, 67, 100
 
 
 def counting_numbers(stems: Sequence[str]) -> list[str | None]:

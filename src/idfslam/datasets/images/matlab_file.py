@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_HEADER = 128  # [bytes]
-_MATRIX, _COMPRESSED = 14, 15
+_HEADER = 128  # [bytes] of text before the first element: a fact of the format
+_MATRIX, _COMPRESSED = 14, 15  # types of elements: a fact of the format
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # of stored numbers
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}  # of arrays
 _MOST_UNPACKED = 1032  # [1] bytes that zlib makes of one at most: a stream that claims more is damaged

@@ -21,8 +21,8 @@ UNIT = 0.05  # [1] difference of a quaternion's length from 1 that counts as rou
 #    are off by 0.01 at most. Chosen by hand
 FORMS = "stamp tx ty tz qx qy qz qw (TUM), the 12 or 16 numbers of a matrix (KITTI), or EuRoC's csv"
 _W_FIRST = re.compile(r"\bq_?(rs_)?w\b.*\bq_?(rs_)?x\b", re.IGNORECASE)  # qw qx, q_w q_x, q_RS_w [] q_RS_x []
-_STAMPED = (8, 13, 17)  # columns: stamp with position and quaternion, with 3 x 4, with 4 x 4 numbers or those of EuRoC
-_PLAIN = (4, 12, 16)  # columns: one row of a matrix a line, or a whole matrix
+_STAMPED = (8, 13, 17)  # columns: stamp with position and quaternion, with 3 x 4, with 4 x 4 numbers or those of EuRoC: a fact of the forms
+_PLAIN = (4, 12, 16)  # columns: one row of a matrix a line, or a whole matrix: a fact of the forms
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,8 @@ from idfslam.storage.plain_values import LARGEST, shown
 
 # What zipfile raises for damaged, encrypted and unusual archives
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError)
-_DEPTH_SIZES = ((192, 256), (480, 640))  # width, height [px] of LiDAR and TrueDepth, upright, if the metadata has none
+_DEPTH_SIZES = ((192, 256), (480, 640))  # width, height [px] of LiDAR and TrueDepth, upright, if the metadata has none: a fact of the
+#    cameras
 
 
 def recognises(path: Path) -> bool:

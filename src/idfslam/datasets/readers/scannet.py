@@ -26,7 +26,7 @@ from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import FPS, Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
 
-_VERSION = 4
+_VERSION = 4  # of .sens files; all published ones have it: a fact of the format
 _COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
 _DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2 is "occi", which no published recording uses
 _FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth

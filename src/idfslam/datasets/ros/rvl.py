@@ -13,7 +13,7 @@ from idfslam.datasets.images.array_files import MOST_VALUES
 from idfslam.errors import FrameError
 
 _SIZE = struct.Struct("<II")  # width, height [px]
-_LONGEST = 11  # [nibbles] of a number of 32 bits, as the coding defines it
+_LONGEST = 11  # [nibbles] of a number of 32 bits: a fact of the coding
 
 
 def decode_rvl(data: bytes, source: str) -> NDArray[np.uint16]:
