@@ -72,10 +72,8 @@ class Reader:
     name: str
     layout: str
     recognises: Callable[[Path], bool]
-    open: Callable[[Path, Calibration], Dataset]  # the calibration holds the user's values
-    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = (
-        None  # with the topics that the user names; None: the layout has no topics
-    )
+    open: Callable[[Path, Calibration], Dataset]  # the calibration holds what the user and the camera files beside the images state
+    open_topics: Callable[[Path, Calibration, Topics], Dataset] | None = None  # of topics by name; None: the layout has none
     likeness: Likeness | None = None
 
 

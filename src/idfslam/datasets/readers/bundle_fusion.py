@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import read_beside
 from idfslam.datasets.cameras.camera_text import from_matrix
 from idfslam.datasets.images.decoding import ImageFiles, numbered
 from idfslam.datasets.images.depth_units import usual_scale
@@ -35,7 +34,7 @@ def open_bundle_fusion(path: Path, override: Calibration) -> Recording:
         timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
-        calibration=override.over(read_beside(path)).over(camera).over(usual_scale(pairs.files)),
+        calibration=override.over(camera).over(usual_scale(pairs.files)),
     )
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.cameras.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles, by_number, numbered
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.folders import find_images, has_colour, has_depth
@@ -49,22 +49,15 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         timestamps, source = np.array([stamps[number] for number in pairs.numbers]), STAMPS
     elif pairs.stamps is not None:
         timestamps, source = pairs.stamps, "file names"
-    calibration, depth_camera = calibrated(path, override)
     return Recording(
         path.name,
         ImageFiles(pairs.files),
         timestamps=timestamps,
         stamps_source=source,
         ground_truth=lambda: read_poses(path, pairs, timestamps),
-        calibration=calibration.over(usual_scale(pairs.files)),
-        depth_camera=depth_camera,
+        calibration=override.over(usual_scale(pairs.files)),
+        depth_camera=read_depth_camera(path),
     )
-
-
-def calibrated(path: Path, override: Calibration) -> tuple[Calibration, DepthCameraCalibration | None]:
-    """The colour camera, from the user, cam_params.json and camera files; the depth camera, if depth is not registered."""
-    depth_camera = read_depth_camera(path)
-    return override.over(read_beside(path)), depth_camera
 
 
 def read_poses(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) -> Truth | None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import CAM_PARAMS, read_beside, read_depth_camera
+from idfslam.datasets.cameras.camera_files import CAM_PARAMS, read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.file_list import listed_image, listed_lines
@@ -47,7 +47,7 @@ def open_icl_nuim(path: Path, override: Calibration) -> Recording:
         timestamps=numbers / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_ground_truth(path, numbers),
-        calibration=override.over(read_beside(path)).over(PUBLISHED).over(usual_scale(pairs, 5000, "ICL-NUIM layout")),
+        calibration=override.over(PUBLISHED).over(usual_scale(pairs, 5000, "ICL-NUIM layout")),
         depth_camera=read_depth_camera(path),
     )
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import read_beside, read_cam_params, read_depth_camera
+from idfslam.datasets.cameras.camera_files import read_cam_params, read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles, numbered
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.pairs import paired
@@ -23,7 +23,7 @@ def open_replica(path: Path, override: Calibration) -> Recording:
     """Opens a scene; cam_params.json is in the folder or, as published, in its parent."""
     images = path / "results"
     pairs = paired(numbered(images, "frame*"), numbered(images, "depth*"), images)
-    stated = override.over(read_beside(path)).over(read_cam_params(path.parent))
+    stated = override.over(read_cam_params(path.parent))
     return Recording(
         path.name,
         ImageFiles(pairs.files),

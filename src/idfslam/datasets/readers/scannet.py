@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import read_beside, read_camera_file
+from idfslam.datasets.cameras.camera_files import read_camera_file
 from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.image_header import LONGEST_SIDE
@@ -51,17 +51,16 @@ def open_scannet(path: Path, override: Calibration) -> Recording:
 
 def _open_exported(path: Path, override: Calibration) -> Recording:
     pairs = paired(numbered(path / "color"), numbered(path / "depth"), path)
-    calibration = override.over(read_beside(path))
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
-    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if calibration.complete else colour, depth)
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if override.complete else colour, depth)
     return Recording(
         path.name,
         read,
         timestamps=pairs.places / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_poses(path, pairs, pairs.places / FPS),
-        calibration=calibration.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
+        calibration=override.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
     )
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
-from idfslam.datasets.cameras.camera_files import read_beside
 from idfslam.datasets.images.decoding import Depth, ImageFiles, numbered
 from idfslam.datasets.images.pairs import pair_images
 from idfslam.datasets.near_miss import Likeness, part
@@ -41,7 +40,7 @@ def open_sun3d(path: Path, override: Calibration) -> Recording:
         timestamps=pairs.places / FPS if pairs.stamps is None else pairs.stamps,
         stamps_source=ASSUMED if pairs.stamps is None else "file names",
         ground_truth=None,
-        calibration=override.over(read_beside(path)).over(assumed_scale(1000, "SUN3D layout")),
+        calibration=override.over(assumed_scale(1000, "SUN3D layout")),
     )
 
 

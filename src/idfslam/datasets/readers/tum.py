@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import read_beside, read_depth_camera
+from idfslam.datasets.cameras.camera_files import read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.file_list import listed_image, listed_lines, number
@@ -57,7 +57,7 @@ def open_tum(path: Path, override: Calibration) -> Recording:
         ImageFiles(files),
         timestamps=timestamps,
         ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=override.over(read_beside(path)).over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
+        calibration=override.over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
     )
 

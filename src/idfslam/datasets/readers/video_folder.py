@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_depth_camera
 from idfslam.datasets.images import video
 from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, Depth, numbered, read_depth
 from idfslam.datasets.images.depth_units import usual_scale
@@ -13,7 +14,7 @@ from idfslam.datasets.images.folders import depth_folder
 from idfslam.datasets.images.pairs import Pairs, warn_left_out
 from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness
-from idfslam.datasets.readers.folder import calibrated, read_poses
+from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 
@@ -49,14 +50,13 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
     def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
         return track.colour(int(pairs.places[i])), read_depth(pairs.files[i][1])
 
-    calibration, depth_camera = calibrated(path, override)
     return Recording(
         path.name,
         read,
         timestamps=timestamps,
         ground_truth=lambda: read_poses(path, pairs, timestamps),
-        calibration=calibration.over(usual_scale(pairs.files)),
-        depth_camera=depth_camera,
+        calibration=override.over(usual_scale(pairs.files)),
+        depth_camera=read_depth_camera(path),
         random_access=False,
     )
 
