@@ -24,12 +24,16 @@ settings.load_profile("suite")
 
 
 @pytest.fixture(autouse=True)
-def log_level() -> Iterator[None]:
-    """A command sets how much the package logs: for its own test alone."""
-    logger = logging.getLogger("idfslam")
-    level = logger.level
+def logging_of_one_test() -> Iterator[None]:
+    """A command sets how much the package logs, and where to: for its own test alone."""
+    loggers = [logging.getLogger(), logging.getLogger("idfslam")]
+    before = [(logger.level, logger.handlers[:]) for logger in loggers]
     yield
-    logger.setLevel(level)
+    for logger, (level, handlers) in zip(loggers, before):
+        logger.setLevel(level)
+        logger.handlers[:] = [
+            handler for handler in logger.handlers if handler in handlers or type(handler).__module__.startswith("_pytest")
+        ]
 
 
 @pytest.fixture(scope="session")
