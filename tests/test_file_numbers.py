@@ -1,5 +1,7 @@
 """Which number of a file name counts the files, and which names are time stamps."""
 
+from datetime import datetime, timedelta
+
 import numpy as np
 import pytest
 
@@ -61,7 +63,6 @@ def test_names_that_are_time_stamps(clock: str) -> None:
         ["3", "7", "12", "80", "81"],  # chosen frames
         ["100", "200", "300", "400"],
         ["20240131", "20240201", "20240202"],
-        ["20240131120000", "20240131120001", "20240131120002"],
         ["1700000002.5", "1700000001.5", "1700000000.5"],  # not in the order of time
         ["5"],
         [],
@@ -69,3 +70,31 @@ def test_names_that_are_time_stamps(clock: str) -> None:
 )
 def test_names_that_are_not(names: list[str]) -> None:
     assert name_stamps(names) is None
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%Y-%m-%d_%H-%M-%S.%f", "%Y%m%d_%H%M%S_%f", "%Y-%m-%dT%H_%M_%S.%f", "%Y%m%d%H%M%S%f", "%Y-%m-%d %H.%M.%S.%f", "rgb_%Y%m%d-%H%M%S-%f"],
+)
+def test_dates_with_a_time_are_stamps_also_over_a_full_minute(form: str) -> None:
+    moments = [datetime(2023, 5, 1, 12, 30, 59, 900000) + timedelta(milliseconds=40 * i) for i in range(6)]
+    stems = [moment.strftime(form) for moment in moments]
+    stamps = name_stamps(stems)
+    assert stamps is not None
+    np.testing.assert_allclose(stamps, 1682944259.9 + 0.04 * np.arange(6), rtol=0, atol=1e-5)
+    assert [float(text or "nan") for text in counting_numbers(stems)] == stamps.tolist()
+
+
+def test_whole_seconds_of_a_date_are_stamps() -> None:
+    assert name_stamps(["20240131120000", "20240131120001", "20240131120002"]) == pytest.approx([1706702400, 1706702401, 1706702402])
+
+
+def test_a_counter_behind_a_date_is_no_fraction_of_a_second() -> None:
+    stems = [f"20230501_123059_{i:06d}" for i in range(5)]
+    assert counting_numbers(stems) == [f"{i:06d}" for i in range(5)]
+    assert name_stamps(stems) is None
+
+
+def test_hexadecimal_names_count_as_one_number() -> None:
+    assert counting_numbers(["01a2b8", "01a2bb", "01a2be"]) == [str(0x1A2B8), str(0x1A2BB), str(0x1A2BE)]
+    assert counting_numbers(["a00009", "a00010"]) == ["00009", "00010"]  # a letter before a decimal number

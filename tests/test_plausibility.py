@@ -15,7 +15,7 @@ from helpers.shared_data import shared_recording
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.plausibility import doubts, in_fractions, lens_doubt, of_another_size
 from idfslam.datasets.plausibility import depth_doubt, stamps_doubt
-from idfslam.errors import FrameError
+from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
 KINECT = Camera(640, 480, 527.2, 527.2, 322.25, 238.73)
@@ -259,3 +259,42 @@ def test_depth_of_half_the_size_is_taken_for_the_same_view(tmp_path: Path, caplo
     assert recording[0].depth.shape == (12, 16)
     with pytest.raises(FrameError, match="frame 1 has colour 16x12 and depth 8x6, expected one size: register the depth"):
         recording[1]
+
+
+@pytest.mark.parametrize("assumed", [True, False])
+@pytest.mark.parametrize("median", [0.35, 6.0])
+def test_close_ups_and_halls_in_millimetres_are_not_doubted(median: float, assumed: bool) -> None:
+    assert depth_doubt(depths(0.6 * median, 1.4 * median), 1000, assumed=assumed) is None
+
+
+@pytest.mark.parametrize(("scale", "median", "other"), [(200, 9.4, 1000), (25000, 0.32, 5000), (1000, 8.0, 5000), (5000, 0.35, 1000)])
+def test_a_stated_scale_that_is_wrong_by_five_is_doubted(scale: float, median: float, other: float) -> None:
+    doubt = depth_doubt(depths(0.6 * median, 1.4 * median), scale, assumed=False)
+    assert doubt is not None and f"give --camera.depth-scale {other:g} (a median of {median * scale / other:.2f} m)" in doubt
+
+
+def test_a_scale_that_puts_everything_too_far_away_is_refused_at_once(tmp_path: Path) -> None:
+    folder = write_box_recording(tmp_path / "r")
+    with pytest.raises(RecordingError, match=r"frame 0 is \d+ m with the depth scale of 1/1 m.* give --camera.depth-scale 1000"):
+        open_recording(folder, depth_scale=1)
+
+
+def test_ground_truth_of_some_frames_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_box_recording(tmp_path / "r")
+    files = sorted((folder / "pose").iterdir())
+    for file in files[1:]:
+        file.unlink()
+    with caplog.at_level("INFO"):
+        open_recording(folder)
+    assert f"ground truth for 1 of {len(files)} frames" in caplog.text
+
+
+@pytest.mark.parametrize(("delay", "told"), [(0.008, ""), (0.015, ", depth 15 ms after colour"), (-0.014, ", depth 14 ms before colour")])
+def test_a_delay_of_depth_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, delay: float, told: str) -> None:
+    folder = write_box_recording(tmp_path / "r")
+    for name, shift in (("rgb", 0.0), ("depth", delay)):
+        for i, file in enumerate(sorted((folder / name).iterdir())):
+            file.rename(file.with_name(f"{1700000000 + i / 30 + shift:.6f}{file.suffix}"))
+    with caplog.at_level("INFO"):
+        open_recording(folder, truth=False)
+    assert ("colour" in caplog.text) == bool(told) and told in caplog.text

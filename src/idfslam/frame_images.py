@@ -13,7 +13,7 @@ from idfslam.geometry.camera import Camera
 
 SATURATED = 65535  # no reading, in depth images of 16 bits: "invalid" in 7-Scenes, the end of the range elsewhere
 _TOLERANCE = 1e-3  # [1] by which colour may lie outside [0, 1]; raised, less of it counts as wrong. A quarter of a step of 8 bits
-_FARTHEST = 100.0  # [m] Depth whose median is larger counts as millimetres; raised, larger scenes pass. Chosen by hand, above any sensor
+FARTHEST = 100.0  # [m] Depth whose median is larger counts as millimetres; raised, larger scenes pass. Chosen by hand, above any sensor
 _CONVERT = "or let Frame.from_images convert it"
 _METRES, _MILLIMETRES = 1.0, 1000.0  # units per metre
 
@@ -41,7 +41,7 @@ def checked_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.floa
         raise FrameError(f"depth is {_described(depth)}, {expected}: register it to the colour camera and convert it, {_CONVERT}")
     if not (depth.min() >= 0 and depth.max() < np.inf):
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-    if depth.max() > _FARTHEST and (median := float(np.median(depth[depth > 0]))) > _FARTHEST:
+    if depth.max() > FARTHEST and (median := float(np.median(depth[depth > 0]))) > FARTHEST:
         raise FrameError(f"depth has a median of {median:.4g} m, {expected}: if it is in millimetres, divide it by 1000, {_CONVERT}")
     return np.ascontiguousarray(depth)
 

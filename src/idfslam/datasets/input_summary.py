@@ -26,6 +26,7 @@ class _Recording(Protocol):
     name: str
     camera: Camera
     timestamps: NDArray[np.float64]
+    ground_truth: NDArray[np.float64] | None
 
     def __len__(self) -> int: ...
 
@@ -40,6 +41,7 @@ class InputSummary:
     sources: Provenance
     depths: NDArray[np.float32]  # (N,) [m] a sample; empty for generated recordings, whose depth is exact
     frames_per_second: float | None  # None: there is one frame only
+    with_truth: tuple[int, int] | None = None  # how many frames have ground truth, and of how many; None: it is unknown
 
     @property
     def median_depth(self) -> float | None:
@@ -55,6 +57,10 @@ class InputSummary:
             parts.append("no depth" if self.median_depth is None else f"median {self.median_depth:.2f} m")
         if self.frames_per_second is not None:
             parts.append(f"{self.frames_per_second:.1f} frames/s ({s.stamps})")
+        if s.depth_delay:
+            parts.append(f"depth {abs(1000 * s.depth_delay):.0f} ms {'after' if s.depth_delay > 0 else 'before'} colour")
+        if s.camera != GENERATED and self.with_truth is not None and self.with_truth[0] < self.with_truth[1]:
+            parts.append("ground truth for {} of {} frames".format(*self.with_truth))
         return ", ".join(parts)
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,7 +83,9 @@ def summarise(recording: _Recording) -> InputSummary | None:
     steps = np.diff(recording.timestamps)
     rate = 1 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else None
     depths = [] if sources.camera == GENERATED else list(_depths(recording))
-    return InputSummary(recording.camera, sources, np.concatenate(depths) if depths else np.zeros(0, np.float32), rate)
+    truth = recording.ground_truth
+    with_truth = None if truth is None else (int(np.isfinite(truth).all((1, 2)).sum()), len(truth))
+    return InputSummary(recording.camera, sources, np.concatenate(depths) if depths else np.zeros(0, np.float32), rate, with_truth)
 
 
 def doubts(summary: InputSummary, stamps: NDArray[np.float64]) -> Iterator[str]:

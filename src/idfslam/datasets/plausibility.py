@@ -6,9 +6,11 @@ from numpy.typing import NDArray
 MEDIAN_DEPTH = (0.25, 12.0)  # [m] of a recording's median depth; widened, fewer wrong scales are found. Depth cameras measure from about
 #    0.2 m, and few reach 10 m; stereo cameras outdoors see farther
 NEAR = (0.25, 1.2)  # [m] a twentieth of the depths below the first and all but a twentieth below the second: a room five times too small.
-#    Raised, close-ups of things are doubted. Chosen by hand: a room of 1 to 4 m becomes 0.2 to 0.8 m
-ASSUMED_NEAR = 0.6  # [m] median depth below which a scale that nobody stated is doubted, if another gives a room; raised, close-ups too
+#    Raised, close-ups of things are doubted. Chosen by hand: a room of 1 to 4 m becomes 0.2 to 0.8 m.
+#    Both NEAR and the next two doubt only where another common scale gives a room
+ASSUMED_NEAR = 0.6  # [m] median depth below which a scale that nobody stated, or an uncommon one, is doubted; raised, close-ups too
 ASSUMED_FAR = (6.0, 3.5)  # [m] median depth, and a twentieth of the depths, above which such a scale is doubted; lowered, halls are doubted
+STATED_FAR = 7.5  # [m] likewise for a common scale that somebody stated; lowered, halls are doubted. Chosen by hand: halls of 6 m pass
 ROOM = (0.7, 5.0)  # [m] median depth that another scale must give; widened, more scales are proposed. Chosen by hand
 BEYOND = (20.0, 0.25)  # [m] reach of depth cameras indoors, [1] share of readings beyond it; raised, fewer wrong scales are found
 SCALES = (1000.0, 5000.0, 6553.5, 1.0, 10000.0)  # units per metre that are common, the commonest first; more: more scales are proposed,
@@ -21,13 +23,17 @@ def depth_doubt(depths: NDArray[np.float32], scale: float, *, assumed: bool) -> 
     if not len(depths):
         return None
     near, median, far = (float(value) for value in np.percentile(depths, (5, 50, 95)))
-    other = _other_scale(median * scale, scale)
-    too_small = median < MEDIAN_DEPTH[0] or (near < NEAR[0] and far < NEAR[1]) or (assumed and other is not None and median < ASSUMED_NEAR)
-    too_large = median > MEDIAN_DEPTH[1] or (assumed and other is not None and median > ASSUMED_FAR[0] and near > ASSUMED_FAR[1])
+    other = common_scale(median * scale, scale)
+    unsure = assumed or scale not in SCALES
+    shallow = (near < NEAR[0] and far < NEAR[1]) or (unsure and median < ASSUMED_NEAR)
+    deep = near > ASSUMED_FAR[1] and median > (ASSUMED_FAR[0] if unsure else STATED_FAR)
+    too_small = median < MEDIAN_DEPTH[0] or (shallow and other is not None)
+    too_large = median > MEDIAN_DEPTH[1] or (deep and other is not None)
     if too_small or too_large:
-        mend = f"give --camera.depth-scale {other:g} (a median of {median * scale / other:.2f} m)" if other else "give --camera.depth-scale"
+        mend = f"{other:g} (a median of {median * scale / other:.2f} m)" if other else "in units per metre"
         kind = "small" if too_small else "large"
-        return f"the median depth of {median:.2f} m is implausibly {kind}: the depth scale of 1/{scale:g} m is probably wrong; {mend}"
+        found = f"the median depth of {median:.2f} m is implausibly {kind}: the depth scale of 1/{scale:g} m is probably wrong"
+        return f"{found}; give --camera.depth-scale {mend}"
     beyond = float((depths > BEYOND[0]).mean())
     if beyond > BEYOND[1]:
         found = f"{100 * beyond:.0f} % of the depth is beyond {BEYOND[0]:.0f} m, which few depth cameras reach"
@@ -44,10 +50,10 @@ def stamps_doubt(stamps: NDArray[np.float64], source: str) -> str | None:
     if (steps == 1).all():
         return f"the {source} are 1 s apart: they are probably frame numbers, expected seconds"
     if not RATE[0] <= rate <= RATE[1]:
-        return f"the {source} mean {rate:.3g} frames/s, expected {RATE[0]:g} to {RATE[1]:g}: are they in seconds?"
+        return f"the {source} mean {rate:.4g} frames/s, expected {RATE[0]:g} to {RATE[1]:g}: are they in seconds?"
     return None
 
 
-def _other_scale(units: float, scale: float) -> float | None:
-    """A common scale that makes a room of a median depth in units of the images; None if none does, or `scale` does as well."""
+def common_scale(units: float, scale: float) -> float | None:
+    """Another common scale that makes a room of a median depth in units of the images; None if none does, or `scale` does as well."""
     return next((other for other in SCALES if other != scale and ROOM[0] <= units / other <= ROOM[1]), None)

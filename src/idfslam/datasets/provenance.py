@@ -15,6 +15,7 @@ class Provenance:
     depth: str = ""  # empty: stated by the recording or the user; else where the default comes from
     stamps: str = STATED
     distortion: tuple[float, ...] = ()  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]] that is removed from the images
+    depth_delay: float = 0.0  # [s] by which depth is later than colour in the median, where that is worth telling; else 0
     notes: tuple[str, ...] = ()  # what was assumed about the images, for warnings
 
 

@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.cameras.camera_files import CAM_PARAMS
-from idfslam.datasets.images.decoding import Depth, Undistortion, has_readings, metres, rgb
+from idfslam.datasets.images.decoding import Depth, Undistortion, has_readings, metres, readings, rgb
 from idfslam.datasets.images.depth_registration import DepthRegistration
 from idfslam.datasets.images.resampling import OneView
 from idfslam.datasets.near_miss import Likeness
+from idfslam.datasets.plausibility import common_scale
 from idfslam.datasets.poses.truth import ReadTruth, optional_truth
 from idfslam.datasets.provenance import ASSUMED, STATED, Provenance, provenance
 from idfslam.datasets.time_stamps import in_seconds, increasing
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import FPS, Frame
+from idfslam.frame_images import FARTHEST
 from idfslam.geometry.camera import Camera
 
 if TYPE_CHECKING:
@@ -94,19 +96,22 @@ class Recording:
         depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
         random_access: bool = True,  # False: reading frames out of order is slow, as in videos
         stamps_source: str = STATED,  # ASSUMED with regular_stamps; else "file names", "timestamps.txt" ...
+        depth_delay: float = 0.0,  # [s] see `noticeable_delay`
     ) -> None:
         usable = increasing(in_seconds(timestamps, name), name)
         if usable is None:
             usable, stamps_source = regular_stamps(len(timestamps)), ASSUMED
         self.name, self.timestamps, self.random_access = name, usable, random_access
         self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
+        self._probed = 0, 0.0  # the frame that was read, and its median depth in units of the images
         self._sizes = colour, depth = self._probe()  # width, height [px]
         self.camera, self._scale, lens = calibration.camera(*colour, name), calibration.scale(name), calibration.distortion or ()
         self._one_view = OneView(colour, depth) if self._registered and colour != depth else None
         if self._one_view is not None:
             self.camera = self.camera.resized(*self._one_view.size)
         notes = () if self._one_view is None else (str(self._one_view),)
-        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, notes)
+        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, depth_delay, notes)
+        self._refuse_far_depth()
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         self._undistort = Undistortion(self.camera, lens) if any(lens) else None
 
@@ -143,7 +148,7 @@ class Recording:
     def _readable(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
         if not has_readings(raw):
-            raise FrameError(f"{self.name}: frame {i} has no depth (all zero), expected readings of a depth camera")
+            raise FrameError(f"{self.name}: frame {i} has no depth (all zero or 65535), expected readings of a depth camera")
         return bgr, raw
 
     def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -154,7 +159,8 @@ class Recording:
         two_sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
         for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
             try:
-                colour, depth = map(_size, self._readable(int(i)))
+                bgr, raw = self._readable(int(i))
+                colour, depth, self._probed = _size(bgr), _size(raw), (int(i), float(np.median(raw[readings(raw)])))
                 if not self._registered or colour == depth:
                     return colour, depth
                 if not OneView.fits(colour, depth):
@@ -165,6 +171,15 @@ class Recording:
         if two_sizes is not None:
             return two_sizes
         raise RecordingError(str(first_error)) from first_error
+
+    def _refuse_far_depth(self) -> None:
+        """Raises RecordingError if the depth scale puts the frame that was read so far away that no frame could be used."""
+        i, units = self._probed
+        if units / self._scale > FARTHEST:
+            other = common_scale(units, self._scale)
+            mend = f"{other:g} (then it is {units / other:.2f} m)" if other else "in units per metre"
+            found = f"the median depth of frame {i} is {units / self._scale:.4g} m with the depth scale of 1/{self._scale:g} m"
+            raise RecordingError(f"{self.name}: {found}, expected at most {FARTHEST:g} m: give --camera.depth-scale {mend}")
 
     def _two_sizes(self, i: int, colour: tuple[int, int], depth: tuple[int, int]) -> FrameError:
         sizes = f"colour {colour[0]}x{colour[1]} and depth {depth[0]}x{depth[1]}"
@@ -189,7 +204,7 @@ class Selection:
             raise ConfigError(f"start {start} lies outside the {count} frames of {dataset.name}: choose 0 to {count - 1}")
         if stride < 1:
             raise ConfigError(f"stride {stride}, expected at least 1")
-        indices = np.arange(start, count, stride)
+        indices = np.arange(start, count, min(stride, count))
         if frames is not None and frames < 1:
             found = f"frames {frames} from start {start} with stride {stride}"
             raise ConfigError(f"{found}: {dataset.name} has {count} frames, choose 1 to {len(indices)}")

@@ -8,7 +8,7 @@ from idfslam.geometry.camera import Camera
 
 FIELD_OF_VIEW = (20.0, 120.0)  # [degrees] of depth cameras across the image's width; widened, fewer wrong focal lengths are found. Depth
 #    cameras on the market have 42 (Gemini) to 120 (Azure Kinect, wide)
-MAX_OFFSET = 0.15  # [1] of width and height, of the principal point from the middle; raised, more cameras of other sizes pass. Lenses are
+MAX_OFFSET = 0.1  # [1] of width and height, of the principal point from the middle; raised, more cameras of other sizes pass. Lenses are
 #    centred to a few per cent; a camera of half the size is off by a quarter
 MAX_ANISOTROPY = 0.1  # [1] difference of fx and fy; raised, more exchanged values pass. Pixels are square to a per cent. Chosen by hand
 FRACTIONAL = 4.0  # largest focal length that is in image sizes rather than in pixels; raised, images of very few pixels are refused

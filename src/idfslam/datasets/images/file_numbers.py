@@ -1,4 +1,7 @@
-"""The numbers in the names of a series of files: which of them counts the files, and whether one is a time stamp."""
+"""The numbers in the names of a series of files: which of them counts the files, and whether one is a time stamp.
+
+Dates with a time count as seconds since 1970. Hexadecimal names count as one number.
+"""
 
 import re
 from collections.abc import Sequence
@@ -6,7 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.images.name_dates import with_seconds
 from idfslam.datasets.time_stamps import UNITS
+
+_HEXADECIMAL = re.compile(r"[0-9a-f]{4,13}", re.IGNORECASE)  # of so many digits that a double holds the number
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _SIZE = re.compile(r"(?<!\d)\d+x\d+(?!\d)")  # 640x480
@@ -27,6 +33,7 @@ def counting_numbers(stems: Sequence[str]) -> list[str | None]:
 
     Without such a number it is the last that is no part of a size like 640x480.
     """
+    stems = _comparable(stems)
     columns = _columns(stems)
     if columns is None:
         return [_last(stem) for stem in stems]
@@ -40,11 +47,25 @@ def name_stamps(stems: Sequence[str]) -> NDArray[np.float64] | None:
 
     Seconds, milliseconds, microseconds or nanoseconds since 1970, or of a camera's clock if the steps between them say so.
     """
-    for column in reversed(_columns(stems) or []):
+    for column in reversed(_columns(_comparable(stems)) or []):
         unit = _units_per_second(column)
         if unit is not None and np.all(np.diff(stamps := np.array([float(text) for text in column]) / unit) > 0):
             return np.asarray(stamps, np.float64)
     return None
+
+
+def _comparable(stems: Sequence[str]) -> list[str]:
+    """The names with decimal numbers in place of dates and of hexadecimal numbers."""
+    if _are_hexadecimal(stems):
+        return [str(int(stem, 16)) for stem in stems]
+    return with_seconds(stems) or list(stems)
+
+
+def _are_hexadecimal(stems: Sequence[str]) -> bool:
+    """Whether the names have one length, and letters where others have digits: `a0001` is a letter before a decimal number."""
+    if not stems or len(set(map(len, stems))) > 1 or not all(map(_HEXADECIMAL.fullmatch, stems)):
+        return False
+    return any(len({c.isdigit() for c in place}) == 2 for place in zip(*stems))
 
 
 def _columns(stems: Sequence[str]) -> list[tuple[str, ...]] | None:

@@ -21,6 +21,9 @@ _SAME_NUMBERS = 0.5  # [1] share of images with a partner of the same number fro
 #    Chosen by hand
 
 
+_NOTICEABLE = 1 / 3  # [1] of the time between frames, from which on a delay of depth is told; raised, fewer are. Chosen by hand
+
+
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """N pairs of images in the order of time."""
@@ -30,6 +33,7 @@ class Pairs:
     places: NDArray[np.int64]  # (N,) position among all frames, those that were left out included: the others keep their time
     frames: int  # how many all are
     stamps: NDArray[np.float64] | None = None  # (N,) [s], if the files are named by them
+    depth_delay: float = 0.0  # [s] see `noticeable_delay`
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -64,7 +68,9 @@ def _by_stamps(
         log.warning("%s: %d colour and %d depth images; the %d pairs within half a frame of each other are read", folder, *counts)
     numbers, first, second = list(colour), list(colour.values()), list(depth.values())
     files = [(first[i], second[k]) for i, k in pairs.tolist()]
-    return Pairs([numbers[i] for i in pairs[:, 0]], files, pairs[:, 0], len(colour), stamps[pairs[:, 0]])
+    times = stamps[pairs[:, 0]]
+    delay = noticeable_delay(times, depth_stamps[pairs[:, 1]])
+    return Pairs([numbers[i] for i in pairs[:, 0]], files, pairs[:, 0], len(colour), times, delay)
 
 
 def _by_order(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> Pairs:
@@ -99,6 +105,17 @@ def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) ->
     warn_left_out(str(folder), [f"{path.parent.name}/{path.name} has no partner of the same number" for path in alone])
     files = [(colour[number], depth[number]) for number in numbers]
     return Pairs(numbers, files, np.searchsorted(sorted(everything), numbers), len(everything))
+
+
+def noticeable_delay(colour: NDArray[np.float64], depth: NDArray[np.float64]) -> float:
+    """[s] by which the depth images of pairs are later than colour in the median; 0 if that is less than a third of a frame.
+
+    colour, depth: (N,) [s] the stamps of the pairs.
+    """
+    if len(colour) < 2:
+        return 0.0
+    delay = float(np.median(depth - colour))
+    return delay if abs(delay) > _NOTICEABLE * float(np.median(np.diff(colour))) else 0.0
 
 
 def warn_left_out(source: str, problems: Sequence[str]) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images.decoding import Depth
+from idfslam.datasets.images.pairs import noticeable_delay
 from idfslam.datasets.images.resampling import limited_size
 from idfslam.datasets.images.video import VideoContents, VideoTrack, read_contents
 from idfslam.datasets.recording import Reader, Recording
@@ -58,6 +59,7 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
         path.stem,
         read,
         timestamps=colour.times[pairs[:, 0]],
+        depth_delay=noticeable_delay(colour.times[pairs[:, 0]], (depth.times - _delay(path, contents))[pairs[:, 1]]),
         ground_truth=None,
         calibration=(calibration.resized(colour.size, size) if depth_camera else calibration).over(Calibration(depth_scale=1000)),
         depth_camera=depth_camera,

@@ -54,6 +54,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         ImageFiles(pairs.files),
         timestamps=timestamps,
         stamps_source=source,
+        depth_delay=pairs.depth_delay,
         ground_truth=lambda: read_poses(path, pairs, timestamps),
         calibration=override.over(usual_scale(pairs.files)),
         depth_camera=read_depth_camera(path),

@@ -16,12 +16,12 @@ from idfslam.datasets.cameras.camera_files import read_depth_camera
 from idfslam.datasets.images.decoding import ImageFiles
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.file_list import listed_image, listed_lines, number
-from idfslam.datasets.images.pairs import warn_left_out
+from idfslam.datasets.images.pairs import noticeable_delay, warn_left_out
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses.truth import Truth, read_stamped
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.recording_path import names
-from idfslam.datasets.time_stamps import in_seconds
+from idfslam.datasets.time_stamps import in_seconds, units_per_second
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 
@@ -51,11 +51,13 @@ def _associations(path: Path) -> Path | None:
 
 def open_tum(path: Path, override: Calibration) -> Recording:
     """Opens a sequence. A frame's stamp is that of its colour image; its true pose is the nearest in time within 20 ms."""
-    timestamps, files = _paired_by_stamp(path) if _has_lists(path) else _associated(path)
+    stamps, files = _paired_by_stamp(path) if _has_lists(path) else _associated(path)
+    timestamps = stamps[:, 0]
     return Recording(
         path.name,
         ImageFiles(files),
         timestamps=timestamps,
+        depth_delay=noticeable_delay(timestamps, stamps[:, 1]),
         ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
         calibration=override.over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
@@ -72,13 +74,18 @@ def published(path: Path) -> Calibration:
 
 
 def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
-    """Stamps (N,) [s] of the colour images, and colour and depth, of rgb.txt and depth.txt."""
+    """Stamps (N, 2) [s] of colour and depth images, and the images, of rgb.txt and depth.txt."""
     (t_colour, colour), (t_depth, depth) = (read_list(path / name) for name in _LISTS)
-    stamps = in_seconds(np.concatenate([t_colour[:, 0], t_depth[:, 0]]), str(path))
-    pairs = associate(stamps[: len(colour)], stamps[len(colour) :])
+    first, second = t_colour[:, 0], t_depth[:, 0]
+    if units_per_second(first) == units_per_second(second):
+        stamps = in_seconds(np.concatenate([first, second]), str(path))
+        first, second = stamps[: len(first)], stamps[len(first) :]
+    else:
+        first, second = (in_seconds(stamps, str(path / name)) for stamps, name in zip((first, second), _LISTS))
+    pairs = associate(first, second)
     if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
-    return stamps[pairs[:, 0]], [(colour[i][0], depth[k][0]) for i, k in pairs]
+    return np.stack([first[pairs[:, 0]], second[pairs[:, 1]]], 1), [(colour[i][0], depth[k][0]) for i, k in pairs]
 
 
 def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
@@ -89,7 +96,7 @@ def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]
         raise RecordingError(f"{path}: {missing} is missing, expected rgb.txt and depth.txt, or associations.txt, or --format folder")
     stamps, files = read_list(file, images=2)
     colour = 1 if "depth" in files[0][0].parent.name.lower() else 0
-    return in_seconds(stamps[:, colour], str(file)), [(row[colour], row[1 - colour]) for row in files]
+    return in_seconds(stamps[:, [colour, 1 - colour]].ravel(), str(file)).reshape(-1, 2), [(row[colour], row[1 - colour]) for row in files]
 
 
 def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list[tuple[Path, ...]]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images.decoding import Depth
+from idfslam.datasets.images.pairs import noticeable_delay
 from idfslam.datasets.poses.truth import Truth, at_stamps
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.ros import realsense_bag
@@ -91,6 +92,7 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         path.stem,
         RosImages(bag, colour.name, depth.name, [(index[colour.name][i], index[depth.name][k]) for i, k in pairs]),
         timestamps=timestamps,
+        depth_delay=noticeable_delay(timestamps, stamps[depth.name][pairs[:, 1]]),
         ground_truth=None if pose_topic is None else lambda: read_truth(bag, pose_topic, colour.frame, frames, timestamps),
         calibration=override.over(camera).over(Calibration(depth_scale=scale)),
         depth_camera=_depth_camera(bag, colour, depth, frames, named=topics.depth is not None),
