@@ -330,3 +330,28 @@ def test_files_with_a_byte_order_mark_are_read(tmp_path: Path) -> None:
     (path / "cam_params.json").write_text(text, encoding="utf-8-sig")
     assert open_recording(path).camera.fx == 15
     np.testing.assert_allclose(open_recording(path)[0].depth[6, 8], 1.0)
+
+
+@pytest.mark.parametrize("name", ["depth_scale", "depth_factor", "png_depth_scale", "integer_depth_scale", "DepthMapFactor", "scale"])
+@pytest.mark.parametrize("value", [5000, 0.0002])
+def test_depth_scales_are_believed_under_the_names_that_programs_give_them(name: str, value: float, tmp_path: Path) -> None:
+    camera = {"fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
+    key = name.lower()
+    forms = {
+        "intrinsics.txt": "\n".join(f"{k}: {v}" for k, v in {**camera, name: value}.items()),
+        "camera_intrinsic.json": json.dumps({**camera, key: value}),
+        "camera.json": json.dumps({"color": camera, key: value}),
+        "cam_params.json": json.dumps({"camera": {**camera, key: value}}),
+    }
+    for file, text in forms.items():
+        folder = tmp_path / file.split(".")[0]
+        folder.mkdir()
+        (folder / file).write_text(text)
+        assert read_beside(folder).depth_scale == pytest.approx(5000), file
+
+
+def test_cam_params_may_have_the_form_of_other_programs(tmp_path: Path) -> None:
+    values = {"width": 640, "height": 480, "intrinsic_matrix": [500, 0, 0, 0, 500, 0, 320, 240, 1], "depth_scale": None}
+    (tmp_path / "cam_params.json").write_text(json.dumps(values))
+    found = read_beside(tmp_path)
+    assert (found.fx, found.cx, found.cy, found.width, found.depth_scale) == (500, 320, 240, 640, None)

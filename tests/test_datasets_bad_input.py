@@ -103,7 +103,7 @@ def test_the_same_in_every_frame_is_a_recording_error(name: str, tmp_path: Path)
     path, (folder, damage, message) = write_folder(tmp_path / "room", suffix="png"), DAMAGE[name]
     for file in (path / folder).iterdir():
         damage(file)
-    refuses(path, "3 colour and 0 depth images" if name == "depth missing" else message)
+    refuses(path, "3 colour images, but no depth images" if name == "depth missing" else message)
 
 
 def test_a_frame_of_another_size_is_a_frame_error(tmp_path: Path) -> None:

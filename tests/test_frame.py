@@ -199,3 +199,49 @@ def test_numbers_and_stamps_of_cameras() -> None:
 def test_an_impossible_camera_is_refused(name: str, value: Any) -> None:
     with pytest.raises(ConfigError, match=f"camera: {name} is .*, expected pixels"):
         replace(CAMERA, **{name: value})
+
+
+# ----- what other packages give
+
+
+@pytest.mark.parametrize("mode", ["P", "CMYK", "YCbCr", "HSV", "LAB"])
+def test_pil_images_whose_numbers_are_no_rgb_are_converted(mode: str) -> None:
+    image = Image.new("RGB", (8, 6), (200, 40, 40)) if mode != "LAB" else Image.new("LAB", (8, 6), (100, 160, 150))
+    image = image if image.mode == mode else image.convert(mode)
+    made = Frame.from_images(image, DEPTH, CAMERA)
+    np.testing.assert_allclose(made.colour, np.asarray(image.convert("RGB"), np.float32) / 255, atol=1e-6)
+    assert made.colour[..., 0].mean() > 0.7 > 0.4 > made.colour[..., 1].mean() or mode == "LAB"
+
+
+@pytest.mark.parametrize("tensor", [torch.tensor(COLOUR, requires_grad=True), torch.tensor(COLOUR).bfloat16(), torch.tensor(COLOUR).half()])
+def test_tensors_of_other_kinds(tensor: torch.Tensor) -> None:
+    np.testing.assert_allclose(Frame.from_images(tensor, DEPTH, CAMERA).colour, COLOUR, atol=4e-3)
+
+
+def test_masked_depth_is_no_reading() -> None:
+    masked = np.ma.masked_array(DEPTH, mask=np.arange(48).reshape(6, 8) < 8)
+    for made in (Frame.from_images(RGB, masked, CAMERA), frame(depth=masked)):
+        assert (made.depth[0] == 0).all() and (made.depth[1:] == 1.5).all()
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.int64, np.float32])
+def test_65535_is_no_reading_in_images_that_were_converted(kind: type) -> None:
+    image = MILLIMETRES.astype(kind)
+    image[0] = 65535
+    assert (Frame.from_images(RGB, image, CAMERA, depth_scale=1000).depth[0] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        ((RGB.astype(np.uint16), DEPTH, CAMERA), "colour is uint16 and nowhere above 255, expected 0 to 65535: convert images of 8 bits"),
+        ((RGB, (DEPTH * 100).astype(np.uint8), CAMERA), "depth has 8 bits, too few for millimetres, expected 16 bits"),
+        ((RGB, DEPTH * 1000, CAMERA), "give Frame.from_images depth_scale=1000"),
+        ((RGB, DEPTH, None), r"camera is NoneType, expected a Camera"),
+    ],
+)
+def test_images_that_are_probably_something_else(images: tuple[Any, Any, Any], message: str) -> None:
+    with pytest.raises(FrameError, match=message):
+        Frame.from_images(*images)
+    with pytest.raises(FrameError, match="depth_scale is True"):
+        Frame.from_images(RGB, MILLIMETRES, CAMERA, depth_scale=True)

@@ -55,7 +55,7 @@ NEAR = {
     ),
     "a video": (made("clip.mp4"), r"looks like a folder of images without depth images .*found clip\.mp4"),
     "Record3D without metadata": (made("rgbd/0.jpg"), "looks like an unpacked recording of Record3D without metadata"),
-    "7-Scenes without depth": (without(write_seven_scenes, "*.depth.png"), "3 colour and 0 depth images"),
+    "7-Scenes without depth": (without(write_seven_scenes, "*.depth.png"), "3 colour images, but no depth images"),
     "ScanNet without depth": (made("color/", "intrinsic/"), "looks like an exported ScanNet scene without depth/"),
     "something else": (
         made("letter.docx"),

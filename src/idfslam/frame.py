@@ -33,8 +33,7 @@ class Frame:
     camera: Camera
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, Camera):
-            raise FrameError(f"camera is {type(self.camera).__name__}, expected a Camera(width, height, fx, fy, cx, cy)")
+        _check_camera(self.camera)
         checked = {
             "index": _checked_index(self.index),
             "timestamp": _checked_timestamp(self.timestamp),
@@ -55,14 +54,15 @@ class Frame:
         depth_scale: float | None = None,
         bgr: bool = False,
     ) -> "Frame":
-        """A frame from images as cameras give them: numpy arrays, or what `numpy.asarray` takes (PIL images, tensors of a CPU).
+        """A frame from images as cameras give them: numpy arrays, or what `numpy.asarray` takes (PIL images), or tensors.
 
         colour: (H, W, 3) RGB, (H, W, 4) with alpha, which is dropped, or (H, W) grey; uint8, uint16, or floats from 0 to 1.
-        depth: (H, W), registered to colour and of its size; integers or floats. No reading: 0, negative, NaN, infinity, 65535 of uint16.
+        depth: (H, W), registered to colour and of its size; integers or floats. No reading: 0, negative, NaN, infinity, 65535.
         index: 0 for the first frame of a run, 1 for the next, and so on. timestamp: [s]; None: `index` / 30.
         depth_scale: units of depth per metre; None: 1000 for integers (millimetres), 1 for floats (metres).
         bgr: colour is BGR or BGRA, as OpenCV has it. Raises FrameError if the images are none of these.
         """
+        _check_camera(camera)
         number = _checked_index(index)
         stamp = number / FPS if timestamp is None else timestamp
         return Frame(number, stamp, colour_from(colour, camera, bgr=bgr), depth_from(depth, camera, depth_scale=depth_scale), camera)
@@ -77,6 +77,11 @@ class Frame:
         """CRC-32 of some rows of its images; a resumed run checks with it that the recording has not changed."""
         colour, depth = (image[::_CHECKED_ROWS].tobytes() for image in (self.colour, self.depth))
         return zlib.crc32(depth, zlib.crc32(colour))
+
+
+def _check_camera(camera: object) -> None:
+    if not isinstance(camera, Camera):
+        raise FrameError(f"camera is {type(camera).__name__}, expected a Camera(width, height, fx, fy, cx, cy)")
 
 
 def _checked_index(index: int) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
-from idfslam.datasets.cameras.camera_text import checked_distortion, from_matrix, parse_camera
+from idfslam.datasets.cameras.camera_text import DEPTH_SCALES, checked_distortion, from_matrix, parse_camera, units_per_metre
 from idfslam.errors import RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
 from idfslam.storage.json_file import read_json
@@ -31,7 +31,7 @@ _NAMES = {  # of a camera's values in JSON files
     "cy": ("cy", "ppy"),
     "width": ("width", "w", "image_width"),
     "height": ("height", "h", "image_height"),
-    "scale": ("depth_scale", "scale"),
+    "scale": (*DEPTH_SCALES, "scale"),
     "distortion": ("distortion", "distortion_coefficients", "dist_coeffs", "coeffs", "D"),
 }
 
@@ -57,7 +57,9 @@ def read_cam_params(*folders: Path) -> Calibration:
     if path is None:
         return Calibration()
     values = _json(path, f"expected {_FORM}")
-    return _camera_of({"camera": values} if "fx" in values else values, "camera", path)
+    if "camera" not in values and "fx" not in values:
+        return read_camera_json(path)
+    return _camera_of({"camera": values} if "camera" not in values else values, "camera", path)
 
 
 def read_depth_camera(*folders: Path) -> DepthCameraCalibration | None:
@@ -91,11 +93,14 @@ def read_camera_json(path: Path) -> Calibration:
     A depth scale below 0.1 is taken as metres per unit, as RealSense's SDK gives it. Raises RecordingError if there is no camera.
     """
     expected = "expected width, height and intrinsic_matrix of 9 numbers, or fx, fy, cx, cy"
-    values: Mapping[str, Any] = _json(path, expected)
+    whole: Mapping[str, Any] = _json(path, expected)
+    values = whole
     for key in ("camera", "color", "colour", "rgb", "intrinsics", "intrinsic"):
         if isinstance(values.get(key), dict):
             values = values[key]
-    given = {key: values[name] for key, names in _NAMES.items() for name in names if name in values}
+    if values is not whole:  # the scale may stand beside the camera
+        values = {name: whole[name] for name in _NAMES["scale"] if name in whole} | dict(values)
+    given = {key: values[name] for key, names in _NAMES.items() for name in reversed(names) if values.get(name) is not None}
     try:
         matrix = next((values[name] for name in _MATRICES if isinstance(values.get(name), list)), None)
         if matrix is not None:
@@ -108,8 +113,8 @@ def read_camera_json(path: Path) -> Calibration:
         distortion = [float(value) for value in given.get("distortion", ())]
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise RecordingError(f"{path}: {type(error).__name__} {error}, {expected}") from error
-    scale = 1 / scale if scale is not None and 0 < scale < 0.1 else scale
-    return replace(camera, width=width, height=height, distortion=checked_distortion(distortion, str(path)), depth_scale=scale)
+    lens = checked_distortion(distortion, str(path))
+    return replace(camera, width=width, height=height, distortion=lens, depth_scale=units_per_metre(scale))
 
 
 def _cam_params(folders: Sequence[Path]) -> Path | None:
@@ -128,7 +133,8 @@ def _camera_of(values: Mapping[str, Any], key: str, path: Path) -> Calibration:
         values = values[key]
         fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
         width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
-        scale = float(values["scale"]) if "scale" in values else None
+        name = next((name for name in ("scale", *DEPTH_SCALES) if values.get(name) is not None), None)
+        scale = None if name is None else units_per_metre(float(values[name]))
         distortion = [float(value) for value in values.get("distortion") or ()]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error

@@ -16,6 +16,12 @@ from idfslam.errors import RecordingError
 
 DISTORTION_LENGTHS = (4, 5, 8)  # numbers of OpenCV's distortion models that are read: a fact of OpenCV
 MAX_SKEW = 1e-3  # [1] of fx; what a calibration leaves of rounding. Raised, more slanted pixels pass. 1e-3 moves an image's edge by 0.3 px
+# Names for the units of depth images per metre, or metres per unit: see `units_per_metre`
+DEPTH_SCALES = (
+    *("depth_scale", "depthscale", "depth_factor", "depthfactor", "depthmapfactor", "depth_units"),
+    *("png_depth_scale", "integer_depth_scale"),
+)
+_METRES_PER_UNIT = 0.1  # depth scales below are metres per unit, as RealSense's SDK gives them; raised, units of 10 m and more are refused
 _EXACT = 1e-6  # [1] to which the zeros and the one of a matrix must hold; raised, more matrices pass. Chosen by hand
 _EXPECTED = "expected a 3x3 matrix or one line of fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]]"
 
@@ -31,8 +37,7 @@ _KEYS = {
     "ppy": "cy",
     "image_width": "width",
     "image_height": "height",
-    "depthmapfactor": "scale",
-    "depth_scale": "scale",
+    **{name: "scale" for name in ("scale", *DEPTH_SCALES)},
     "focal_length": "f",
     "f": "f",
 }
@@ -91,6 +96,11 @@ def from_matrix(K: NDArray[np.float64], source: str) -> Calibration:
     return Calibration(fx, fy, cx, cy, source=source)
 
 
+def units_per_metre(scale: float | None) -> float | None:
+    """A depth scale in units per metre, of one that may be in metres per unit, such as 0.001; None without one."""
+    return 1 / scale if scale is not None and 0 < scale < _METRES_PER_UNIT else scale
+
+
 def checked_distortion(values: Sequence[float], source: str, *, fisheye: bool = False) -> tuple[float, ...] | None:
     """OpenCV's distortion values; None if all are 0. Raises RecordingError for another number of them, and for a fisheye lens."""
     if not any(values):
@@ -135,7 +145,8 @@ def _with_keys(camera: Calibration, text: str, source: str) -> Calibration:
         lens = lens if any(lens[5:]) else lens[:5]
     width, height = (int(keys[name]) or None if name in keys else None for name in ("width", "height"))
     distortion = checked_distortion(lens, source, fisheye=bool(_FISHEYE.search(text)))
-    return Calibration(camera.fx, camera.fy, camera.cx, camera.cy, width, height, distortion, keys.get("scale") or None, source=source)
+    scale = units_per_metre(keys.get("scale")) or None
+    return Calibration(camera.fx, camera.fy, camera.cx, camera.cy, width, height, distortion, scale, source=source)
 
 
 def _rows(text: str, source: str) -> list[list[float]]:

@@ -94,10 +94,13 @@ def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) ->
     Raises RecordingError if there is no pair. An image without a partner is left out, and one warning says how many are.
     """
     if not colour and not depth:
-        raise RecordingError(f"{folder}: no numbered images, expected colour and 16-bit depth images")
+        raise RecordingError(f"{folder}: no numbered images in its folders, expected colour and depth images with numbers in their names")
     everything = {**colour, **depth}
     numbers = [number for number in sorted(everything) if number in colour and number in depth]
     alone = [everything[number] for number in sorted(colour.keys() ^ depth.keys())]
+    if not (colour and depth):
+        found, missing = ("colour", "depth") if colour else ("depth", "colour")
+        raise RecordingError(f"{folder}: {len(everything)} {found} images, but no {missing} images: expected one of each for a frame")
     if not numbers:
         counts = f"{len(colour)} colour and {len(depth)} depth images"
         example = f"{alone[0].parent.name}/{alone[0].name}"
