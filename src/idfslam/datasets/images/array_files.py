@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images.matlab_file import read_matlab
+from idfslam.datasets.images.matlab_file import is_hdf5, read_matlab
 from idfslam.errors import ConfigError, FrameError, IdfSlamError, pip_install
 
 MOST_VALUES = 2**26  # [1] values of one image that is read; raised, a damaged header can claim more memory. 64 million, chosen by hand
@@ -87,7 +87,7 @@ def _exr(path: Path) -> NDArray[Any]:
 def _hdf5(path: Path) -> NDArray[Any]:
     with open_hdf5(path) as file:
         data = {name: array for name, array in hdf5_arrays(file).items() if array.ndim >= 2}
-        return in_matlab_order(data[wanted(list(data), _DEPTH_NAMES, str(path))], path)
+        return _one_image(data[wanted(list(data), _DEPTH_NAMES, str(path))], path)
 
 
 def open_hdf5(path: Path) -> Any:
@@ -111,18 +111,20 @@ def hdf5_arrays(file: Any) -> dict[str, Any]:
     return arrays
 
 
-def in_matlab_order(data: Any, path: Path) -> NDArray[Any]:
-    """An array of an HDF5 file; MATLAB stores its arrays with the axes reversed."""
+def _one_image(data: Any, path: Path) -> NDArray[Any]:
     if data.size > MOST_VALUES:
         raise FrameError(f"{path}: an array of {data.shape}, expected the numbers of one depth image")
-    array = np.asarray(data[()])
-    return array.T if "MATLAB_class" in data.attrs else array
+    return in_matlab_order(np.asarray(data[()]), data)
+
+
+def in_matlab_order(values: NDArray[Any], stored: Any) -> NDArray[Any]:
+    """Values of an array that is stored in a file: MATLAB reverses the axes in HDF5 files."""
+    return values.T if "MATLAB_class" in getattr(stored, "attrs", ()) else values
 
 
 def _mat(path: Path) -> NDArray[Any]:
-    with path.open("rb") as file:
-        if b"MATLAB 7.3" in file.read(128):
-            return _hdf5(path)
+    if is_hdf5(path):
+        return _hdf5(path)
     arrays = read_matlab(path)
     return arrays[wanted(list(arrays), _DEPTH_NAMES, str(path))]
 

@@ -20,6 +20,12 @@ _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13
 _MOST_UNPACKED = 1032  # [1] bytes that zlib makes of one at most: a stream that claims more is damaged
 
 
+def is_hdf5(path: Path) -> bool:
+    """Whether a MATLAB file is of version 7.3, which is HDF5. Raises OSError."""
+    with path.open("rb") as file:
+        return b"MATLAB 7.3" in file.read(_HEADER)
+
+
 def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
     """The real arrays of numbers by name, of any dimensions from 2; cells, structures and text are passed over.
 

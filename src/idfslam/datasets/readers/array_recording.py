@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_text import from_matrix
-from idfslam.datasets.images.array_files import hdf5_arrays, npz_arrays, open_hdf5, plain_name, readable
+from idfslam.datasets.images.array_files import hdf5_arrays, in_matlab_order, npz_arrays, open_hdf5, plain_name, readable
 from idfslam.datasets.images.decoding import Depth, as_depth
 from idfslam.datasets.images.depth_units import metres_if
-from idfslam.datasets.images.matlab_file import read_matlab
+from idfslam.datasets.images.matlab_file import is_hdf5, read_matlab
 from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.recording import Reader, Recording, regular_stamps
@@ -84,8 +84,7 @@ class ArrayFile:
     def _opened(self) -> Mapping[str, Any]:
         if self.path.suffix.lower() == ".npz":
             return npz_arrays(self.path)
-        with self.path.open("rb") as file:
-            self.is_matlab_5 = self.path.suffix.lower() == ".mat" and b"MATLAB 7.3" not in file.read(128)
+        self.is_matlab_5 = self.path.suffix.lower() == ".mat" and not is_hdf5(self.path)
         return read_matlab(self.path) if self.is_matlab_5 else hdf5_arrays(open_hdf5(self.path))
 
     def named(self, names: Sequence[str], dimensions: int) -> Any | None:
@@ -128,9 +127,8 @@ class ArrayFile:
 
 
 def slice_of(array: Any, i: int, frames_last: bool) -> NDArray[Any]:
-    """What an array holds of frame i; HDF5 files of MATLAB have the axes reversed."""
-    part = np.asarray(array[..., i] if frames_last else array[i])
-    return part.T if "MATLAB_class" in getattr(array, "attrs", ()) else part
+    """What an array holds of frame i."""
+    return in_matlab_order(np.asarray(array[..., i] if frames_last else array[i]), array)
 
 
 class ArrayImages:
