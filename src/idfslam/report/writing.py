@@ -83,8 +83,8 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     """Writes the report of a result folder. Returns the paths of the page and of its pictures.
 
     recording: the run's recording, if it is already open. moved: its path, if it is no longer the one in config.yaml.
-    gt: true trajectory in TUM format, instead of the recording's own. Sections are left out if the recording cannot be read, or if the run
-    was interrupted or diverged before their data existed.
+    gt: file of the true trajectory, see `read_truth`; None: the recording's own.
+    Sections are left out if the recording cannot be read, or if the run was interrupted or diverged before their data existed.
     Raises ResultError if the folder holds no trajectory, cannot be written to or is in use, or if another's file is in the report's place.
     """
     run = FinishedRun(folder, moved=moved)

@@ -15,6 +15,8 @@ from idfslam.viewer.rerun_program import LOOPBACK, PORT, ViewerOption
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from idfslam.datasets import Dataset
+    from idfslam.runs.runner import Run as RunResult
     from idfslam.viewer.rerun_viewer import Viewer
 
 
@@ -136,11 +138,8 @@ class Run:
         if self.path is None:
             wrong_usage("run: expected a recording, or --resume and the result folder of a run", "run")
         values = check(self.values)
-        from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.live import LiveStream, absolute_path
-        from idfslam.report.writing import write_report
-        from idfslam.runs.lost_frames import leave_out_lost
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
         from idfslam.runs.run_folder import check_usable, folder_for
@@ -164,12 +163,7 @@ class Run:
         check_usable(folder, **wanted)
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
         done = run(recording, values, folder, source=source, console=console, **options)
-        if self.output.report:
-            console.print("writing the report", highlight=False)
-            write_report(folder, recording=None if isinstance(recording, LiveStream) else recording)
-        if self.output.lost == "drop":
-            leave_out_lost(folder)
-        print_run(done, output())
+        self._conclude(done, console, None if isinstance(recording, LiveStream) else recording)
 
     def _go_on(self, folder: Path, console: "Console") -> None:
         output_flags = OutputFlags(report=self.output.report, lost=self.output.lost)
@@ -178,10 +172,7 @@ class Run:
         if given:
             found = ", ".join(given)
             wrong_usage(f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {found})", "run")
-        from idfslam.cli.tables import print_run
         from idfslam.compute.torch_threads import limit_torch_threads
-        from idfslam.report.writing import write_report
-        from idfslam.runs.lost_frames import leave_out_lost
         from idfslam.runs.result_folder import read_config
         from idfslam.runs.run_folder import config_folder
         from idfslam.runs.runner import resume
@@ -191,10 +182,19 @@ class Run:
         if done is None:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
             return
+        self._conclude(done, console, None)
+
+    def _conclude(self, done: "RunResult", console: "Console", recording: "Dataset | None") -> None:
+        """The report and what the options ask for. recording: of the run, if it is open and can be read again."""
+        from idfslam.cli.tables import print_run
+        from idfslam.report.writing import write_report
+        from idfslam.runs.lost_frames import leave_out_lost
+
         if self.output.report:
-            write_report(folder)
+            console.print("writing the report", highlight=False)
+            write_report(done.folder, recording=recording)
         if self.output.lost == "drop":
-            leave_out_lost(folder)
+            leave_out_lost(done.folder)
         print_run(done, output())
 
     def _viewer(self, console: "Console") -> "Viewer":
