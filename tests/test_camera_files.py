@@ -355,3 +355,19 @@ def test_cam_params_may_have_the_form_of_other_programs(tmp_path: Path) -> None:
     (tmp_path / "cam_params.json").write_text(json.dumps(values))
     found = read_beside(tmp_path)
     assert (found.fx, found.cx, found.cy, found.width, found.depth_scale) == (500, 320, 240, 640, None)
+
+
+def test_the_export_of_rtab_map(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scan")
+    text = parse_camera((folder / "intrinsics.txt").read_text(), "")
+    (folder / "intrinsics.txt").unlink()
+    (folder / "calib").mkdir()
+    for i in range(3):
+        numbers = f"{text.fx}, 0., {text.cx}, 0., {text.fy}, {text.cy}, 0., 0., 1."
+        yaml = f"image_width: {WIDTH}\nimage_height: {HEIGHT}\ncamera_matrix:\n   rows: 3\n   cols: 3\n   data: [ {numbers} ]\n"
+        transform = "local_transform:\n   rows: 3\n   cols: 4\n   data: [ 0., 0., 1., 0., -1., 0., 0., 0., 0., -1., 0., 0. ]\n"
+        (folder / f"calib/{i}.yaml").write_text(f"%YAML:1.0\n---\n{yaml}{transform}")
+    recording = open_recording(folder)
+    assert (recording.camera.fx, recording.camera.cy) == (text.fx, text.cy)
+    found = provenance(recording)
+    assert found is not None and found.camera == str(folder / "calib/0.yaml")

@@ -142,3 +142,19 @@ def test_equal_numbers_win_over_order(tmp_path: Path, caplog: pytest.LogCaptureF
     (path / "rgb/000000.jpg").rename(path / "rgb/000009.jpg")
     assert len(open_recording(path)) == 4
     assert "2 images are left out, the first because depth/000000.png has no partner of the same number" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "names",
+    [["amber", "birch", "cedar"], ["3f2b-aa02", "7c1d-4b", "9e-0f02"], ["0001a2b8", "0001a2bb", "0001a2be"], ["1a", "1b", "1c"]],
+)
+def test_images_whose_names_are_no_numbers_are_paired_by_name(names: list[str], tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "kitchen")
+    expected = [frame.depth for frame in open_recording(folder)]
+    for kind in ("rgb", "depth"):
+        for file, name in zip(sorted((folder / kind).iterdir()), names):
+            file.rename(file.with_name(name + file.suffix))
+    recording = open_recording(folder)
+    assert len(recording) == 3
+    for frame, depth in zip(recording, expected):
+        np.testing.assert_array_equal(frame.depth, depth)

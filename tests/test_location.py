@@ -12,7 +12,7 @@ import pytest
 
 from helpers.recordings import write_folder, write_tum
 from idfslam.datasets import open_recording
-from idfslam.datasets.location import without_scheme
+from idfslam.datasets.location import locate, without_scheme
 from idfslam.errors import RecordingError
 
 
@@ -125,3 +125,33 @@ def test_addresses_and_ways_to_write_a_path(tmp_path: Path, monkeypatch: pytest.
         assert open_recording(name).name == "Küche 1"
     np.testing.assert_equal(without_scheme(Path("file:///a/b")), "/a/b")
     assert without_scheme("a/file:/b") == "a/file:/b"
+
+
+def test_the_only_archive_in_a_folder_is_read(tmp_path: Path) -> None:
+    write_folder(tmp_path / "kitchen")
+    (tmp_path / "downloads").mkdir()
+    shutil.make_archive(str(tmp_path / "downloads/kitchen"), "zip", tmp_path / "kitchen")
+    (tmp_path / "downloads/readme.txt").write_text("a scan")
+    assert len(open_recording(tmp_path / "downloads")) == 3
+
+
+def test_a_locked_folder_beside_the_recording_does_not_matter(tmp_path: Path) -> None:
+    write_folder(tmp_path / "scans/kitchen")
+
+    def recognise(folder: Path) -> str | None:
+        if folder.name == "locked":
+            raise PermissionError(13, "Permission denied", str(folder / "color"))
+        return "folder" if (folder / "rgb").is_dir() else None
+
+    (tmp_path / "scans/locked").mkdir()
+    assert locate(tmp_path / "scans", recognise, recognise) == (tmp_path / "scans/kitchen", "folder")
+
+
+@pytest.mark.parametrize("path", ["", " "])
+def test_an_empty_path_is_not_the_current_folder(path: str) -> None:
+    with pytest.raises(RecordingError, match="the path of the recording is empty, expected a recording"):
+        open_recording(path)
+
+
+def test_strides_that_are_longer_than_any_recording(tmp_path: Path) -> None:
+    assert len(open_recording(write_folder(tmp_path / "kitchen"), stride=10**30)) == 1

@@ -1,8 +1,12 @@
 """Stamps become seconds that increase, whatever unit and faults they have; what was done is said in one line."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from helpers.recordings import write_tum
+from idfslam.datasets import open_recording
 from idfslam.datasets.time_stamps import in_seconds, increasing, units_per_second
 
 VIDEO = np.arange(20) / 30  # [s]
@@ -58,3 +62,21 @@ def test_stamps_that_say_nothing_are_given_up(stamps: np.ndarray, caplog: pytest
 def test_good_stamps_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:
     assert increasing(VIDEO, "room") is VIDEO
     assert caplog.messages == []
+
+
+def test_lists_that_go_backward_are_sorted_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_tum(tmp_path / "kitchen")
+    for name in ("rgb.txt", "depth.txt"):
+        lines = [line for line in (folder / name).read_text().splitlines() if not line.startswith("#")]
+        (folder / name).write_text("\n".join([lines[1], lines[0], *lines[2:]]))
+    stamps = open_recording(folder).timestamps
+    assert (np.diff(stamps) > 0).all()
+    assert "rgb.txt: 1 stamps are earlier than the one in the line before; the images are sorted by their stamps" in caplog.text
+
+
+def test_lists_of_two_units(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "kitchen")
+    expected = open_recording(folder).timestamps
+    rows = [line.split() for line in (folder / "depth.txt").read_text().splitlines() if not line.startswith("#")]
+    (folder / "depth.txt").write_text("\n".join(f"{1000 * float(stamp):.0f} {file}" for stamp, file in rows))
+    np.testing.assert_array_equal(open_recording(folder).timestamps, expected)

@@ -27,34 +27,51 @@ T = TypeVar("T")
 
 def without_scheme(path: Path | str) -> str:
     """The path of a file:// address; other paths as they are."""
-    match = re.fullmatch(r"file:/{1,}(localhost/)?(?P<path>.*)", str(path))  # pathlib makes one slash of several
+    match = re.fullmatch(r"file:/{1,}(localhost/)?(?P<path>.*)", str(path), re.DOTALL)  # pathlib makes one slash of several
     return f"/{unquote(match['path'])}" if match else str(path)
 
 
 def locate(path: Path, recognise: Callable[[Path], T | None], recognise_around: Callable[[Path], T | None]) -> tuple[Path, T] | None:
     """The place of the recording that `path` names, and what it is recognised as; None if there is none.
 
-    It is the path itself, what an archive unpacks to, the only recording in a folder, or the one around a file or folder
-    (`recognise_around`). A warning says so if it is not the path itself. Raises RecordingError if a folder holds several recordings, or if
-    an archive cannot be unpacked.
+    It is the path itself, what an archive unpacks to, the only recording or the only archive in a folder, or the recording around a file or
+    folder (`recognise_around`). A warning says so if it is not the path itself. Raises RecordingError if a folder holds several recordings,
+    or if an archive cannot be unpacked.
     """
     if (kind := recognise(path)) is not None:
         return path, kind
     if path.is_file() and path.name.lower().endswith(SUFFIXES):
         return locate(_unpacked(path), recognise, recognise_around)
     for level in range(1, _LEVELS_DOWN + 1):
-        inner = [(folder, kind) for folder in _folders(path, level) if (kind := recognise(folder)) is not None]
+        inner = [(folder, kind) for folder in _folders(path, level) if (kind := _if_readable(folder, recognise)) is not None]
         if len(inner) > 1:
             names = ", ".join(str(folder.relative_to(path)) for folder, _ in inner[:6])
             raise RecordingError(f"{path}: holds {len(inner)} recordings ({names}), expected one: name {inner[0][0]}")
         if inner:
             log.warning("%s: the recording in it, %s, is read", path, inner[0][0].relative_to(path))
             return inner[0]
+    if (archive := _only_archive(path)) is not None:
+        return locate(archive, recognise, recognise_around)
     for folder in islice(path.parents, _LEVELS_UP):
         if (kind := recognise_around(folder)) is not None:
             log.warning("%s: a part of the recording %s, which is read", path, folder)
             return folder, kind
     return None
+
+
+def _if_readable(folder: Path, recognise: Callable[[Path], T | None]) -> T | None:
+    """What a folder is recognised as; None if it may not be read: others beside it may."""
+    try:
+        return recognise(folder)
+    except PermissionError:
+        return None
+
+
+def _only_archive(path: Path) -> Path | None:
+    """The archive in a folder without folders, if there is one only."""
+    entries = [entry for entry in path.iterdir() if not hidden(entry)] if path.is_dir() else []
+    archives = [entry for entry in entries if entry.is_file() and entry.name.lower().endswith(SUFFIXES)]
+    return archives[0] if len(archives) == 1 and not any(entry.is_dir() for entry in entries) else None
 
 
 def _folders(path: Path, level: int) -> Iterator[Path]:

@@ -94,6 +94,8 @@ def open_recording(
     user_calibration, user_topics = override(camera, depth_scale), Topics.of(topics)
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
+    if not str(path).strip():
+        raise RecordingError(f"the path of the recording is empty, expected a recording, {generated.FORMS}")
     inner = generated.kidnapped_path(str(path))
     kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
     dataset: Dataset

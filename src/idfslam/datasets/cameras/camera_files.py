@@ -17,9 +17,11 @@ from idfslam.storage.text_file import read_text
 CAM_PARAMS = "cam_params.json"
 TEXT_FILES = (
     *("intrinsics.txt", "camera-intrinsics.txt", "camera_intrinsics.txt", "intrinsic.txt", "calibration.txt", "calib.txt", "camera.txt"),
+    *("cam_K.txt", "K.txt"),
     *("cameras.txt", "camera_info.yaml", "camera.yaml", "calibration.yaml", "intrinsics.yaml", "ost.yaml"),
 )
 JSON_FILES = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "intrinsics.json", "camera.json")
+RTABMAP = "*calib/*.yaml"  # calib/ of RTAB-Map's export, with a file for each frame of which the first is read
 BESIDE_A_FILE = (CAM_PARAMS, "intrinsics.txt")  # what is read in the folder of a recording that is one file: others may lie there too
 LARGEST = 1 << 20  # [bytes] of a camera file; raised, other files of that name take longer to refuse. Chosen by hand
 _FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
@@ -80,6 +82,8 @@ def read_depth_camera(*folders: Path) -> DepthCameraCalibration | None:
 def read_camera_file(folder: Path, names: tuple[str, ...] = (*TEXT_FILES, *JSON_FILES)) -> Calibration:
     """Reads the first of these files that exists; empty without one. Raises RecordingError if it holds no camera."""
     path = next((folder / name for name in names if (folder / name).is_file()), None)
+    if path is None and len(names) > 1:
+        path = min(folder.glob(RTABMAP), default=None)
     if path is None:
         return Calibration()
     if (size := path.stat().st_size) > LARGEST:

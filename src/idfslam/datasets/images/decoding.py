@@ -1,5 +1,6 @@
 """Reads, validates and converts colour and depth images. Whatever is wrong with one image is a FrameError of one line."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -183,7 +184,7 @@ def hidden(path: Path) -> bool:
     return path.name.startswith(".")
 
 
-def by_number(paths: list[Path]) -> dict[float, Path]:
+def by_number(paths: Sequence[Path]) -> dict[float, Path]:
     """Files by the number in their names that counts them, sorted by it; those without a number are left out."""
     files: dict[float, Path] = {}
     for path, text in zip(paths, counting_numbers([path.stem for path in paths])):

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images.file_numbers import name_stamps
+from idfslam.datasets.images.decoding import by_number
+from idfslam.datasets.images.file_numbers import counting_numbers, name_stamps
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import associate
 
@@ -21,6 +22,8 @@ _SAME_NUMBERS = 0.5  # [1] share of images with a partner of the same number fro
 #    Chosen by hand
 
 
+_COUNTED = 0.9  # [1] share of names with a number of their own from which on numbers count the images; lowered, names that are codes are
+#    taken for numbers. Chosen by hand
 _NOTICEABLE = 1 / 3  # [1] of the time between frames, from which on a delay of depth is told; raised, fewer are. Chosen by hand
 
 
@@ -37,6 +40,27 @@ class Pairs:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+
+def numbered_series(colour: Sequence[Path], depth: Sequence[Path], folder: Path) -> tuple[dict[float, Path], dict[float, Path]]:
+    """Colour and depth images by the numbers in their names; by the places of their names in the alphabet if these hold no numbers.
+
+    Raises RecordingError if two images of a series have the same number.
+    """
+    names = [{file.stem for file in files} for files in (colour, depth)]
+    shared = len(names[0] & names[1])
+    unique = len(names[0]) == len(colour) and len(names[1]) == len(depth)
+    if not unique or shared < _SAME_NUMBERS * max(len(colour), len(depth), 1) or all(map(_counted, (colour, depth))):
+        return by_number(colour), by_number(depth)
+    log.warning("%s: the names of the images do not count them; they are taken in the order of the alphabet", folder)
+    places = {name: float(place) for place, name in enumerate(sorted(names[0] | names[1]))}
+    first, second = ({places[file.stem]: file for file in sorted(files)} for files in (colour, depth))
+    return first, second
+
+
+def _counted(files: Sequence[Path]) -> bool:
+    numbers = [text for text in counting_numbers([file.stem for file in files]) if text is not None]
+    return len({float(text) for text in numbers}) >= _COUNTED * len(files)
 
 
 def pair_images(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> Pairs:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_depth_camera
-from idfslam.datasets.images.decoding import ImageFiles, by_number, numbered
+from idfslam.datasets.images.decoding import ImageFiles, numbered
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.folders import find_images, has_colour, has_depth
-from idfslam.datasets.images.pairs import Pairs, pair_images
+from idfslam.datasets.images.pairs import Pairs, numbered_series, pair_images
 from idfslam.datasets.near_miss import Likeness, Part
 from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.datasets.poses.truth import Truth, read_matrix, read_stamped
@@ -39,7 +39,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     found = find_images(path)
     if found is None:
         raise RecordingError(f"{path}: expected the folders rgb/ (or color/) and depth/, or colour and depth images in one folder")
-    images, depths = by_number(found.colour), by_number(found.depth)
+    images, depths = numbered_series(found.colour, found.depth, path)
     stamps = read_stamps(path / STAMPS, sorted(images.keys() | depths.keys()), list(images), list(depths))
     if stamps is not None:
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))

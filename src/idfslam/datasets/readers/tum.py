@@ -4,6 +4,7 @@ Instead of rgb.txt and depth.txt there may be associations.txt, as the benchmark
 of a depth image in each line.
 """
 
+import logging
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,8 @@ from idfslam.datasets.recording_path import names
 from idfslam.datasets.time_stamps import in_seconds, units_per_second
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
+
+log = logging.getLogger(__name__)
 
 # The published calibrations of the three cameras, by the N in "freiburgN". Depth is registered to colour
 FREIBURG = {
@@ -106,6 +109,7 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
     Raises RecordingError if no line is left.
     """
     rows: set[tuple[tuple[float, ...], tuple[Path, ...]]] = set()
+    order: list[float] = []
     problems = []
     for line, words in listed_lines(path):
         stamps = tuple(map(number, words[: 2 * images : 2]))
@@ -116,10 +120,13 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
             problems.append(f"line {line}: {missing[0]}")
         else:
             rows.add((stamps, tuple(file for file, _ in found)))
+            order.append(stamps[0])
     if not rows:
         why = problems[0] if problems else "empty, expected lines of a stamp in seconds and a file"
         raise RecordingError(f"{path}: {why}")
     warn_left_out(str(path), problems)
+    if backward := int((np.diff(order) < 0).sum()):
+        log.warning("%s: %d stamps are earlier than the one in the line before; the images are sorted by their stamps", path, backward)
     ordered = sorted(rows)
     return np.array([stamps for stamps, _ in ordered]), [files for _, files in ordered]
 
