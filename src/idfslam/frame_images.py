@@ -43,9 +43,11 @@ def checked_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.floa
         raise FrameError(f"depth is {_described(depth)}, {expected}: register it to the colour camera and convert it, {_CONVERT}")
     if isinstance(depth, np.ma.MaskedArray):
         depth = depth.filled(0)
-    if not (depth.min() >= 0 and depth.max() < np.inf):
+    nearest, farthest = depth.min(), depth.max()  # NaN if any value is; each reads the whole image, and every frame comes here
+    if not (nearest >= 0 and farthest < np.inf):
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-    if depth.max() > FARTHEST and (median := float(np.median(depth[depth > 0]))) > FARTHEST:
+        farthest = depth.max()
+    if farthest > FARTHEST and (median := float(np.median(depth[depth > 0]))) > FARTHEST:
         mend = "if it is in millimetres, divide it by 1000, or give Frame.from_images depth_scale=1000"
         raise FrameError(f"depth has a median of {median:.4g} m, {expected}: {mend}")
     return np.ascontiguousarray(depth)
