@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from idfslam.errors import ResultError
 from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.evaluation import Evaluation, PoseErrors
+from idfslam.evaluation.files import ERROR_PICTURE, EVALUATION, FILES, TRAJECTORY_PICTURE
 from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol, mesh_error
 from idfslam.evaluation.plots import plot_error, plot_trajectory
 from idfslam.evaluation.trajectory_error import (
@@ -25,8 +26,6 @@ from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, is_rotation_determined, load_tum
 from idfslam.storage.ledger import Ledger
-
-FILES = ("evaluation.json", "trajectory.png", "error.png")  # that an evaluation writes
 
 log = logging.getLogger(__name__)
 
@@ -90,11 +89,11 @@ def evaluate(
             result = replace(result, mesh=mesh)
         except ResultError as error:  # such as a trajectory so wrong that no mesh is in view: the trajectory's error is still worth knowing
             log.warning("%s: the mesh is not evaluated: %s", folder, error)
-    with ledger.replacing(FILES[0]) as part:
+    with ledger.replacing(EVALUATION) as part:
         result.save(part)
-    with ledger.replacing(FILES[1]) as part:
+    with ledger.replacing(TRAJECTORY_PICTURE) as part:
         plot_trajectory(part, estimate.poses, truth, T_gt_est=ate.T_gt_est, keyframes=keyframes)
-    with ledger.replacing(FILES[2]) as part:
+    with ledger.replacing(ERROR_PICTURE) as part:
         plot_error(part, ate, estimate.timestamps)
     return result
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from idfslam import __version__
 from idfslam.config import RUN_SECTIONS, Config, dump, load, read_yaml
 from idfslam.errors import ConfigError, ResultError
+from idfslam.evaluation import files as evaluation_files
 from idfslam.geometry.camera import Camera
 from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
@@ -25,12 +26,11 @@ from idfslam.storage.plain_values import shown
 from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
 TRAJECTORY, MESH, MAP = "trajectory.txt", "mesh.ply", "map.safetensors"
-KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", "trajectory.png"
+KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", evaluation_files.TRAJECTORY_PICTURE
 FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
 CHECKPOINT = "checkpoint.safetensors"  # of an unfinished run
 FILES = (TRAJECTORY, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a complete run
-EVALUATION = "evaluation.json"
-EVALUATION_FILES = (EVALUATION, PICTURE, "error.png")
+EVALUATION, EVALUATION_FILES = evaluation_files.EVALUATION, evaluation_files.FILES
 _PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # a picture of a report
 SCHEMA = 1  # of keyframes.json and metrics.json; counts up when a reader of the older form would misread a file
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")

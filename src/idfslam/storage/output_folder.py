@@ -13,19 +13,18 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from idfslam.errors import ResultError
-from idfslam.storage import atomic_files
+from idfslam.storage import atomic_files, file_managers
 from idfslam.storage.ledger import LEDGER, Ledger
 
 LOCK, PARTIAL = ".idf-slam.lock", ".idf-slam.partial"
 HIDDEN = frozenset({LEDGER, LOCK, PARTIAL})  # what this program puts into a folder besides its results
-_OF_THE_SYSTEM = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})  # made by file managers; a folder with nothing else counts as empty
 
 
 def is_empty(folder: Path) -> bool:
     """Whether a folder is missing or holds nothing of anybody's. Raises ResultError if it cannot be looked into."""
     folder = Path(os.path.realpath(folder))  # or new/../there would be missing until `new` is made
     try:
-        return not folder.exists() or not {path.name for path in folder.iterdir()} - HIDDEN - _OF_THE_SYSTEM
+        return not folder.exists() or not {path.name for path in folder.iterdir()} - HIDDEN - file_managers.NAMES
     except OSError as error:
         raise atomic_files.unusable(folder, error) from error
 

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import IO
 
 from idfslam.errors import ArchiveError
+from idfslam.storage import file_managers
 
 log = logging.getLogger(__name__)
 
 Member = tuple[str, str, Callable[[], IO[bytes]]]  # name; "file", "folder", "link" or "device"; a function that opens it
 
 SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
-_JUNK = ("Thumbs.db", ".DS_Store", "__MACOSX")  # not unpacked: those in 7-Scenes are damaged
 _DAMAGED = (  # the last five are what the two modules let through of damaged headers
     *(tarfile.TarError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError),
     *(ValueError, IndexError, OverflowError, MemoryError, struct.error),
@@ -63,7 +63,7 @@ class _Room:
 
 def _unpack(archive: Path, folder: Path, room: _Room) -> None:
     for name, kind, open_member in _zip_members(archive) if _is_zip(archive) else _tar_members(archive):
-        if any(part in _JUNK for part in Path(name).parts):
+        if not file_managers.NAMES.isdisjoint(Path(name).parts):  # those in 7-Scenes are damaged
             continue
         target = (folder / name).resolve()
         if not target.is_relative_to(folder.resolve()) or kind == "device" or "\\" in name:
