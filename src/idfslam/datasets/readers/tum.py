@@ -108,8 +108,7 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
     What follows in a line is ignored. A line that names no image is left out, with one warning, and so is the second of two equal lines.
     Raises RecordingError if no line is left.
     """
-    rows: set[tuple[tuple[float, ...], tuple[Path, ...]]] = set()
-    order: list[float] = []
+    rows: dict[tuple[tuple[float, ...], tuple[Path, ...]], None] = {}  # in the order of the file, each once
     problems = []
     for line, words in listed_lines(path):
         stamps = tuple(map(number, words[: 2 * images : 2]))
@@ -119,13 +118,12 @@ def read_list(path: Path, *, images: int = 1) -> tuple[NDArray[np.float64], list
         elif missing := [f"{file} {problem}"[-200:] for file, problem in found if problem]:
             problems.append(f"line {line}: {missing[0]}")
         else:
-            rows.add((stamps, tuple(file for file, _ in found)))
-            order.append(stamps[0])
+            rows[stamps, tuple(file for file, _ in found)] = None
     if not rows:
         why = problems[0] if problems else "empty, expected lines of a stamp in seconds and a file"
         raise RecordingError(f"{path}: {why}")
     warn_left_out(str(path), problems)
-    if backward := int((np.diff(order) < 0).sum()):
+    if backward := int((np.diff([stamps[0] for stamps, _ in rows]) < 0).sum()):
         log.warning("%s: %d stamps are earlier than the one in the line before; the images are sorted by their stamps", path, backward)
     ordered = sorted(rows)
     return np.array([stamps for stamps, _ in ordered]), [files for _, files in ordered]
