@@ -192,3 +192,11 @@ def test_threads_that_the_user_chose_are_kept(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
     prepare_process()
     assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+
+
+@pytest.mark.parametrize("words", [["run", ""], ["run", "room", "--out", ""]])
+def test_an_empty_word_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command_line.parse(words)
+    assert caught.value.code == 2
+    assert f"error: the word behind {words[-2]} is empty, expected a value" in capsys.readouterr().err

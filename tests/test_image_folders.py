@@ -158,3 +158,17 @@ def test_images_whose_names_are_no_numbers_are_paired_by_name(names: list[str], 
     assert len(recording) == 3
     for frame, depth in zip(recording, expected):
         np.testing.assert_array_equal(frame.depth, depth)
+
+
+def test_photographs_and_depth_of_the_same_names_in_one_folder(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "kitchen")
+    expected = [frame.depth for frame in open_recording(folder)]
+    for file in (folder / "rgb").iterdir():
+        assert cv2.imwrite(str(folder / f"{file.stem}.jpg"), cv2.imread(str(file)))
+        file.unlink()
+    for file in (folder / "depth").iterdir():
+        file.rename(folder / file.name)
+    (folder / "rgb").rmdir()
+    (folder / "depth").rmdir()
+    for frame, depth in zip(open_recording(folder), expected, strict=True):
+        np.testing.assert_array_equal(frame.depth, depth)

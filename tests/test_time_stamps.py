@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.recordings import write_tum
+from helpers.recordings import write_folder, write_tum
 from idfslam.datasets import open_recording
 from idfslam.datasets.time_stamps import in_seconds, increasing, units_per_second
+from idfslam.errors import RecordingError
 
 VIDEO = np.arange(20) / 30  # [s]
 
@@ -80,3 +81,21 @@ def test_lists_of_two_units(tmp_path: Path) -> None:
     rows = [line.split() for line in (folder / "depth.txt").read_text().splitlines() if not line.startswith("#")]
     (folder / "depth.txt").write_text("\n".join(f"{1000 * float(stamp):.0f} {file}" for stamp, file in rows))
     np.testing.assert_array_equal(open_recording(folder).timestamps, expected)
+
+
+@pytest.mark.parametrize("line", ["rgb/{:06d}.png {}", "{:06d}.png,{}", "{} {}"], ids=["path", "name", "number"])
+@pytest.mark.parametrize("dates", [False, True])
+def test_frames_of_timestamps_txt_are_numbers_or_images(line: str, dates: bool, tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "kitchen")
+    stamps = ["2023-05-01T12:30:59.90Z", "2023-05-01T12:31:00.00Z", "2023-05-01T12:31:00.10Z"] if dates else ["5.0", "5.1", "5.2"]
+    stamps = [stamp.replace("0Z", "00") for stamp in stamps]  # Python 3.10 wants three digits
+    (folder / "timestamps.txt").write_text("".join(line.format(i, stamp) + "\n" for i, stamp in enumerate(stamps)))
+    expected = 1682944259.9 + 0.1 * np.arange(3) if dates else [5.0, 5.1, 5.2]
+    np.testing.assert_allclose(open_recording(folder).timestamps, expected, rtol=0, atol=1e-5)
+
+
+def test_timestamps_txt_without_a_frame_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "kitchen")
+    (folder / "timestamps.txt").write_text("")
+    with pytest.raises(RecordingError, match=r"timestamps\.txt: names none of the 3 colour images, expected lines of frame and stamp"):
+        open_recording(folder)

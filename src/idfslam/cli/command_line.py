@@ -78,6 +78,9 @@ def parse(arguments: Sequence[str]) -> Command:
     name = arguments[0] if arguments else ""
     if name not in COMMANDS:
         _without_command(name)
+    if "" in arguments:  # as a path it would be the current folder
+        before = arguments[list(arguments).index("") - 1]
+        wrong_usage(f"the word behind {before} is empty, expected a value: a shell variable may be unset", name)
     arguments = _with_viewer(arguments)
     asks_help = HELP_ALL in arguments or any(flag in arguments for flag in HELP)
     values = _starting_values(arguments)

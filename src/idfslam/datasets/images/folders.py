@@ -13,6 +13,7 @@ COLOUR_NAMES = ("rgb", "color", "colour", "rgbimages", "colorimages", "colourima
 DEPTH_NAMES = ("depth", "depths", "depthimages", "depthimage", "depthmaps", "depthmap", "aligneddepth", "depthaligned", "registereddepth")
 _COLOUR_WORD = re.compile(r"rgb|colou?r", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth|(^|[_\-. ])d([_\-. \d]|$)", re.IGNORECASE)
+_PHOTOGRAPHS = frozenset({".jpg", ".jpeg"})  # forms of files that hold no depth
 _OTHER_WORD = re.compile(r"infra|(^|[^a-z])ir([^a-z]|$)|conf|mask|label|semantic|segment|normal|preview|thumb", re.IGNORECASE)
 
 
@@ -77,9 +78,13 @@ def _files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
 
 
 def _both_kinds(folder: Path) -> ImageFolders | None:
-    """0001_color.png and 0001_depth.png; 0001.jpg and 0001_depth.png. None if the folder has not both."""
+    """0001_color.png and 0001_depth.png; 0001.jpg and 0001_depth.png; 0001.jpg and 0001.png. None if the folder has not both."""
     files = [file for file in _files(folder, SUFFIXES | DEPTH_SUFFIXES) if not _OTHER_WORD.search(file.stem)]
     depth = [file for file in files if _DEPTH_WORD.search(file.stem) and file.suffix.lower() in DEPTH_SUFFIXES]
     rest = [file for file in files if not _DEPTH_WORD.search(file.stem) and file.suffix.lower() in SUFFIXES]
     colour = [file for file in rest if _COLOUR_WORD.search(file.stem)] or rest
+    if not depth:  # 0001.jpg and 0001.png
+        names = {file.stem for file in rest if file.suffix.lower() in _PHOTOGRAPHS}
+        depth = [file for file in files if file.stem in names and file.suffix.lower() in DEPTH_SUFFIXES - _PHOTOGRAPHS]
+        colour = [file for file in rest if file.suffix.lower() in _PHOTOGRAPHS]
     return ImageFolders(colour, depth) if colour and depth and any(re.search(r"\d", file.stem) for file in depth) else None

@@ -42,7 +42,11 @@ def open_folder(path: Path, override: Calibration) -> Recording:
     images, depths = numbered_series(found.colour, found.depth, path)
     stamps = read_stamps(path / STAMPS, sorted(images.keys() | depths.keys()), list(images), list(depths))
     if stamps is not None:
+        colours = len(images)
         images, depths = ({number: files[number] for number in stamps if number in files} for files in (images, depths))
+        if colours and not images:
+            problem = f"names none of the {colours} colour images"
+            raise RecordingError(f"{path / STAMPS}: {problem}, expected lines of frame and stamp: complete or remove the file")
     pairs = pair_images(images, depths, path)
     timestamps, source = pairs.places / FPS, ASSUMED
     if stamps is not None:
