@@ -118,11 +118,15 @@ def test_videos_of_a_map(known_run: Path, tmp_path: Path, kind: str) -> None:
     assert np.abs(frames[0].astype(int) - frames[2]).mean() > 3
 
 
-def test_views_from_a_file(known_run: Path, tmp_path: Path) -> None:
+def test_views_from_a_file(known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The wall ahead is where it is: the box ends at z = 1.8."""
     T = np.eye(4)
     T[:3, 3] = [0.6, 0, 0.8]
     save_kitti(tmp_path / "poses.txt", T[None])
+    for width in ("8", "999999999"):
+        with pytest.raises(SystemExit):
+            command_line.main(["render", str(known_run), "--width", width, "--out", str(tmp_path / "out")])
+        assert capsys.readouterr().err == f"error: --width {width}, expected 16 to 16384 pixels\n"
     command_line.main(["render", str(known_run), "--poses", str(tmp_path / "poses.txt"), "--width", "32", "--out", str(tmp_path / "out")])
     depth = cv2.imread(str(tmp_path / "out" / "000000-depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth.shape == (24, 32)

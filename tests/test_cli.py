@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import asdict
@@ -143,6 +144,15 @@ def test_the_viewers_place_may_be_left_out() -> None:
     assert run_values("--viewer", "web").live_view.viewer == "web"
 
 
+def test_a_tilde_is_the_users_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/someone")
+    monkeypatch.setenv("USERPROFILE", "/home/someone")
+    home = Path("/home/someone")
+    assert run_values("--out=~/results").output.out == home / "results"
+    assert run_values("--out", "~/results").output.out == home / "results"
+    assert run_values("--out", "a~b").output.out == Path("a~b")
+
+
 def test_resume_takes_no_other_options(capsys: pytest.CaptureFixture[str]) -> None:
     message = error_of(capsys, *["run", "--resume", "there", "--frames", "20", "--mapper.pixels", "64", "--checkpoint-every", "9"], code=2)
     assert "leave out all else (found frames, pixels)" in message
@@ -158,8 +168,38 @@ def test_wrong_usage_ends_with_2(arguments: str, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["run", "--ot", "x"], "unknown option --ot, did you mean --out? (help: idf-slam run --help)"),
+        (["eval", "--gtt", "x"], "unknown option --gtt, did you mean --gt? (help: idf-slam eval --help)"),
+        (["run", "x", "--frames"], "--frames: expected a value behind it (help: idf-slam run --help)"),
+        (["run", "x", "--start", "9" * 5000], "--start: found a number of thousands of digits, expected INT (help: idf-slam run --help)"),
+        (
+            ["eval", "x", "--protocol", "no"],
+            "--protocol: found no, expected one of coslam, eslam, neural-rgbd, nice, seen (help: idf-slam eval --help)",
+        ),
+    ],
+)
+def test_wrong_usage_says_what_is_wrong(arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert error_of(capsys, *arguments, code=2) == f"error: {line}\n"
+
+
+def test_a_very_long_argument_is_not_repeated_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(error_of(capsys, "run", "x", "y" * 5000, code=2)) < 1800
+
+
+def test_help_is_a_command_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command_line.main(["help"])
+    assert caught.value.code == 0
+    assert "usage: idf-slam COMMAND" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
     ("arguments", "found"),
     [
+        ("demo --room -1", "--room -1 --frames 240, expected a seed of at least 0 and at least 1 frame"),
+        ("demo --frames 0", "--room 0 --frames 0, expected"),
         ("run no-such-recording", "no-such-recording"),
         ("run synthetic --config no-such.yaml", "no-such.yaml"),
         ("run . --mapper.pixels 0", "error:"),
@@ -200,3 +240,12 @@ def test_an_empty_word_is_refused(words: list[str], capsys: pytest.CaptureFixtur
         command_line.parse(words)
     assert caught.value.code == 2
     assert f"error: the word behind {words[-2]} is empty, expected a value" in capsys.readouterr().err
+
+
+def test_tables_are_readable_in_a_narrow_terminal(
+    known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "20")
+    run = shutil.copytree(known_run, tmp_path / "run")
+    command_line.main(["eval", str(run)])
+    assert re.search(r"│ ATE \[cm\].*│ +\d+\.\d+ │", capsys.readouterr().out)

@@ -159,6 +159,19 @@ def test_a_keyframe_that_was_not_measured_is_no_image(known_run: Path, tmp_path:
     assert sorted(names) == [f"{i:06d}.png" for i in KNOWN_KEYFRAMES[1:]]
 
 
+@pytest.mark.parametrize("command", [["mesh"], ["export", "--to", "ply"]])
+def test_a_resolution_without_a_surface_is_refused(
+    known_run: Path, tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = refused(capsys, command[0], known_run, *command[1:], "--resolution", "1000", "--out", tmp_path / "mesh.ply")
+    assert error.endswith("its map has no surface in cells of 1000.0 m; choose a smaller --resolution\n")
+
+
+def test_an_export_of_nothing_is_refused(known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    error = refused(capsys, "export", known_run, "--to", "--out", tmp_path)
+    assert error == "error: --to: expected at least one of tum, kitti, nerfstudio, colmap, ply, obj, glb, points, grid, blocks\n"
+
+
 @pytest.mark.parametrize("command", [("export", "--to", "ply"), ("export", "--to", "blocks"), ("mesh",)])
 def test_a_resolution_that_needs_too_much_memory_is_refused(
     known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch

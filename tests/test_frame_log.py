@@ -1,5 +1,6 @@
 """frames.csv: what comes back, and files that are none."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -41,12 +42,21 @@ def test_no_frames(tmp_path: Path) -> None:
     assert FrameLog.load(tmp_path / "frames.csv").lines == []
 
 
+HEADER = "index,timestamp,status,keyframe,ms"
+
+
 @pytest.mark.parametrize(
-    "text",
-    ["a,b\n1,2\n"]
-    + [f"index,timestamp,status,keyframe,ms\n{row}\n" for row in ("0,0.0,fine,1,3", "0", f"{10**30},0.0,ok,1,3", "-1,0.0,ok,1,3")],
+    ("text", "found"),
+    [
+        ("a,b\n1,2\n", "2: not the log of a run (no column index, timestamp, status, keyframe, ms)"),
+        (f"{HEADER}\n0,0.0,fine,1,3\n", "2: not the log of a run ('fine' is not a valid Status)"),
+        (f"{HEADER}\n0,0.0,ok,1,3\n0\n", "3: not the log of a run (could not convert string to float: '')"),
+        (f"{HEADER}\n{10**30},0.0,ok,1,3\n", f"2: not the log of a run (frame {10**19})"),
+        (f"{HEADER}\n-1,0.0,ok,1,3\n", "2: not the log of a run (frame -1)"),
+        (f"{HEADER}\n0,0.0,ok,1,3,4\n", "2: not the log of a run (more values than columns)"),
+    ],
 )
-def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, text: str, found: str) -> None:
     (tmp_path / "frames.csv").write_text(text)
-    with pytest.raises(ResultError, match=r"frames\.csv: not the log of a run"):
+    with pytest.raises(ResultError, match=re.escape(f"frames.csv:{found}; expected one line for each frame")):
         FrameLog.load(tmp_path / "frames.csv")

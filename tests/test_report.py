@@ -144,6 +144,16 @@ def test_what_somebody_else_put_in_the_reports_place_stays(reported: Path, tmp_p
     assert (folder / name).read_bytes() == b"mine"
 
 
+@pytest.mark.slow
+def test_a_report_that_fails_leaves_the_earlier_one(reported: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(reported, tmp_path / "again")
+    (folder / result_folder.TRAJECTORY).write_text("no trajectory")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(ResultError, match=r"trajectory\.txt:1: 2 values"):
+        write_report(folder)
+    assert {path: path.read_bytes() for path in before} == before
+
+
 def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         command_line.main(["report", str(tmp_path / "none")])

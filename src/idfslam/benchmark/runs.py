@@ -98,7 +98,7 @@ def bench(
     that cannot be written to, is in use, holds anything but results, or holds results that are not to be replaced.
     """
     if seeds < 1 or (frames is not None and frames < 1):
-        raise ConfigError(f"--seeds {seeds} --frames {frames}, expected at least 1")
+        raise ConfigError(f"--seeds {seeds}{'' if frames is None else f' --frames {frames}'}, expected at least 1")
     specs = parse_recordings(recordings, frames)
     if against is not None:
         from idfslam.benchmark.open3d_baseline import require_open3d

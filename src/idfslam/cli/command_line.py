@@ -22,7 +22,7 @@ from idfslam.cli.commands.batch import Batch
 from idfslam.cli.commands.bench import Bench
 from idfslam.cli.commands.bench_odometry import BenchOdometry
 from idfslam.cli.commands.bench_pairs import BenchPairs
-from idfslam.cli.commands.command import Command
+from idfslam.cli.commands.command import NARROWEST, Command
 from idfslam.cli.commands.demo import Demo
 from idfslam.cli.commands.doctor import Doctor
 from idfslam.cli.commands.download import Download
@@ -46,8 +46,6 @@ from idfslam.config import FAST, PRESETS, Config, load
 from idfslam.viewer.rerun_program import ViewerOption
 
 log = logging.getLogger(__name__)
-
-_NARROWEST = 60  # [columns] help for a narrower terminal is laid out for this many; fewer: a column of single letters
 
 
 COMMANDS: dict[str, type] = {
@@ -81,7 +79,7 @@ def parse(arguments: Sequence[str]) -> Command:
     if "" in arguments:  # as a path it would be the current folder
         before = arguments[list(arguments).index("") - 1]
         wrong_usage(f"the word behind {before} is empty, expected a value: a shell variable may be unset", name)
-    arguments = _with_viewer(arguments)
+    arguments = [_with_home(word) for word in _with_viewer(arguments)]
     asks_help = HELP_ALL in arguments or any(flag in arguments for flag in HELP)
     values = _starting_values(arguments)
     if asks_help:
@@ -91,6 +89,8 @@ def parse(arguments: Sequence[str]) -> Command:
         with redirect_stderr(problem):
             command, unknown = _parsed(arguments, values)
     except SystemExit:
+        if misspelt := _unknown_options(arguments, values):  # what tyro says of the rest would be a riddle
+            _refuse(misspelt[0], name, values)
         wrong_usage(condensed(problem.getvalue()), name)
     if unknown:
         _refuse(unknown[0], name, values)
@@ -99,7 +99,7 @@ def parse(arguments: Sequence[str]) -> Command:
 
 def _without_command(first: str) -> NoReturn:
     """Ends the program if its first word is no command: with the overview, or with what is wrong."""
-    if first in (*HELP, HELP_ALL):
+    if first in (*HELP, HELP_ALL, "help"):
         print(overview(COMMANDS))
         raise SystemExit(0)
     if not first:
@@ -120,8 +120,8 @@ def _parsed(arguments: Sequence[str], values: Config) -> tuple[Command, list[str
 
 def _show_help(name: str, arguments: Sequence[str], values: Config) -> None:
     """Prints the help of a command. Always exits."""
-    if shutil.get_terminal_size().columns < _NARROWEST:
-        os.environ["COLUMNS"] = str(_NARROWEST)
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
     with suppress(SystemExit):
         _parsed(arguments, values)
     print("\n".join(f"{flags:15} {text}" for flags, text in COMMON.items() if HELP[-1] not in flags))
@@ -134,11 +134,22 @@ def _refuse(word: str, name: str, values: Config) -> None:
     """Ends the program because of a word that is no option of the command, with the nearest option."""
     if not word.startswith("-"):
         wrong_usage(f"unexpected argument {word!r}", name)
-    options = io.StringIO()
-    with redirect_stdout(options), suppress(SystemExit):
-        _parsed([name, HELP_ALL], values)
     option = word.partition("=")[0]
-    wrong_usage(f"unknown option {option}{did_you_mean(option, re.findall(r'--[a-z][a-z0-9.-]+', options.getvalue()))}", name)
+    wrong_usage(f"unknown option {option}{did_you_mean(option, _options(name, values))}", name)
+
+
+def _unknown_options(arguments: Sequence[str], values: Config) -> list[str]:
+    """Those of the words that look like options and are none of the command, its name being the first word."""
+    known = _options(arguments[0], values)
+    return [word for word in arguments[1:] if word.startswith("--") and word.partition("=")[0].replace("_", "-") not in known]
+
+
+def _options(name: str, values: Config) -> list[str]:
+    """The long options of a command, as its help lists them."""
+    shown = io.StringIO()
+    with redirect_stdout(shown), suppress(SystemExit):
+        _parsed([name, HELP_ALL], values)
+    return re.findall(r"--[a-z][a-z0-9.-]+", shown.getvalue())
 
 
 def _subcommand(name: str, command: type, values: Config) -> Any:
@@ -168,6 +179,12 @@ def _with_viewer(arguments: Sequence[str]) -> list[str]:
     """`--viewer` with no place behind it is `--viewer auto`."""
     bare = [i for i, word in enumerate(arguments) if word == "--viewer" and not set(arguments[i + 1 : i + 2]) & set(get_args(ViewerOption))]
     return [word for i, argument in enumerate(arguments) for word in ((argument, "auto") if i in bare else (argument,))]
+
+
+def _with_home(word: str) -> str:
+    """A word with the user's folder in the place of `~`, which shells leave as it is in --out=~/results, and Windows everywhere."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return option + equals + os.path.expanduser(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import NoReturn
 
 from idfslam import __version__
+from idfslam.errors import IdfSlamError
 
 WRONG_USAGE = 2  # exit status
 COMMON = {
@@ -48,7 +49,7 @@ def first_sentence(command: type) -> str:
 def wrong_usage(message: str, command: str = "") -> NoReturn:
     """Prints what is wrong and where help is. Raises SystemExit."""
     where = f"idf-slam {command}".rstrip()
-    print(f"error: {message} (help: {where} --help)", file=sys.stderr)
+    print(f"error: {IdfSlamError(message)} (help: {where} --help)", file=sys.stderr)  # such an error shortens what is very long
     raise SystemExit(WRONG_USAGE)
 
 
@@ -66,8 +67,18 @@ def condensed(box: str) -> str:
         return f"{value[1]}: found {value[3].strip('[]')}, expected {value[2]}"
     if number := re.search(r"Error parsing (\S+): invalid literal for int\(\) with base 10: (.+)", words):
         return f"{number[1]}: found {number[2]}, expected INT"
+    if digits := re.search(r"Error parsing (\S+): Exceeds the limit", words):
+        return f"{digits[1]}: found a number of thousands of digits, expected INT"
     if choice := re.search(r"invalid choice (.+?) for argument '(\S+)'\. Expected one of \((.*?),?\)", words):
-        return f"{choice[2]}: found {choice[1]}, expected one of {choice[3]}".replace("'", "")
+        return f"{choice[2]}: found {choice[1]}, expected one of {_choices(choice[3])}".replace("'", "")
+    if lacking := re.search(r"Missing value for argument '(\S+?)(?:/\S+)?'\. Expected", words):
+        return f"{lacking[1]}: expected a value behind it"
     if missing := re.search(r"Missing from [\w -]+?: (.+)", words):
         return f"missing: {missing[1].removesuffix('(required)').strip()}".removesuffix(".")
     return words.removesuffix(".")
+
+
+def _choices(names: str) -> str:
+    """tyro's list of choices. One with None is a set, in any order, and None is what leaving the option out means."""
+    words = names.replace("'", "").split(", ")
+    return names if "None" not in words else ", ".join(sorted(word for word in words if word != "None"))

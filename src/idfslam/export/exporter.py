@@ -71,6 +71,8 @@ class Exporter:
         Raises ConfigError for wrong options, ResultError if a file of the user's own would be replaced.
         """
         check_resolution(self.resolution)
+        if not formats:
+            raise ConfigError(f"--to: expected at least one of {', '.join(_TARGETS)}")
         if self.texture and not set(formats) & set(_TEXTURED):
             raise ConfigError(f"--texture with --to {' '.join(formats)}: none of these has textures; choose {' or '.join(_TEXTURED)}")
         if self.images is not None and not (set(formats) & set(_OF_IMAGES) or self.texture == "images"):

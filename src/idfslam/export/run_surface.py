@@ -40,7 +40,7 @@ def mesh_of_map(run: FinishedRun, resolution: float) -> trimesh.Trimesh:
     check_resolution(resolution)
     memory_need.check_mesh(surface_area(run), resolution)
     memory_need.tell_finest_cells(run.map, resolution)
-    mesh = cleaned(run.map.mesh(resolution))
+    mesh = run.map.mesh(resolution)
     if not len(mesh.faces):
         raise ResultError(f"{run.folder}: its map has no surface in cells of {resolution} m; choose a smaller --resolution")
-    return mesh
+    return cleaned(mesh)

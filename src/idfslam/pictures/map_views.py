@@ -23,6 +23,7 @@ from idfslam.storage import atomic_files, output_folder
 from idfslam.storage.ledger import Ledger
 
 Item = TypeVar("Item")
+_NARROWEST, _WIDEST = 16, 16384  # [px] widths of pictures; a wider one takes more than 4 GB of memory. Chosen by hand
 _ORBIT = 0.08  # radius of an orbit as a share of the room's size; larger: more parallax, nearer to the walls
 
 
@@ -57,8 +58,8 @@ def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | N
     if not len(found):
         raise ResultError(f"{poses}: no poses in it" if poses else f"{run.folder}: the run has no keyframes; choose frames with --frames")
     if width is not None:
-        if width < 16:
-            raise ConfigError(f"--width {width}, expected at least 16 pixels")
+        if not _NARROWEST <= width <= _WIDEST:
+            raise ConfigError(f"--width {width}, expected {_NARROWEST} to {_WIDEST} pixels")
         camera = camera.resized(width, max(1, round(width * camera.height / camera.width)))
     return ViewPoints(names, found, camera)
 

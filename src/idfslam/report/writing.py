@@ -91,9 +91,10 @@ def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path 
     with output_folder.locked(folder):
         ledger, names = result_folder.ledger(folder), result_folder.report_files(folder)
         ledger.refuse_foreign(names)
-        ledger.remove(names)
         atomic_files.prepare(folder / result_folder.PICTURES)
-        return _write(run, ledger, recording=recording, gt=gt)
+        written = _write(run, ledger, recording=recording, gt=gt)
+        ledger.remove(names - {path.relative_to(folder).as_posix() for path in written})  # last: a failure leaves the earlier report
+        return written
 
 
 def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: Path | None) -> list[Path]:

@@ -74,16 +74,20 @@ class FrameLog:
     @staticmethod
     def load(path: Path) -> "FrameLog":
         """Reads a file that `save` wrote. Raises ResultError if it is not one."""
-        try:
-            with path.open(newline="", encoding="utf-8") as file:
-                return FrameLog([_line(row) for row in csv.DictReader(file)])
-        except (KeyError, ValueError, TypeError, csv.Error) as error:
-            raise ResultError(
-                f"{path}: not the log of a run ({error}); expected one line for each frame: {', '.join(_FIXED)}, losses"
-            ) from error
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, restkey="", restval="")
+            try:
+                return FrameLog([_line(row) for row in reader])
+            except (ValueError, csv.Error) as error:
+                expected = f"one line for each frame: {', '.join(_FIXED)}, losses"
+                raise ResultError(f"{path}:{reader.line_num}: not the log of a run ({error}); expected {expected}") from error
 
 
 def _line(row: dict[str, str]) -> FrameLine:
+    if absent := [name for name in _FIXED if name not in row]:
+        raise ValueError(f"no column {', '.join(absent)}")
+    if "" in row:
+        raise ValueError("more values than columns")
     losses = {name: float(value) for name, value in row.items() if name not in _FIXED and value}
     index, timestamp, ms = int(row["index"]), float(row["timestamp"]), float(row["ms"])
     if not 0 <= index < _MOST_FRAMES:

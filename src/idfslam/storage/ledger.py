@@ -7,7 +7,7 @@ somebody else put there, or changed, is told from the program's own.
 import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from idfslam.errors import ResultError
 from idfslam.storage import atomic_files
@@ -77,4 +77,9 @@ def _read(path: Path) -> dict[str, str] | None:
         return None
     if isinstance(schema, int) and schema > SCHEMA:
         raise ResultError(f"{path}: has schema {schema}, expected at most {SCHEMA}; use the version of idf-slam that wrote this folder")
-    return files
+    return {digest: name for digest, name in files.items() if _lies_inside(name)}
+
+
+def _lies_inside(name: str) -> bool:
+    """Whether a name leads to a file in the folder. One made by somebody else must not reach the user's other files."""
+    return not PurePath(name).is_absolute() and not PurePath(name).drive and ".." not in PurePath(name).parts

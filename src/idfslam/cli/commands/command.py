@@ -10,6 +10,7 @@ from idfslam.config import Config
 if TYPE_CHECKING:
     from rich.console import Console
 
+NARROWEST = 60  # [columns] help and tables for a narrower terminal are laid out for this many; fewer: columns of single letters
 Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
 ConfigFile = Annotated[
     Path | None,
@@ -27,4 +28,6 @@ def output() -> "Console":
     """Where figures and paths go: stdout."""
     from rich.console import Console
 
-    return Console()
+    console = Console()
+    console.width = max(console.width, NARROWEST)
+    return console

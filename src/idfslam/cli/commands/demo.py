@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
 from idfslam.config import FAST, check
+from idfslam.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +31,8 @@ class Demo:
 
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
+        if self.room < 0 or self.frames < 1:  # known before a folder is made
+            raise ConfigError(f"--room {self.room} --frames {self.frames}, expected a seed of at least 0 and at least 1 frame")
         from idfslam.cli.tables import print_evaluation, print_files, print_run
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.demo.demo import demo
