@@ -16,6 +16,7 @@ from idfslam.cli import command_line
 from idfslam.config import FAST
 from idfslam.errors import ResultError
 from idfslam.geometry.level import from_above, level
+from idfslam.geometry.trajectory import TrajectoryError
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.storage import atomic_files
@@ -149,7 +150,7 @@ def test_a_report_that_fails_leaves_the_earlier_one(reported: Path, tmp_path: Pa
     folder = shutil.copytree(reported, tmp_path / "again")
     (folder / result_folder.TRAJECTORY).write_text("no trajectory")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    with pytest.raises(ResultError, match=r"trajectory\.txt:1: 2 values"):
+    with pytest.raises(TrajectoryError, match=r"trajectory\.txt:1: 2 values"):
         write_report(folder)
     assert {path: path.read_bytes() for path in before} == before
 
