@@ -11,7 +11,6 @@ numba.get_num_threads()  # Numba starts its threads when it is first asked, and 
 limit_torch_threads("grid")  # for all tests: a command that runs SLAM would do it for the tests after its own
 
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,16 +23,11 @@ settings.load_profile("suite")
 
 
 @pytest.fixture(autouse=True)
-def logging_of_one_test() -> Iterator[None]:
-    """A command sets how much the package logs, and where to: for its own test alone."""
-    loggers = [logging.getLogger(), logging.getLogger("idfslam")]
-    before = [(logger.level, logger.handlers[:]) for logger in loggers]
-    yield
-    for logger, (level, handlers) in zip(loggers, before):
-        logger.setLevel(level)
-        logger.handlers[:] = [
-            handler for handler in logger.handlers if handler in handlers or type(handler).__module__.startswith("_pytest")
-        ]
+def logging_of_one_test() -> None:
+    """A command sets how much the package logs, and where to. A test begins without what commands before it, or its fixtures, have set."""
+    for logger in (logging.getLogger(), logging.getLogger("idfslam")):
+        logger.handlers[:] = [handler for handler in logger.handlers if type(handler).__module__.startswith("_pytest")]
+    logging.getLogger("idfslam").setLevel(logging.NOTSET)
 
 
 @pytest.fixture(scope="session")

@@ -123,14 +123,14 @@ def test_each_worker_gets_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_a_batch_here(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} frames=99 out=too-many\n")
+    (tmp_path / "list.txt").write_text(f"{box_recording} frames=4 mapper.first_iterations=5\n{box_recording} start=99 out=too-late\n")
     flags = ["--out", str(tmp_path / "out"), "--workers", "2", "--refinement.updates", "1", "--mesh.resolution", "0.1"]
     with pytest.raises(SystemExit) as caught:
         command_line.main(["batch", str(tmp_path / "list.txt"), *flags])
     assert caught.value.code == 1
     said = capsys.readouterr()
-    assert "too-many: frames 99 from start 0" in said.out
-    assert "error: 1 of 2 runs failed (too-many: frames 99" in said.err
+    assert "too-late: start 99 lies outside the 14 frames" in said.out
+    assert "error: 1 of 2 runs failed (too-late: start 99" in said.err
     good, bad = json.loads((tmp_path / "out/batch.json").read_text())
     assert (good["name"], good["status"], good["frames"], good["attempts"]) == ("box", DONE, 4, 1)
     assert 0 <= good["ate_m"] < 0.02

@@ -140,12 +140,14 @@ def test_bench_of_a_small_recording(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
-def test_a_run_that_fails_ends_with_1_and_the_report(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_that_fails_ends_with_1_and_the_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("rgb", "depth"):
+        (tmp_path / "empty" / name).mkdir(parents=True)
     with pytest.raises(SystemExit) as caught:
-        command_line.main(["bench", f"{box_recording}@99", "--seeds", "1", "--out", str(tmp_path)])
+        command_line.main(["bench", str(tmp_path / "empty"), "--seeds", "1", "--out", str(tmp_path / "out")])
     assert caught.value.code == 1
-    assert "box, seed 0: frames 99" in capsys.readouterr().err
-    assert "Failed: box, seed 0: frames 99" in (tmp_path / "bench.md").read_text()
+    assert f"empty, seed 0: {tmp_path / 'empty'}: no numbered images" in capsys.readouterr().err
+    assert f"Failed: empty, seed 0: {tmp_path / 'empty'}: no numbered images" in (tmp_path / "out/bench.md").read_text()
 
 
 def test_without_open3d_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

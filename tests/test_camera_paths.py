@@ -137,7 +137,7 @@ def test_views_from_a_file(known_run: Path, tmp_path: Path, capsys: pytest.Captu
     ("flags", "message"),
     [
         (["--poses", "none.txt"], "cannot be read as text"),
-        (["--width", "3"], "at least 16"),
+        (["--width", "3"], "expected 16 to 16384 pixels"),
         (["--video", "along", "--fps", "0"], "two frames or more"),
         (["--video", "along", "--out", "a.avi"], "written as .mp4"),
     ],
