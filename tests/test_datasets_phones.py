@@ -95,6 +95,12 @@ def test_a_scan_that_cannot_be_read(damage: Callable[[Path], object], message: s
     assert "\n" not in str(caught.value)
 
 
+def test_spaces_around_the_names_of_columns(tmp_path: Path) -> None:
+    path = write_stray(tmp_path / "scan")
+    edited(path / "odometry.csv", "timestamp", " timestamp\t")
+    assert len(open_recording(path)) == 3
+
+
 def test_wrong_poses_of_a_phone_are_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_stray(tmp_path / "scan")
     edited(path / "odometry.csv", r"1\.0\n", "3.0\n")

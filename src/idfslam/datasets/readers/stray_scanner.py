@@ -104,7 +104,7 @@ def read_odometry(path: Path) -> Odometry:
     """Reads odometry.csv; raises RecordingError if it is malformed."""
     reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
     try:
-        names = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = names = [name.strip() for name in reader.fieldnames or ()]
         lines = list(reader)
     except csv.Error as error:
         raise RecordingError(f"{path}: {error}, expected lines of {', '.join(_COLUMNS)}") from error
