@@ -373,6 +373,17 @@ def test_a_camera_that_was_never_calibrated_is_the_users(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("name", [b"3ensor_msgs", b"s:\n print()#"[:11]])
+def test_a_type_whose_name_is_code_is_refused(name: bytes, storage: str, tmp_path: Path) -> None:
+    path = bag(tmp_path, recorded(), storage)
+    for file in [path] if path.is_file() else [file for file in path.iterdir() if file.suffix != ".txt"]:
+        file.write_bytes(file.read_bytes().replace(b"sensor_msgs", name))
+    with pytest.raises(RecordingError, match="not a readable recording") as caught:
+        open_recording(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_that_was_cut_off(storage: str, tmp_path: Path) -> None:
     path = bag(tmp_path, recorded(20), storage)
     file = path if path.is_file() else next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))

@@ -1,6 +1,7 @@
 """A ROS 1 bag, a ROS 2 bag (sqlite3 or MCAP) or an MCAP file read with `rosbags`: messages by topic and time."""
 
 import logging
+import re
 import struct
 import threading
 import weakref
@@ -15,6 +16,7 @@ log = logging.getLogger(__name__)
 
 SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 # Errors besides its own that rosbags raises for damaged data: it trusts lengths and checks with assert
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){1,2}", re.ASCII)  # sensor_msgs/Image, sensor_msgs/msg/Image
 _DAMAGE = (AssertionError, EOFError, IndexError, KeyError, MemoryError, OverflowError, RuntimeError, TypeError, ValueError, struct.error)
 
 
@@ -38,6 +40,8 @@ class Bag:
 
         self.path, self._lock, self._errors = path, threading.Lock(), _errors()
         try:
+            for part in AnyReader([path]).readers:
+                _check_types(part)
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
             self._reader.open()
         except self._errors as error:
@@ -105,6 +109,17 @@ def _errors() -> tuple[type[Exception], ...]:
     except ImportError:
         from backports.zstd import ZstdError
     return (AnyReaderError, Error1, Error2, apsw.Error, ZstdError, *_DAMAGE)
+
+
+def _check_types(reader: Any) -> None:
+    """Raises ValueError if a message type has an impossible name: rosbags puts the names into Python code that it runs."""
+    reader.open()
+    try:
+        for connection in reader.connections:
+            if not _TYPE_NAME.fullmatch(connection.msgtype):
+                raise ValueError(f"a message type is named {connection.msgtype[:40]!r}")
+    finally:
+        reader.close()
 
 
 def stamp_of(message: Any) -> float:
