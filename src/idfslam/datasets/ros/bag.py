@@ -112,7 +112,10 @@ def _errors() -> tuple[type[Exception], ...]:
 
 
 def _check_types(reader: Any) -> None:
-    """Raises ValueError if a message type has an impossible name: rosbags puts the names into Python code that it runs."""
+    """Raises ValueError if a message type has an impossible name: rosbags puts the names into Python code that it runs.
+
+    Its own opening does that at once, so the index is read before it, once more. Names within a definition are checked by its grammar.
+    """
     reader.open()
     try:
         for connection in reader.connections:
