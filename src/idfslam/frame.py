@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from idfslam.errors import FrameError
 from idfslam.frame_images import checked_colour, checked_depth, colour_from, depth_from
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 
 FPS = 30.0  # [Hz] assumed where there are no time stamps
 
@@ -22,6 +23,7 @@ _CHECKED_ROWS = 8  # every eighth row of an image enters its checksum; raised, c
 class Frame:
     """One RGB-D image without distortion; depth is registered to colour.
 
+    Its time stamps are those of the middle rows. Without a stamp of its own, depth is of the moment of colour.
     The arrays are as SLAM takes them; `Frame.from_images` converts those of cameras. Depth that is NaN, infinite or negative becomes 0.
     Raises FrameError if a value is none of a frame: another type, shape, size or range.
     """
@@ -31,12 +33,18 @@ class Frame:
     colour: NDArray[np.float32]  # (H, W, 3) RGB in [0, 1]
     depth: NDArray[np.float32]  # (H, W) z-depth [m], 0 = no reading
     camera: Camera
+    depth_timestamp: float | None = None  # [s] None: `timestamp`
+    timing: SensorTiming = SYNCHRONISED
 
     def __post_init__(self) -> None:
         _check_camera(self.camera)
+        if not isinstance(self.timing, SensorTiming):
+            raise FrameError(f"timing is {type(self.timing).__name__}, expected a SensorTiming(readout, depth_readout, depth_delay)")
+        timestamp = _checked_timestamp(self.timestamp)
         checked = {
             "index": _checked_index(self.index),
-            "timestamp": _checked_timestamp(self.timestamp),
+            "timestamp": timestamp,
+            "depth_timestamp": timestamp if self.depth_timestamp is None else _checked_timestamp(self.depth_timestamp),
             "colour": checked_colour(self.colour, self.camera),
             "depth": checked_depth(self.depth, self.camera),
         }
@@ -53,6 +61,8 @@ class Frame:
         timestamp: float | None = None,
         depth_scale: float | None = None,
         bgr: bool = False,
+        depth_timestamp: float | None = None,
+        timing: SensorTiming = SYNCHRONISED,
     ) -> "Frame":
         """A frame from images as cameras give them: numpy arrays, or what `numpy.asarray` takes (PIL images), or tensors.
 
@@ -60,12 +70,20 @@ class Frame:
         depth: (H, W), registered to colour and of its size; integers or floats. No reading: 0, negative, NaN, infinity, 65535.
         index: 0 for the first frame of a run, 1 for the next, and so on. timestamp: [s]; None: `index` / 30.
         depth_scale: units of depth per metre; None: 1000 for integers (millimetres), 1 for floats (metres).
-        bgr: colour is BGR or BGRA, as OpenCV has it. Raises FrameError if the images are none of these.
+        bgr: colour is BGR or BGRA, as OpenCV has it.
+        depth_timestamp: [s] of depth; None: `timestamp`. timing: the read-out times of the two cameras.
+        Raises FrameError if the images are none of these.
         """
         _check_camera(camera)
         number = _checked_index(index)
         stamp = number / FPS if timestamp is None else timestamp
-        return Frame(number, stamp, colour_from(colour, camera, bgr=bgr), depth_from(depth, camera, depth_scale=depth_scale), camera)
+        images = colour_from(colour, camera, bgr=bgr), depth_from(depth, camera, depth_scale=depth_scale)
+        return Frame(number, stamp, *images, camera, depth_timestamp, timing)
+
+    @property
+    def depth_lag(self) -> float:
+        """[s] by which depth's time stamp is later than colour's."""
+        return 0.0 if self.depth_timestamp is None else self.depth_timestamp - self.timestamp
 
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
@@ -109,6 +127,7 @@ class Status(str, Enum):
 
     OK = "ok"
     DEGENERATE = "degenerate"  # depth does not constrain all directions (a bare wall); tracker and colour decided the rest
+    DOUBTFUL = "doubtful"  # the images gave a pose, but the evidence for it is weak: the frame is not mapped
     LOST = "lost"  # no pose was confirmed: the last motion was extrapolated
     INTERPOLATED = "interpolated"  # was lost; after relocalisation the pose was interpolated between the confirmed ones before and after
 
@@ -128,6 +147,7 @@ class FrameResult:
     status: Status
     keyframe: bool
     losses: dict[str, float]
+    covariance: NDArray[np.float64] | None = None  # (6, 6) of the shift [m] and turn [rad] along world axes; None: not estimated
 
 
 @dataclass(frozen=True, eq=False)
