@@ -35,7 +35,7 @@ def at(positions: list[float]) -> np.ndarray:
 
 
 def test_which_statuses_are_measured() -> None:
-    assert [status for status in Status if status.measured] == [Status.OK, Status.DEGENERATE]
+    assert [status for status in Status if status.measured] == [Status.OK, Status.DEGENERATE, Status.DOUBTFUL]
 
 
 def test_errors_of_measured_frames_by_hand() -> None:

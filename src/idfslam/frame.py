@@ -134,7 +134,12 @@ class Status(str, Enum):
     @property
     def measured(self) -> bool:
         """Whether the frame's images gave its pose. Other poses are made up; before the first depth they are those of the first camera."""
-        return self in (Status.OK, Status.DEGENERATE)
+        return self in (Status.OK, Status.DEGENERATE, Status.DOUBTFUL)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the pose is measured and not in doubt. Only frames with such a pose are mapped, fused or exported as posed images."""
+        return self.measured and self is not Status.DOUBTFUL
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ class FrameResult:
     status: Status
     keyframe: bool
     losses: dict[str, float]
-    covariance: NDArray[np.float64] | None = None  # (6, 6) of the shift [m] and turn [rad] along world axes; None: not estimated
+    covariance: NDArray[np.float64] | None = None  # (6, 6) of the pose's error in the map, see `Tracked.covariance`; None: not estimated
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,15 +119,14 @@ class Exporter:
         return Trajectory(self.run.trajectory.timestamps[self._frames], self._axes.T_ew @ self.run.trajectory.poses[self._frames])
 
     def _lost_frames(self) -> list[Path]:
-        """lost.txt beside a trajectory: all frames whose pose was not measured, whether they are in it or not."""
+        """lost.txt beside a trajectory: all frames whose pose was not measured or is in doubt, whether they are in it or not."""
         stamps, statuses = self.run.trajectory.timestamps, self.run.statuses
-        return write_lost(self.out, "frame timestamp", ((f"{i} {stamps[i]:.6f}", statuses[i]) for i in np.flatnonzero(~self.run.measured)))
+        return write_lost(self.out, "frame timestamp", ((f"{i} {stamps[i]:.6f}", statuses[i]) for i in np.flatnonzero(~self.run.trusted)))
 
     def _tum(self) -> list[Path]:
-        statuses, measured = self.run.statuses, self.run.measured
         with atomic_files.replacing(self.out / "tum.txt") as part:
             save_tum(part, self._trajectory)
-            part.write_text(remarked(part.read_text(encoding="utf-8"), [None if measured[i] else statuses[i] for i in self._frames]))
+            part.write_text(remarked(part.read_text(encoding="utf-8"), [self.run.statuses[i] for i in self._frames]))
         return [self.out / "tum.txt", *self._lost_frames()]
 
     def _kitti(self) -> list[Path]:
@@ -150,7 +149,7 @@ class Exporter:
         folder = self.out / "colmap"
         images = write_images(folder, self._posed_images())
         colmap.write_colmap(folder / "sparse" / "0", images, self._cloud(images))
-        write_lost(folder, "image", ((image.name, image.status) for image in images if not image.measured))
+        write_lost(folder, "image", ((image.name, image.status) for image in images if not image.status.trusted))
         return [folder]
 
     def _ply(self) -> list[Path]:
@@ -179,13 +178,13 @@ class Exporter:
         return [self.out / "blocks.npz"]
 
     def _posed_images(self) -> Iterator[PosedImage]:
-        """The images of `_images` in the axes of the exports; with --lost keep those whose pose was not measured as well."""
+        """The images of `_images` in the axes of the exports; with --lost keep those whose pose is not trusted as well."""
         return (replace(image, T_wc=self._axes.T_ew @ image.T_wc) for image in self._images(guessed=self.lost == "keep"))
 
     def _images(self, *, guessed: bool = False) -> Iterator[PosedImage]:
         """The exported frames: the keyframes of the map that the run started in, then frames of the run's own recording.
 
-        guessed: with those whose pose was not measured. An unreadable frame is reported and left out.
+        guessed: with those whose pose was not measured or is in doubt. An unreadable frame is reported and left out.
         Raises RecordingError if none is left.
         """
         found = False
@@ -203,16 +202,15 @@ class Exporter:
     def _own_images(self, guessed: bool) -> Iterator[PosedImage]:
         if self.images is None and self.run.keyframes.earlier and not len(self.run.keyframes.indices):
             return  # the map that the run started in needed no keyframe of it
-        statuses, measured = self.run.statuses, self.run.measured
         for i in map(int, self.run.frames_to_show(self.images, guessed=guessed)):
             try:
-                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i], statuses[i], bool(measured[i]))
+                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i], self.run.statuses[i])
             except FrameError as error:
                 log.warning("%s; the frame is left out", error)
 
     def _cloud(self, images: Iterable[PosedImage]) -> PointCloud:
-        """The points of the images whose pose was measured, in the axes of the images' poses."""
-        return fuse(((image.frame, image.T_wc) for image in images if image.measured), self.resolution)
+        """The points of the images whose pose is trusted, in the axes of the images' poses."""
+        return fuse(((image.frame, image.T_wc) for image in images if image.status.trusted), self.resolution)
 
     @cached_property
     def _mesh(self) -> trimesh.Trimesh:

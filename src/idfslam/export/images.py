@@ -22,7 +22,6 @@ class PosedImage:
     T_wc: NDArray[np.float64]  # (4, 4)
     frame: Frame
     status: Status = Status.OK
-    measured: bool = True  # False: its pose was extrapolated or interpolated
 
 
 def write_images(folder: Path, images: Iterable[PosedImage]) -> list[PosedImage]:

@@ -1,4 +1,4 @@
-"""Tells apart the frames whose pose was not measured: in remarks, and in lost.txt beside files that have no room for remarks."""
+"""Tells apart the frames whose pose was not measured or is in doubt: in remarks, and in lost.txt beside files that have no room for remarks."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -20,8 +20,13 @@ def write_lost(folder: Path, header: str, frames: Iterable[tuple[str, Status]]) 
     return [path]
 
 
-def remarked(tum: str, statuses: Sequence[Status | None]) -> str:
-    """A trajectory in TUM format with a remark before each pose (N,) that has a status here; readers pass over lines that begin with #."""
+def remarked(tum: str, statuses: Sequence[Status]) -> str:
+    """A trajectory in TUM format with a remark before each pose (N,) that is not trusted; readers pass over lines that begin with #."""
     header, *poses = tum.splitlines(keepends=True)
-    remarks = ("" if status is None else f"# {status.value}: the next pose was not measured\n" for status in statuses)
-    return header + "".join(remark + pose for remark, pose in zip(remarks, poses, strict=True))
+    return header + "".join(_remark(status) + pose for status, pose in zip(statuses, poses, strict=True))
+
+
+def _remark(status: Status) -> str:
+    if status.trusted:
+        return ""
+    return f"# {status.value}: the next pose {'may be wrong' if status.measured else 'was not measured'}\n"

@@ -28,11 +28,11 @@ class KeyframeSelection(Stateful):
         self._last_at = state["last_at"]
 
     def selects(self, view: Keyframe, status: Status, in_view: float = 1.0) -> bool:
-        """Whether the frame appended last becomes a keyframe. A frame without depth never does.
+        """Whether the frame appended last becomes a keyframe. A frame without depth, or whose pose is in doubt, never does.
 
         in_view: the share of the references' landmarks that the frame sees.
         """
-        if not view.has_depth or (status is Status.LOST and not self.lost_frames):
+        if not view.has_depth or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
         selected = self._is_needed(view, status, in_view)
         if selected:

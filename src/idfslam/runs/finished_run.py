@@ -84,12 +84,17 @@ class FinishedRun:
         """(N,) whether the pose of a frame was measured: it is neither extrapolated nor interpolated."""
         return np.array([status.measured for status in self.statuses], bool)
 
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(N,) whether the pose of a frame was measured and is not in doubt."""
+        return np.array([status.trusted for status in self.statuses], bool)
+
     def frames_to_show(self, count: int | None, *, guessed: bool = False) -> NDArray[np.int64]:
         """`count` frames evenly spread over the run, or all of them if there are fewer. None: the keyframes.
 
-        guessed: frames whose pose was not measured are among them. Raises ConfigError for a count below 1, ResultError if there is none.
+        guessed: frames whose pose was not measured or is in doubt are among them. Raises ConfigError for a count below 1, ResultError if there is none.
         """
-        wanted = np.full(len(self.trajectory), True) if guessed else self.measured
+        wanted = np.full(len(self.trajectory), True) if guessed else self.trusted
         if count is None:
             chosen = np.array([i for i in self.keyframes.indices if i < len(wanted) and wanted[i]], np.int64)
         elif count < 1:
@@ -99,5 +104,7 @@ class FinishedRun:
             places = np.linspace(0, len(found) - 1, count).round().astype(int)
             chosen = found[np.unique(places)] if len(found) else found
         if not len(chosen):
-            raise ResultError(f"{self.folder}: the run has no {'keyframe' if count is None else 'frame'} whose pose was measured")
+            raise ResultError(
+                f"{self.folder}: the run has no {'keyframe' if count is None else 'frame'} whose pose was measured and is not in doubt"
+            )
         return chosen

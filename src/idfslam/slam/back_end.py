@@ -119,9 +119,9 @@ class KeyframeMapping(BackEnd):
         return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, double_tables=stored)
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
-        """Updates the map on the frame if an update is due, and otherwise finetunes the tracker (Sec. V-B)."""
+        """Updates the map on the frame if an update is due and its pose is trusted, and otherwise finetunes the tracker (Sec. V-B)."""
         due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
-        if not due or tracked.is_lost:
+        if not due or not tracked.status.trusted:
             return self.finetuner.step()
         self.graph.connect_like_last(view)
         self.coverage.add(view)

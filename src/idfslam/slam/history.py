@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.graph.frame_poses import FramePoses
+from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
 
@@ -28,11 +29,12 @@ class History(Stateful):
         """(N, 4, 4) the reported camera-to-world poses."""
         return np.stack(self._reported) if self._reported else np.zeros((0, 4, 4))
 
-    def report(self, frame: Frame, status: Status, losses: dict[str, float], *, keyframe: bool) -> FrameResult:
+    def report(self, frame: Frame, tracked: Tracked, losses: dict[str, float], *, keyframe: bool) -> FrameResult:
         """The result for the frame added last. A frame outside the first submap has no known pose in the world: it counts as lost."""
         if self.frames.submap(-1) == 0:
             self._reported.append(self.frames.T_wc(-1).numpy())
+            status, covariance = tracked.status, None if tracked.covariance is None else tracked.covariance.numpy().copy()
         else:
             self._reported.append(self._reported[-1] if self._reported else np.eye(4))
-            status = Status.LOST
-        return FrameResult(frame.index, frame.timestamp, self._reported[-1], status, keyframe, losses)
+            status, covariance = Status.LOST, None
+        return FrameResult(frame.index, frame.timestamp, self._reported[-1], status, keyframe, losses, covariance)

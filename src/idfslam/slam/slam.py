@@ -51,7 +51,7 @@ class Slam:
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
         self.history = History(system.frames)
-        self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if it was tracked and is no keyframe
+        self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
         self.order = FrameOrder()
 
@@ -68,9 +68,10 @@ class Slam:
             self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
             self.recovery.close_gap(frame.index, mode)
             selected = self.keyframe_selection.selects(view, tracked.status, tracked.evidence.in_view)  # Sec. III
-            self._pending = None if selected or tracked.is_lost else (view, replace(tracked, alignment=None))  # as a state has it
+            mappable = tracked.status.trusted and not selected
+            self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
             losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
-            return self.history.report(frame, tracked.status, losses, keyframe=selected)
+            return self.history.report(frame, tracked, losses, keyframe=selected)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. The first frame with depth defines the world."""

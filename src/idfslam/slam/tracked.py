@@ -40,6 +40,9 @@ class Tracked:
     evidence: Evidence = field(default_factory=Evidence)
     alignment: Alignment | None = None  # the alignment to the map that gave the pose, if one did
     confident: bool = True  # False: the camera should be relocalised, and this pose taken only if that fails
+    # (6, 6) float64 of the pose's error against the map around it, without drift. Shift [m] of the camera's centre, then turn [rad], both along
+    # world axes: the true pose has the centre `t + shift` and the rotation `exp(turn) @ R`. None: not estimated
+    covariance: Tensor | None = None
 
     @classmethod
     def first(cls, T_wc: Tensor, *, has_depth: bool) -> "Tracked":
@@ -60,13 +63,13 @@ class Tracked:
     def state(self) -> State:
         """All fields but the alignment, which later frames do not need."""
         words = {"status": self.status.value, "source": self.source.value, "confident": self.confident}
-        return {"T_wc": self.T_wc, "evidence": vars(self.evidence).copy(), **words}
+        return {"T_wc": self.T_wc, "evidence": vars(self.evidence).copy(), "covariance": self.covariance, **words}
 
     @classmethod
     def from_state(cls, state: State) -> "Tracked":
         """The result that `state` was made from, without its alignment."""
         status, source, evidence = Status(state["status"]), Source(state["source"]), Evidence(**state["evidence"])
-        return cls(state["T_wc"], status, source, evidence, confident=state["confident"])
+        return cls(state["T_wc"], status, source, evidence, confident=state["confident"], covariance=state["covariance"])
 
     @property
     def is_lost(self) -> bool:

@@ -34,6 +34,7 @@ _FRUSTUM_DEPTH = 0.08  # [m] depth of the pyramid that is drawn for a keyframe; 
 _COLOURS = {
     Status.OK: (90, 200, 120),
     Status.DEGENERATE: (240, 180, 60),
+    Status.DOUBTFUL: (240, 120, 40),
     Status.LOST: (235, 70, 60),
     Status.INTERPOLATED: (200, 120, 230),
 }
