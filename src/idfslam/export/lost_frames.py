@@ -1,4 +1,4 @@
-"""Tells apart the frames whose pose was not measured or is in doubt: in remarks, and in lost.txt beside files that have no room for remarks."""
+"""Tells apart frames whose pose was not measured or is in doubt: in remarks, and in lost.txt beside files without room for remarks."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -92,7 +92,8 @@ class FinishedRun:
     def frames_to_show(self, count: int | None, *, guessed: bool = False) -> NDArray[np.int64]:
         """`count` frames evenly spread over the run, or all of them if there are fewer. None: the keyframes.
 
-        guessed: frames whose pose was not measured or is in doubt are among them. Raises ConfigError for a count below 1, ResultError if there is none.
+        guessed: frames whose pose was not measured or is in doubt are among them. Raises ConfigError for a count below 1, ResultError if
+        there is none.
         """
         wanted = np.full(len(self.trajectory), True) if guessed else self.trusted
         if count is None:

@@ -40,8 +40,8 @@ class Tracked:
     evidence: Evidence = field(default_factory=Evidence)
     alignment: Alignment | None = None  # the alignment to the map that gave the pose, if one did
     confident: bool = True  # False: the camera should be relocalised, and this pose taken only if that fails
-    # (6, 6) float64 of the pose's error against the map around it, without drift. Shift [m] of the camera's centre, then turn [rad], both along
-    # world axes: the true pose has the centre `t + shift` and the rotation `exp(turn) @ R`. None: not estimated
+    # (6, 6) float64 of the pose's error against the map around it, without drift: shift [m] of the camera's centre, then turn [rad], along
+    # world axes. The true pose has the centre `t + shift` and the rotation `exp(turn) @ R`. None: not estimated
     covariance: Tensor | None = None
 
     @classmethod
