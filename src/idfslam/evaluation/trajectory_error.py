@@ -50,6 +50,8 @@ class RelativePoseError:
     translation: Statistics  # [m]
     rotation: Statistics  # [degrees]
     frames: NDArray[np.int64]  # (M,) index of the first frame of each pair
+    translation_errors: NDArray[np.float64]  # (M,) [m]
+    rotation_errors: NDArray[np.float64]  # (M,) [degrees]
 
 
 def matched_ground_truth(estimate: Trajectory, truth: Trajectory, *, tolerance: float = TOLERANCE) -> Poses:
@@ -77,7 +79,7 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajecto
 
     Raises `TrajectoryError` if the shapes differ or no frame has ground truth.
     """
-    frames = np.nonzero(_has_truth(estimate, truth))[0]
+    frames = np.nonzero(has_truth(estimate, truth))[0]
     if len(frames) == 0:
         raise TrajectoryError("no frame has ground truth; the trajectory's error needs at least one")
     x, y = estimate[frames, :3, 3], truth[frames, :3, 3]
@@ -88,19 +90,24 @@ def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajecto
 
 def relative_pose_error(estimate: Poses, truth: Poses, *, delta: int = 1) -> RelativePoseError | None:
     """RPE of poses (N, 4, 4) against (N, 4, 4) over all pairs of frames i, i + delta that have ground truth; None if there is none."""
-    valid = _has_truth(estimate, truth)
+    valid = has_truth(estimate, truth)
     i = np.nonzero(valid[:-delta] & valid[delta:])[0]
     if len(i) == 0:
         return None
-    motion_estimate = np.linalg.inv(estimate[i]) @ estimate[i + delta]
-    motion_truth = np.linalg.inv(truth[i]) @ truth[i + delta]
+    translation, rotation = errors_of_motion(estimate[i], estimate[i + delta], truth[i], truth[i + delta])
+    return RelativePoseError(delta, Statistics.of(translation), Statistics.of(rotation), i, translation, rotation)
+
+
+def errors_of_motion(before: Poses, after: Poses, true_before: Poses, true_after: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The errors of the estimated motions between pairs of poses (M, 4, 4), against the true motions: (M,) [m] and (M,) [degrees]."""
+    motion_estimate = np.linalg.inv(before) @ after
+    motion_truth = np.linalg.inv(true_before) @ true_after
     error = np.linalg.inv(motion_truth) @ motion_estimate
-    translation = np.linalg.norm(error[:, :3, 3], axis=-1)
-    rotation = np.rad2deg(Rotation.from_matrix(error[:, :3, :3]).magnitude())
-    return RelativePoseError(delta, Statistics.of(translation), Statistics.of(rotation), i)
+    return np.linalg.norm(error[:, :3, 3], axis=-1), np.rad2deg(Rotation.from_matrix(error[:, :3, :3]).magnitude())
 
 
-def _has_truth(estimate: Poses, truth: Poses) -> NDArray[np.bool_]:
+def has_truth(estimate: Poses, truth: Poses) -> NDArray[np.bool_]:
+    """(N,) whether both poses of a frame are known. Raises `TrajectoryError` if the shapes are not (N, 4, 4) both."""
     if estimate.shape != truth.shape or estimate.shape[1:] != (4, 4):
         raise TrajectoryError(f"the estimate has poses {estimate.shape}, the ground truth {truth.shape}; expected (N, 4, 4) both")
     return np.asarray(np.isfinite(truth).all((1, 2)) & np.isfinite(estimate).all((1, 2)))
