@@ -1,11 +1,15 @@
 """NEES and reliability of samples that are drawn from a known covariance."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from idfslam.evaluation.consistency import MotionErrors, reliability, share_inside
 from idfslam.evaluation.doubt import ReportedFrames
+from idfslam.evaluation.plots import plot_reliability
 from idfslam.frame import Status
 
 FRAMES, EVERY = 4000, 10
@@ -109,3 +113,10 @@ def test_reliability_by_hand() -> None:
     assert [(b.frames, b.predicted, b.actual) for b in bins[:2]] == [(2, 1, 1), (2, 2, 2)]
     assert (bins[2].predicted, bins[2].actual) == pytest.approx((12.5**0.5, 32**0.5))
     assert [b.frames for b in reliability(predicted[:2], actual[:2])] == [1, 1] and reliability(predicted[:0], actual[:0]) == []
+
+
+def test_the_reliability_plot_is_a_picture(tmp_path: Path) -> None:
+    errors = MotionErrors.of(*measured())
+    plot_reliability(tmp_path / "reliability.png", errors.sigmas, errors.sizes)
+    with Image.open(tmp_path / "reliability.png") as picture:
+        assert picture.size == (1430, 650)

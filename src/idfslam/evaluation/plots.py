@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.evaluation.consistency import reliability
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError
 
 if TYPE_CHECKING:
@@ -74,6 +75,27 @@ def plot_error(path: Path, ate: AbsoluteTrajectoryError, timestamps: Floats) -> 
     plot.margins(x=0)
     plot.legend(frameon=False, loc="upper left")
     _style(plot)
+    figure.savefig(path)
+
+
+def plot_reliability(path: Path, sigmas: Floats, sizes: Floats) -> None:
+    """Draws true errors against those that the covariances tell into a PNG file, each frame as a dot and bins of equal numbers as a line.
+
+    sigmas: (M, 2) told errors of shift [m] and turn [rad]. sizes: (M, 2) true ones. Right covariances lie on the diagonal on average.
+    """
+    figure = _figure(11, 5)
+    for column, (plot, name, unit) in enumerate(zip(figure.subplots(1, 2), ("shift [cm]", "turn [degrees]"), (100.0, 180 / np.pi))):
+        told, true = sigmas[:, column] * unit, sizes[:, column] * unit
+        bins = reliability(told, true)
+        ends = [min(told.min(), bins[0].actual), max(told.max(), max(b.actual for b in bins))]
+        plot.scatter(told, true, s=4, color=_ESTIMATE, alpha=0.15, linewidth=0, label="a frame", rasterized=True)
+        plot.plot(
+            [b.predicted for b in bins], [b.actual for b in bins], color=_ESTIMATE, marker="o", label=f"RMS of {bins[0].frames} frames"
+        )
+        plot.plot(ends, ends, color=_TRUTH, linewidth=1, linestyle="--", label="told right")
+        plot.set(xscale="log", yscale="log", xlabel=f"told {name}", ylabel=f"true {name}", ylim=(ends[0] / 10, None))
+        plot.legend(frameon=False, loc="upper left")
+        _style(plot)
     figure.savefig(path)
 
 
