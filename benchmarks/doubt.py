@@ -29,6 +29,11 @@ from idfslam.evaluation.plots import plot_reliability  # noqa: E402
 from idfslam.runs.source import read_frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
+_COLUMNS = (
+    "recording", "seeds", "off, called good [%]", "good, called bad [%]", "passages missed",
+    "NEES mean", "median", "of trusted: mean", "median", "inside 95 % [%]",
+)  # fmt: skip
+
 
 def measured(name: str, config: Config, frames: int | None) -> tuple[DoubtRates, MotionErrors]:
     """The rates and the errors of one run."""
@@ -90,10 +95,7 @@ def main() -> None:
     arguments = parser.parse_args()
     config = configured(arguments.preset, [name for name in arguments.recordings if "=" in name])
     torch.set_num_threads(1)
-    print(
-        "| recording | seeds | off, called good [%] | good, called bad [%] | passages missed | NEES mean | median | trusted: mean | median | in 95 % |"
-    )
-    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|", flush=True)
+    print("| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1), flush=True)
     all_rates, all_errors = DoubtRates(), list[MotionErrors]()
     for name in (name for name in arguments.recordings if "=" not in name):
         runs = [measured(name, replace(config, seed=seed), arguments.frames) for seed in range(arguments.seeds)]

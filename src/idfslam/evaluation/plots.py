@@ -89,9 +89,8 @@ def plot_reliability(path: Path, sigmas: Floats, sizes: Floats) -> None:
         bins = reliability(told, true)
         ends = [min(told.min(), bins[0].actual), max(told.max(), max(b.actual for b in bins))]
         plot.scatter(told, true, s=4, color=_ESTIMATE, alpha=0.15, linewidth=0, label="a frame", rasterized=True)
-        plot.plot(
-            [b.predicted for b in bins], [b.actual for b in bins], color=_ESTIMATE, marker="o", label=f"RMS of {bins[0].frames} frames"
-        )
+        line = [b.predicted for b in bins], [b.actual for b in bins]
+        plot.plot(*line, color=_ESTIMATE, marker="o", label=f"RMS of {bins[0].frames} frames")
         plot.plot(ends, ends, color=_TRUTH, linewidth=1, linestyle="--", label="told right")
         plot.set(xscale="log", yscale="log", xlabel=f"told {name}", ylabel=f"true {name}", ylim=(ends[0] / 10, None))
         plot.legend(frameon=False, loc="upper left")
