@@ -87,7 +87,7 @@ def test_pruning_keeps_what_rays_of_a_tile_meet(room: SyntheticRoom) -> None:
         (x, y), size = rng.uniform(-0.5, 0.4, 2), 0.05
         corners = np.array([[x, y, 1], [x + size, y, 1], [x + size, y + size, 1], [x, y + size, 1]]) @ T[:3, :3].T
         leaves = np.empty_like(nodes)
-        count = prune(nodes, T, corners, leaves)
+        count = prune(nodes, T[None], corners[None], leaves)
         sizes.append(count)
         for weights in rng.dirichlet(np.ones(4), 50):
             ray = weights @ corners
@@ -101,7 +101,7 @@ def test_pruning_by_hand() -> None:
     nodes = build_hierarchy(np.concatenate([shape(ELLIPSOID, (0.5, 0.5, 0.01), place(*p)) for p in places]))
     corners = np.array([[-0.1, -0.1, 1], [0.1, -0.1, 1], [0.1, 0.1, 1], [-0.1, 0.1, 1]])
     leaves = np.empty_like(nodes)
-    count = prune(nodes, np.eye(4), corners, leaves)
+    count = prune(nodes, np.eye(4)[None], corners[None], leaves)
     assert sorted(leaves[:count, 7]) == [0, 1]
     assert leaves[:count, 6].tolist() == [1, 2]  # flat: after each comes the next
 

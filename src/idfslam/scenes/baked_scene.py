@@ -12,7 +12,7 @@ from idfslam.scenes import lightmap
 from idfslam.scenes.furniture import Scene
 from idfslam.scenes.lightmap import Lightmap
 from idfslam.scenes.ray_casting import BOX, ELLIPSOID, build_hierarchy, point_on
-from idfslam.scenes.shading import Rendering, render
+from idfslam.scenes.shading import Rendering, render, render_depth
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,12 @@ class BakedScene:
     """The charts that face the inside, for each of the first shapes (floors, walls, ceilings)."""
 
     def render(self, camera: Camera, T_wc: Array) -> Rendering:
-        """Exact colour, depth and normals from a camera-to-world pose (4, 4)."""
+        """Exact colour, depth and normals from a camera-to-world pose (4, 4), or from one for each row (H, 4, 4)."""
         return render(self.shapes, self.materials, self.nodes, self.lightmap, self.exposure, camera, T_wc)
+
+    def render_depth(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Depth (H, W) and normals (H, W, 3) of `render` alone."""
+        return render_depth(self.shapes, self.nodes, camera, T_wc)
 
     def surface(self) -> trimesh.Trimesh:
         """All surfaces except the outer sides of floors, walls and ceilings, as triangles; round ones to within 0.5 mm."""

@@ -201,18 +201,20 @@ def cast(
 
 
 @compiled
-def prune(nodes: Array, T: Array, corners: Array, out: Array) -> int:
-    """Finds the leaves that rays from the camera `T` (4, 4) between four `corners` (4, 3) can hit; returns their number.
+def prune(nodes: Array, poses: Array, corners: Array, out: Array) -> int:
+    """Finds the leaves that rays from any of the cameras `poses` (B, 4, 4), each between four `corners` (B, 4, 3), can hit.
 
-    `corners` are directions in the world, clockwise as the camera sees them. The rows written to `out` (2 P - 1, 8) are a flat hierarchy,
-    small enough to stay in the first-level cache while a tile of the image is cast.
+    Returns their number. `corners` are directions in the world, clockwise as the camera sees them. The rows written to `out` (2 P - 1, 8)
+    are a flat hierarchy, small enough to stay in the first-level cache while a tile of the image is cast.
     """
-    planes, count, node = np.empty((4, 3)), 0, 0
-    for k in range(4):
-        a, b = corners[k], corners[(k + 1) % 4]
-        planes[k, 0], planes[k, 1], planes[k, 2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    planes, count, node = np.empty((corners.shape[0], 4, 3)), 0, 0
+    for band in range(corners.shape[0]):
+        for k in range(4):
+            a, b = corners[band, k], corners[band, (k + 1) % 4]
+            planes[band, k, 0], planes[band, k, 1] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
+            planes[band, k, 2] = a[0] * b[1] - a[1] * b[0]
     while node < nodes.shape[0]:
-        if _outside(nodes[node], planes, T):
+        if not _seen_by_any(nodes[node], planes, poses):
             node = int(nodes[node, 6])
             continue
         if nodes[node, 7] >= 0:
@@ -222,6 +224,15 @@ def prune(nodes: Array, T: Array, corners: Array, out: Array) -> int:
             count += 1
         node += 1
     return count
+
+
+@compiled
+def _seen_by_any(box: Array, planes: Array, poses: Array) -> bool:
+    """Whether any of the cameras (B, 4, 4) may see a box between its planes (B, K, 3)."""
+    band = 0
+    while band < planes.shape[0] and _outside(box, planes[band], poses[band]):
+        band += 1
+    return band < planes.shape[0]
 
 
 @compiled

@@ -4,19 +4,21 @@ import os
 import re
 
 from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.recording import Dataset
 from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.storage.plain_values import one_line, shown
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
-NAMES = {SYNTHETIC: "synthetic[:SEED][:kinect]", CORRIDOR: "corridor[:SEED][:kinect][:Nlaps]"}
+HANDHELD = "handheld[-FAULT[=STRENGTH][+...]]"
+NAMES = {SYNTHETIC: f"synthetic[:SEED][:kinect or :{HANDHELD}]", CORRIDOR: "corridor[:SEED][:kinect][:Nlaps]"}
 FORMS = f"{NAMES[SYNTHETIC]}, {NAMES[CORRIDOR]} or kidnap:RECORDING"
 """The names, for messages and help."""
 KIDNAP = "kidnap:"
 
 _PATTERNS = {
-    SYNTHETIC: re.compile(r"synthetic(?::(?P<seed>\d{1,9}))?(?P<noise>:kinect)?"),
+    SYNTHETIC: re.compile(r"synthetic(?::(?P<seed>\d{1,9}))?(?:(?P<noise>:kinect)|(?P<handheld>:handheld)(?:-(?P<faults>[^:]*))?)?"),
     CORRIDOR: re.compile(r"corridor(?::(?P<seed>\d{1,9}))?(?P<noise>:kinect)?(?::(?P<laps>\d{1,3})laps?)?"),
 }
 _LONGEST = 1_000_000  # frames; raised, more memory is needed: 130 MB for the poses of a million. Chosen by hand: nine hours of a camera
@@ -56,6 +58,10 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
     if length > _LONGEST:
         raise ConfigError(f"{path}: the last frame is number {shown(length)}, expected at most {_LONGEST}: choose --frames and --stride")
     seed, noise = int(name["seed"] or 0), name["noise"] is not None
+    if kind == SYNTHETIC and name["handheld"]:
+        from idfslam.datasets.generated.handheld import TOUR, handheld_room
+
+        return handheld_room(_faults(path, name["faults"]), seed, max(TOUR, length))
     if kind == SYNTHETIC:
         from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster
 
@@ -63,3 +69,10 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
     from idfslam.datasets.generated.corridor import SyntheticCorridor
 
     return SyntheticCorridor(seed=seed, laps=int(name["laps"] or 1), frames=length, noise=noise)
+
+
+def _faults(path: str, text: str | None) -> Faults:
+    try:
+        return Faults.named(text)
+    except ConfigError as error:
+        raise ConfigError(f"{one_line(path)}: {error}") from error

@@ -60,7 +60,8 @@ class Kidnapped:
         stamp = float(self.timestamps[i])
         if self.order[i] == BLACK:
             return Frame.blank(i, stamp, self.camera)
-        return replace(self._dataset[int(self.order[i])], index=i, timestamp=stamp)
+        frame = self._dataset[int(self.order[i])]
+        return replace(frame, index=i, timestamp=stamp, depth_timestamp=stamp + frame.depth_lag)
 
     def surface(self) -> "trimesh.Trimesh | None":
         """The recording's true surface, if known."""

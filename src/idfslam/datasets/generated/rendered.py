@@ -28,9 +28,8 @@ class RenderedRecording:
     def __init__(
         self, name: str, scene: BakedScene, ground_truth: NDArray[np.float64], size: tuple[int, int], *, seed: int, noise: bool
     ) -> None:
-        width, height = size
         self.name = name
-        self.camera = Camera(width, height, _FOCAL * width / 640, _FOCAL * width / 640, (width - 1) / 2, (height - 1) / 2)
+        self.camera = pinhole(size)
         self.timestamps: NDArray[np.float64] = np.arange(len(ground_truth)) / FPS
         self.ground_truth: NDArray[np.float64] = ground_truth
         self._scene, self._seed, self._noise = scene, seed, noise
@@ -57,6 +56,12 @@ class RenderedRecording:
     def surface(self) -> trimesh.Trimesh:
         """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
         return self._scene.surface()
+
+
+def pinhole(size: tuple[int, int]) -> Camera:
+    """The camera of generated recordings for images of this width and height [px]."""
+    width, height = size
+    return Camera(width, height, _FOCAL * width / 640, _FOCAL * width / 640, (width - 1) / 2, (height - 1) / 2)
 
 
 def poses_looking(

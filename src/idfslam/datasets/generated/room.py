@@ -38,8 +38,15 @@ class SyntheticRoom(RenderedRecording):
 
 def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool = False) -> NDArray[np.float64]:
     """(N, 4, 4) camera-to-world poses of a walk around the middle of a room whose inner size is 2 `half` [m]."""
+    return tour_at(np.arange(frames), seed, half, bare_wall=bare_wall)
+
+
+def tour_at(
+    frames: NDArray[np.int64] | NDArray[np.float64], seed: int, half: tuple[float, float], *, bare_wall: bool = False
+) -> NDArray[np.float64]:
+    """(N, 4, 4) poses of the same walk at `frames` (N,), also between two frames: it is a smooth curve without the bare wall."""
     rng = np.random.default_rng([seed, 11])
-    x = 2 * np.pi * (np.arange(frames) % TOUR) / TOUR
+    x = 2 * np.pi * (frames % TOUR) / TOUR
     passage = np.pi * sum(BARE_PASSAGE) / TOUR  # x of the middle of the passage: there the path is closest to the bare wall and turns least
     start, gaze = (np.pi / 2 - passage, -np.pi / 2 - 2 * passage) if bare_wall else (rng.uniform(0, 2 * np.pi), 2.2)
     phi = start + x
@@ -50,14 +57,15 @@ def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool =
     yaw = phi + np.deg2rad(112 + 36 * np.sin(2 * x + gaze))
     pitch = np.deg2rad(-11 + 15 * np.sin(3 * x + rng.uniform(0, 6)))
     if bare_wall:
-        yaw, pitch = _face_wall(yaw, pitch, frames)
+        yaw, pitch = _face_wall(yaw, pitch, frames % TOUR)
     shake = _sway(x, rng, np.deg2rad(0.45))
     return poses_looking(position, yaw + shake[:, 0], pitch + shake[:, 1], shake[:, 2] * 2)
 
 
-def _face_wall(yaw: NDArray[np.float64], pitch: NDArray[np.float64], frames: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Yaw and pitch (N,) [rad] that turn to the bare wall for the passage, and back."""
-    lap = np.arange(frames) % TOUR
+def _face_wall(
+    yaw: NDArray[np.float64], pitch: NDArray[np.float64], lap: NDArray[np.int64] | NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Yaw and pitch (N,) [rad] that turn to the bare wall for the passage, and back; `lap` (N,) counts the frames of a tour."""
     outside = np.maximum(np.maximum((BARE_PASSAGE[0] - lap) / _APPROACH, (lap - BARE_PASSAGE[1]) / _LEAVE), 0)
     k = np.clip(1 - outside, 0, 1)
     k = k * k * (3 - 2 * k)

@@ -1,0 +1,109 @@
+"""A recording of a generated scene by a hand-held camera with the faults of a real sensor, and the exact truth about each of them.
+
+Every fault is a part of its own, drawn from the seed and scaled by its strength; at strength 0 it changes nothing. So the recording
+without faults shows the same motion in the same scene, with the same noise of a Kinect.
+"""
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
+from idfslam.datasets.generated.faults import Faults
+from idfslam.datasets.generated.handheld_motion import HandheldMotion, Walk
+from idfslam.datasets.generated.miscalibration import Miscalibration
+from idfslam.datasets.generated.rendered import FPS, pinhole
+from idfslam.datasets.generated.room import TOUR, tour_at
+from idfslam.datasets.generated.sensor_noise import noisy_colour, noisy_depth
+from idfslam.datasets.generated.shutter import drawn_readouts, row_times
+from idfslam.datasets.provenance import GENERATED, Provenance
+from idfslam.errors import ConfigError, FrameError
+from idfslam.frame import Frame
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
+from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.room import build_room
+from idfslam.scenes.shading import Rendering
+
+Array = NDArray[np.float64]
+
+_UNKNOWN = SensorTiming(None, None, None)
+
+
+class HandheldRecording:
+    """`len(recording)`, `recording[i]`, `camera`, `timestamps`, `ground_truth`, `surface()` as of any recording, and the truth.
+
+    A frame depends only on the scene, the walk, `seed`, `faults` and its index. `ground_truth` has the poses of the colour images at their
+    middle rows. `camera` is what the recording states. Frames state that their timing is unknown if it has a fault.
+    """
+
+    provenance = Provenance(GENERATED, stamps=GENERATED)
+    reading_threads = 2  # rendering a frame takes several times as long as SLAM does
+
+    def __init__(self, name: str, scene: BakedScene, walk: Walk, size: tuple[int, int], *, seed: int, frames: int, faults: Faults) -> None:
+        self.name, self.faults = f"{name}-handheld-{faults}", faults
+        self._scene, self._seed = scene, seed
+        self.motion = HandheldMotion(walk, seed)
+        """The true motion, at any time."""
+        self.shots = kept_shots(seed, faults.drops, frames)
+        """(N,) the number of each frame among all that the camera took: frame i of this recording is frame `shots[i]` of its ideal twin."""
+        clock = DepthClock.drawn(seed, faults.time)
+        self.timestamps: Array = self.shots / FPS
+        self.depth_timestamps: Array = clock.stamps(self.shots)
+        """(N,) [s] as the frames state them; depth is taken `true_timing.depth_delay` later."""
+        self.true_timing = SensorTiming(*drawn_readouts(seed, faults.shutter), clock.delay)
+        self.timing = SYNCHRONISED if self.true_timing == SYNCHRONISED and not faults.time else _UNKNOWN
+        """What the frames state."""
+        self._readout, self._depth_readout = self.true_timing.readout or 0.0, self.true_timing.depth_readout or 0.0
+        self.true_camera = pinhole(size)
+        self.miscalibration = Miscalibration.drawn(seed, faults.calibration)
+        self.camera = self.miscalibration.stated(self.true_camera)
+        self.ground_truth: Array = self.motion.pose_at(self.timestamps)
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame `index`, rendered at each call with the same result. Raises FrameError outside the recording."""
+        if not 0 <= index < len(self):
+            raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
+        rng = np.random.default_rng([self._seed, int(self.shots[index])])
+        depth, normals = self._scene.render_depth(self.true_camera, self.depth_poses(index))
+        depth = noisy_depth(self.miscalibration.depth(depth), normals, self.true_camera, rng)
+        colour = self._scene.render(self.true_camera, self.colour_poses(index)).colour
+        colour = noisy_colour(colour, self.timestamps[index], rng)
+        stamps = float(self.timestamps[index]), float(self.depth_timestamps[index])
+        return Frame(index, stamps[0], colour, depth, self.camera, stamps[1], self.timing)
+
+    def colour_poses(self, index: int) -> Array:
+        """True camera-to-world poses of the rows of a colour image, (H, 4, 4); (1, 4, 4) of a global shutter."""
+        return self.motion.pose_at(row_times(self.timestamps[index], self._readout, self.camera.height))
+
+    def depth_poses(self, index: int) -> Array:
+        """True camera-to-world poses of the rows of a depth image, (H, 4, 4); (1, 4, 4) of a global shutter."""
+        taken = self.depth_timestamps[index] + (self.true_timing.depth_delay or 0.0)
+        return self.motion.pose_at(row_times(taken, self._depth_readout, self.camera.height))
+
+    def velocity(self, index: int) -> Array:
+        """(6,) [m/s, rad/s] the true shift and turn in the camera's frame at a colour image's middle row."""
+        return self.motion.velocity_at(float(self.timestamps[index]))
+
+    def exact(self, index: int) -> Rendering:
+        """What a camera without any fault or noise sees at `ground_truth[index]`: colour, depth and normals, through `true_camera`."""
+        return self._scene.render(self.true_camera, self.ground_truth[index])
+
+    def surface(self) -> trimesh.Trimesh:
+        """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
+        return self._scene.surface()
+
+
+def handheld_room(faults: Faults, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480) -> HandheldRecording:
+    """A walk around the room of `SyntheticRoom(seed)` with a shaking hand. Raises ConfigError for a negative seed or too small a size."""
+    if seed < 0 or frames < 1 or width < 8 or height < 8:
+        found = f"handheld room {seed} of {frames} frames, {width}x{height} px"
+        raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 frame of 8x8 px")
+    room = build_room(seed)
+
+    def walk(t: Array) -> Array:
+        return tour_at(t * FPS, seed, room.half)
+
+    return HandheldRecording(f"synthetic-{seed}", room, walk, (width, height), seed=seed, frames=frames, faults=faults)
