@@ -46,7 +46,7 @@ def measured(scale: float = 1.0, *, doubtful: slice = slice(0)) -> tuple[Reporte
     statuses[doubtful] = [Status.DOUBTFUL] * len(statuses[doubtful])
     covariances = np.tile(P, (FRAMES, 1, 1))
     covariances[0] = np.nan
-    return ReportedFrames(estimate, statuses, np.arange(FRAMES) % EVERY == 0, covariances), other @ truth
+    return ReportedFrames(np.arange(FRAMES) / 30, estimate, statuses, np.arange(FRAMES) % EVERY == 0, covariances), other @ truth
 
 
 def test_errors_of_the_told_covariance_have_a_nees_of_one() -> None:
@@ -71,7 +71,7 @@ def test_one_error_by_hand() -> None:
     estimate[1, 0, 3] = -0.02
     estimate[1, :3, :3] = Rotation.from_rotvec([0, 0, -0.1]).as_matrix()
     covariances = np.stack([np.full((6, 6), np.nan), np.diag([1e-4] * 3 + [1e-2] * 3), np.full((6, 6), np.nan)])
-    run = ReportedFrames(estimate, [Status.OK, Status.DOUBTFUL, Status.OK], np.array([True, False, False]), covariances)
+    run = ReportedFrames(np.arange(3) / 30, estimate, [Status.OK, Status.DOUBTFUL, Status.OK], np.array([True, False, False]), covariances)
     errors = MotionErrors.of(run, truth)
     np.testing.assert_allclose(errors.errors, [[0.02, 0, 0, 0, 0, 0.1]], atol=1e-12)
     np.testing.assert_allclose(errors.nees(), [(4 + 1) / 6])
@@ -84,7 +84,7 @@ def test_a_keyframe_that_is_turned_moves_the_frames_by_the_lever() -> None:
     truth = np.tile(np.eye(4), (2, 1, 1))
     truth[1, 0, 3] = 1.0
     covariances = np.stack([np.diag([0, 0, 0, 0, 0, 1e-4]), np.diag([1e-8] * 6)])
-    run = ReportedFrames(truth.copy(), [Status.OK] * 2, np.array([True, False]), covariances)
+    run = ReportedFrames(np.arange(2) / 30, truth.copy(), [Status.OK] * 2, np.array([True, False]), covariances)
     P = MotionErrors.of(run, truth).covariances[0]
     np.testing.assert_allclose(P[1, 1], 1e-4 + 1e-8)
     np.testing.assert_allclose([P[5, 5], P[0, 0], P[2, 2]], [1e-4 + 1e-8, 1e-8, 1e-8])
@@ -96,7 +96,7 @@ def test_frames_without_keyframe_truth_covariance_or_measured_pose_are_left_out(
     truth[100] = np.nan  # a keyframe
     run.covariances[205] = np.nan
     run.statuses[306] = Status.LOST  # type: ignore[index]
-    loop = ReportedFrames(run.T_wc, run.statuses, run.keyframes, run.covariances, corrected=(400,))
+    loop = ReportedFrames(run.timestamps, run.T_wc, run.statuses, run.keyframes, run.covariances, corrected=(400,))
     assert len(MotionErrors.of(loop, truth).errors) == FRAMES - 1 - (1 + 10) - 1 - 1 - 1
 
 

@@ -24,7 +24,9 @@ def reported(shifts: Mapping[int, float], statuses: Mapping[int, Status] | None 
         poses[i, 1, 3] = shift
     other[:3, :3], other[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [3, 2, 1]
     told = [(statuses or {}).get(i, Status.OK) for i in range(FRAMES)]
-    return ReportedFrames(other @ poses, told, np.arange(FRAMES) % 10 == 0, np.full((FRAMES, 6, 6), np.nan), corrected)
+    return ReportedFrames(
+        np.arange(FRAMES) / 30, other @ poses, told, np.arange(FRAMES) % 10 == 0, np.full((FRAMES, 6, 6), np.nan), corrected
+    )
 
 
 def off(run: ReportedFrames) -> list[int]:

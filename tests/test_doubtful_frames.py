@@ -1,19 +1,35 @@
 """Frames whose pose is in doubt: reported with a status and a covariance, and never mapped. The front end is one that knows the truth."""
 
+import json
+import re
+import shutil
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
+from helpers.box_room import BOX_FRAMES
 from helpers.flat_wall import PAPER, at, keyframe, wall_frames
+from helpers.known_run import known_log
 from helpers.small_config import small
+from idfslam.cli.tables import print_evaluation, print_run
 from idfslam.datasets import open_recording
+from idfslam.evaluation.doubt import DoubtRates
+from idfslam.evaluation.evaluate import evaluate_poses
 from idfslam.frame import FrameResult, Status
+from idfslam.geometry.trajectory import load_tum, save_tum
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_selection import KeyframeSelection
+from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.lost_frames import leave_out_lost
+from idfslam.runs.progress import ProgressBar
+from idfslam.runs.runner import run as run_recording
 from idfslam.slam import FrontEnd, Slam, Source, Tracked
 
 COVARIANCE = torch.diag(torch.tensor([1e-4, 4e-4, 4e-4, 1e-5, 2e-5, 3e-5], dtype=torch.float64))
@@ -83,6 +99,68 @@ def test_it_is_no_keyframe_however_far_it_moved() -> None:
     selection = KeyframeSelection(PAPER, frames.graph, frames, lost_frames=True)
     assert not selection.selects(view, Status.DOUBTFUL, in_view=0.1)
     assert selection.selects(view, Status.OK)
+
+
+def test_the_evaluation_judges_what_was_reported(known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of 14 frames, 8 and 10 were 8 cm off when they were reported, and only 8 was doubted. Frames 4 and 5 were right, and called lost."""
+    folder = shutil.copytree(known_run, tmp_path / "out")
+    live, log = load_tum(folder / "live_trajectory.txt"), known_log()
+    live.poses[[8, 10], 2, 3] += 0.08
+    log.lines[8] = replace(log.lines[8], status=Status.DOUBTFUL, live_status=Status.DOUBTFUL)
+    save_tum(folder / "live_trajectory.txt", live)
+    log.save(folder / "frames.csv")
+    evaluation = evaluate_folder(folder)
+    assert evaluation.doubt == DoubtRates(off=2, missed=1, good=11, false_alarms=2, passages=2, passages_missed=1)
+    assert evaluation.measured is not None and evaluation.measured.frames == BOX_FRAMES - 2  # the doubtful frame is one of them
+    assert json.loads((folder / "evaluation.json").read_text())["doubt"]["missed_rate"] == 0.5
+    print_evaluation(evaluation, folder, Console(width=150))
+    told = re.sub(" +", " ", capsys.readouterr().out.replace("│", ""))
+    assert "frames off by more than 5 cm or 2 degrees, called good [%] 50.0 (1 of 2)" in told
+    assert "good frames called doubtful or lost [%] 18.2 (2 of 11)" in told
+    (folder / "live_trajectory.txt").unlink()
+    assert evaluate_folder(folder).doubt is None  # an older result folder
+
+
+def test_the_largest_jump_by_hand(capsys: pytest.CaptureFixture[str]) -> None:
+    truth = np.tile(np.eye(4), (6, 1, 1))
+    estimate = truth.copy()
+    estimate[3:, 0, 3] = 0.07
+    estimate[4:, :3, :3] = [[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]  # a turn of 36.87 degrees
+    evaluation = evaluate_poses(estimate, truth)
+    jump = evaluation.rpe[0].largest_jump
+    assert (jump.translation_frame, jump.rotation_frame) == (3, 4)
+    assert (jump.translation_m, jump.rotation_deg) == pytest.approx((0.07, 36.8699))
+    assert evaluation.to_dict()["jump"]["rotation_frame"] == 4
+    assert evaluation.rpe[0].rotation.rmse == pytest.approx(36.8699 / 5**0.5)
+    print_evaluation(evaluation, Path("out"), Console(width=150))
+    told = re.sub(" +", " ", capsys.readouterr().out.replace("│", ""))
+    assert "largest jump to the next frame [cm] 7.00, at frame 3" in told and "[deg] 36.87, at frame 4" in told
+
+
+def test_the_run_tells_doubtful_frames(box_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, doubtful = open_recording(box_recording), (4, 5, 6)
+    made = partial(Slam, front_end=lambda system: Knowing(np.asarray(data.ground_truth), doubtful))
+    done = run_recording(data, small(), tmp_path / "out", make_slam=made)
+    print_run(done, Console(width=150))
+    assert ", lost frames 0, doubtful frames 3, peak memory " in capsys.readouterr().out
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert (metrics["doubtful_frames"], metrics["doubtful_share"]) == (3, pytest.approx(3 / BOX_FRAMES))
+    assert (metrics["doubt"]["good"], metrics["doubt"]["false_alarms"], metrics["measured"]["frames"]) == (13, 3, BOX_FRAMES)
+    log = FinishedRun(tmp_path / "out").frames
+    assert log is not None and [line.index for line in log.lines if line.status is Status.DOUBTFUL] == [4, 5, 6]
+    assert log.lines[4].sigma_position == pytest.approx(0.03) and log.lines[0].sigma_position is None
+    live = load_tum(tmp_path / "out/live_trajectory.txt")
+    assert len(live) == BOX_FRAMES and np.abs(live.poses[:, :3, 3] - done.trajectory.poses[:, :3, 3]).max() < 0.02
+    assert len(leave_out_lost(tmp_path / "out")) == BOX_FRAMES  # doubtful poses are measured
+
+
+def test_progress_tells_doubtful_frames() -> None:
+    with ProgressBar(None, None) as bar:
+        bar.resume(done=3, keyframes=2, lost=0, doubtful=1)
+        bar.update(FrameResult(3, 0.1, np.eye(4), Status.DOUBTFUL, False, {}), frames_per_second=9.0, keyframes=None)
+        assert bar._counts() == "keyframes 2, doubtful 2"
+        bar.finish(keyframes=3, lost=1, doubtful=2)
+        assert bar._counts() == "keyframes 3, lost 1, doubtful 2"
 
 
 def test_which_statuses_are_trusted() -> None:

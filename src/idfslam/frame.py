@@ -154,6 +154,16 @@ class FrameResult:
     losses: dict[str, float]
     covariance: NDArray[np.float64] | None = None  # (6, 6) of the pose's error in the map, see `Tracked.covariance`; None: not estimated
 
+    @property
+    def sigma_position(self) -> float | None:
+        """[m] by which the position is expected to be off (root mean square): the root of the trace of its covariance."""
+        return None if self.covariance is None else float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def sigma_rotation(self) -> float | None:
+        """[degrees] by which the rotation is expected to be off (root mean square): the root of the trace of its covariance."""
+        return None if self.covariance is None else math.degrees(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
 
 @dataclass(frozen=True, eq=False)
 class StoredKeyframe:

@@ -38,7 +38,8 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
     learner.optimise_map(keyframes, 200)
     save_map(folder / result_folder.MAP, learner.field, [DepthView(poses[k.frame.index], k.frame.depth, k.frame.camera) for k in keyframes])
     load_map(folder / result_folder.MAP).mesh(0.04).export(folder / result_folder.MESH)
-    save_tum(folder / result_folder.TRAJECTORY, Trajectory(recording.timestamps, poses))
+    for name in (result_folder.TRAJECTORY, result_folder.LIVE):
+        save_tum(folder / name, Trajectory(recording.timestamps, poses))
     indices = np.array(KNOWN_KEYFRAMES)
     result_folder.write_keyframes(
         folder, result_folder.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices])

@@ -23,7 +23,8 @@ def print_run(run: Run, console: Console) -> None:
     m = run.metrics
     lines = [
         f"{m['frames']} frames in {m['seconds']:.0f} s: {m['frames_per_second']:.2f} frames/s",
-        f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, peak memory {m['peak_memory_mb']:.0f} MiB",
+        f"keyframes {m['keyframes']}, lost frames {m['lost_frames']}, doubtful frames {m['doubtful_frames']}, "
+        f"peak memory {m['peak_memory_mb']:.0f} MiB",
     ]
     if (ate := ate_rmse(m)) is not None:
         measured = measured_ate_rmse(m)

@@ -33,6 +33,7 @@ _SETTLED = 30
 class ReportedFrames:
     """What a system reported of each frame when the frame was processed, before later frames and loops improved it."""
 
+    timestamps: NDArray[np.float64]  # (N,) [s]
     T_wc: Poses  # (N, 4, 4)
     statuses: Sequence[Status]
     keyframes: NDArray[np.bool_]  # (N,)
@@ -44,6 +45,7 @@ class ReportedFrames:
         """The results of `Slam.process` in their order."""
         unknown = np.full((6, 6), np.nan)
         return ReportedFrames(
+            np.array([result.timestamp for result in results], np.float64),
             np.array([result.T_wc for result in results]).reshape(-1, 4, 4),
             [result.status for result in results],
             np.array([result.keyframe for result in results], bool),

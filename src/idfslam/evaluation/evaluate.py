@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
 from idfslam.evaluation.depth_range import DepthRange
+from idfslam.evaluation.doubt import ReportedFrames, doubt_rates
 from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.files import ERROR_PICTURE, EVALUATION, FILES, TRAJECTORY_PICTURE
 from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol, mesh_error
@@ -41,6 +42,7 @@ def evaluate(
     tolerance: float = TOLERANCE,
     keyframes: NDArray[np.int64] | None = None,
     measured: NDArray[np.bool_] | None = None,
+    reported: ReportedFrames | None = None,
     samples: int = SAMPLES,
     views: int = VIEWS,
     seed: int = 0,
@@ -53,6 +55,7 @@ def evaluate(
     camera: of the recording; with sensor_range, the depths that the sensor read, it decides which surface the recording could show.
     tolerance: largest difference of stamps [s] that belong together. keyframes: indices (K,) of the frames to mark in the plot.
     measured: (N,) whether the pose of each frame was measured; None: unknown.
+    reported: all frames as they were reported at the time, by which the doubt is judged; None: unknown.
     samples: points on each surface. views: for depth L1.
 
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
@@ -65,6 +68,9 @@ def evaluate(
     truth = matched_ground_truth(estimate, gt_trajectory, tolerance=tolerance)
     result = evaluate_poses(estimate.poses, truth, measured=measured)
     ate = result.ate
+    if reported is not None:
+        live = Trajectory(reported.timestamps, reported.T_wc)
+        result = replace(result, doubt=doubt_rates(reported, matched_ground_truth(live, gt_trajectory, tolerance=tolerance)))
     if what := doubt(estimate.poses, truth, ate):
         log.warning("%s: %s", folder, what)
     if gt_mesh is not None:

@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from idfslam.evaluation.doubt import DoubtRates
 from idfslam.evaluation.mesh_error import MeshError
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, RelativePoseError
 from idfslam.storage import atomic_files
@@ -26,6 +27,8 @@ class PoseErrors:
         for rpe in self.rpe:
             pairs = {"pairs": len(rpe.frames)}
             values[f"rpe_{rpe.delta}"] = {**pairs, "translation_m": asdict(rpe.translation), "rotation_deg": asdict(rpe.rotation)}
+            if rpe.delta == 1:
+                values["jump"] = asdict(rpe.largest_jump)
         return values
 
 
@@ -35,12 +38,15 @@ class Evaluation(PoseErrors):
 
     mesh: MeshError | None  # None: no true mesh was given, or nothing of the mesh counts under the protocol
     measured: PoseErrors | None = None  # of the frames whose pose was measured; None: unknown, or none of them has ground truth
+    doubt: DoubtRates | None = None  # how well the statuses told which poses were wrong; None: unknown
 
     def to_dict(self) -> dict[str, Any]:
         """All errors under keys that name their units (metres, degrees), as values that JSON has."""
         values = super().to_dict()
         if self.measured is not None:
             values["measured"] = self.measured.to_dict()
+        if self.doubt is not None:
+            values["doubt"] = self.doubt.to_dict()
         if self.mesh is not None:
             values["mesh"] = asdict(self.mesh)
         return values

@@ -3,6 +3,7 @@
 from rich.markup import escape
 from rich.table import Table
 
+from idfslam.evaluation.doubt import OFF_SHIFT, OFF_TURN
 from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.mesh_error import MeshError
 
@@ -16,6 +17,11 @@ def table(evaluation: Evaluation) -> Table:
     if evaluation.measured is not None and evaluation.measured.frames < evaluation.frames:
         result.add_section()
         _add_poses(result, evaluation.measured, "frames with a measured pose")
+    told = _told(evaluation)
+    if told:
+        result.add_section()
+        for name, text in told:
+            result.add_row(escape(name), text)
     if evaluation.mesh is not None:
         result.add_section()
         for name, text in _mesh_rows(evaluation.mesh):
@@ -31,6 +37,24 @@ def _add_poses(result: Table, errors: PoseErrors, kind: str) -> None:
         rows += [(f"RPE over {frames} [cm]", rpe.translation, 100.0), (f"RPE over {frames} [deg]", rpe.rotation, 1.0)]
     for name, s, unit in rows:
         result.add_row(escape(name), *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
+
+
+def _told(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """The largest jump, and how well the statuses told which poses were wrong."""
+    rows = []
+    for jump in (rpe.largest_jump for rpe in evaluation.rpe if rpe.delta == 1):
+        rows.append(("largest jump to the next frame [cm]", f"{jump.translation_m * 100:.2f}, at frame {jump.translation_frame}"))
+        rows.append(("largest jump to the next frame [deg]", f"{jump.rotation_deg:.2f}, at frame {jump.rotation_frame}"))
+    if evaluation.doubt is not None:
+        d = evaluation.doubt
+        limits = f"{OFF_SHIFT * 100:.0f} cm or {OFF_TURN:.0f} degrees"
+        rows.append((f"frames off by more than {limits}, called good [%]", _share(d.missed, d.off)))
+        rows.append(("good frames called doubtful or lost [%]", _share(d.false_alarms, d.good)))
+    return rows
+
+
+def _share(found: int, of: int) -> str:
+    return f"{100 * found / of:.1f} ({found} of {of})" if of else "none"
 
 
 def _mesh_rows(mesh: MeshError) -> list[tuple[str, str]]:

@@ -42,6 +42,16 @@ class AbsoluteTrajectoryError:
     T_gt_est: NDArray[np.float64]  # (4, 4) the alignment
 
 
+@dataclass(frozen=True)
+class Jump:
+    """The largest errors of the motion from a frame to the next. Its two parts may be of different frames."""
+
+    translation_m: float
+    translation_frame: int  # the frame that is reached
+    rotation_deg: float
+    rotation_frame: int
+
+
 @dataclass(frozen=True, eq=False)
 class RelativePoseError:
     """Errors of the motion over `delta` frames."""
@@ -52,6 +62,13 @@ class RelativePoseError:
     frames: NDArray[np.int64]  # (M,) index of the first frame of each pair
     translation_errors: NDArray[np.float64]  # (M,) [m]
     rotation_errors: NDArray[np.float64]  # (M,) [degrees]
+
+    @property
+    def largest_jump(self) -> "Jump":
+        """The largest of the errors of shift and turn, and the frames at which the motions that have them end."""
+        shift, turn = self.translation_errors.argmax(), self.rotation_errors.argmax()
+        frames = self.frames + self.delta
+        return Jump(float(self.translation_errors[shift]), int(frames[shift]), float(self.rotation_errors[turn]), int(frames[turn]))
 
 
 def matched_ground_truth(estimate: Trajectory, truth: Trajectory, *, tolerance: float = TOLERANCE) -> Poses:

@@ -64,12 +64,12 @@ def _check_poses(timestamps: NDArray[np.float64], poses: NDArray[np.float64]) ->
         )
 
 
-def save_tum(path: Path, trajectory: Trajectory) -> None:
-    """Writes one line `t tx ty tz qx qy qz qw` [s, m] a pose, with qw >= 0."""
+def save_tum(path: Path, trajectory: Trajectory, *, remark: str = "") -> None:
+    """Writes one line `t tx ty tz qx qy qz qw` [s, m] a pose, with qw >= 0, after a comment with a remark if there is one."""
     quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat(canonical=True) if len(trajectory) else np.zeros((0, 4))
     rows = np.concatenate([trajectory.positions, quaternions], 1)
     lines = [f"{t:.6f} " + " ".join(f"{x:.9f}" for x in row) + "\n" for t, row in zip(trajectory.timestamps, rows)]
-    path.write_text(_TUM_HEADER + "".join(lines), encoding="utf-8")
+    path.write_text((f"# {remark}\n" if remark else "") + _TUM_HEADER + "".join(lines), encoding="utf-8")
 
 
 def load_tum(path: Path) -> Trajectory:

@@ -195,10 +195,10 @@ class SlamNode:
         from idfslam.runs.metrics import run_metrics
         from idfslam.runs.result_writer import ResultWriter
 
-        slam, received = self._state.slam, self._received
-        metrics = run_metrics(slam, received, self._state.meter, interrupted=False) | {"dropped_frames": self.dropped}
+        slam, received, meter, frame_log = self._state.slam, self._received, self._state.meter, self._state.frame_log
+        metrics = run_metrics(slam, received, meter, frame_log, interrupted=False) | {"dropped_frames": self.dropped}
         writer = ResultWriter(self._folder.partial, slam, received, slam.config)
-        writer.write_all(slam.mesh(), self._state.frame_log, metrics)
+        writer.write_all(slam.mesh(), frame_log, metrics)
         self._folder.swap()
 
 

@@ -66,6 +66,7 @@ def evaluate_folder(
             protocol=rules.name,
             keyframes=np.flatnonzero(np.isin(run.listed, record.indices)),
             measured=run.measured[run.listed] if run.frames is not None else None,
+            reported=run.reported,
             samples=samples,
             views=views,
         )

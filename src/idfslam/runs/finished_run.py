@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from idfslam.datasets import Dataset
 from idfslam.errors import ConfigError, ResultError
+from idfslam.evaluation.doubt import ReportedFrames
 from idfslam.frame import Status
 from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.lost_frames import of_all_frames
+from idfslam.runs.metrics import corrected_frames, read_metrics
 from idfslam.runs.source import open_source
 
 
@@ -78,6 +80,15 @@ class FinishedRun:
             if line.index < len(statuses):
                 statuses[line.index] = line.status
         return statuses
+
+    @cached_property
+    def reported(self) -> ReportedFrames | None:
+        """What was reported of each frame at the time, without covariances; None if the folder lacks it (older versions, failed runs)."""
+        path, metrics = self.folder / result_folder.LIVE, self.folder / result_folder.METRICS
+        if self.frames is None or not path.is_file():
+            return None
+        corrected = corrected_frames(read_metrics(self.folder)) if metrics.is_file() else ()
+        return self.frames.reported(load_tum(path), corrected)
 
     @property
     def measured(self) -> NDArray[np.bool_]:

@@ -1,12 +1,13 @@
 """frames.csv: one line for each frame of a run.
 
-Columns: index; timestamp [s]; final status (ok, degenerate, lost or interpolated); keyframe (0 or 1); ms, from the end of the previous
-frame to the end of this one; then one column for each loss that any frame has, empty for frames without it.
+Columns: index; timestamp [s]; final status (ok, degenerate, doubtful, lost or interpolated); keyframe (0 or 1); ms, from the end of the
+previous frame to the end of this one; the status as it was reported at the time; by how much position [cm] and rotation [degrees] are
+expected to be off, empty where that was not estimated; then one column for each loss that any frame has, empty for frames without it.
 """
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -14,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.errors import ResultError
+from idfslam.evaluation.doubt import ReportedFrames
 from idfslam.frame import FrameResult, Status
+from idfslam.geometry.trajectory import Trajectory
 from idfslam.storage.state import State
 
 _MOST_FRAMES = 1 << 31  # of a run; raised, larger numbers pass than arrays of indices hold everywhere
 _FIXED = ("index", "timestamp", "status", "keyframe", "ms")
+_LATER = ("live_status", "sigma_position_cm", "sigma_rotation_deg")  # columns that files of older versions lack
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,9 @@ class FrameLine:
     keyframe: bool
     ms: float
     losses: dict[str, float]
+    live_status: Status  # as it was reported when the frame was processed
+    sigma_position: float | None = None  # [m] as in `FrameResult`
+    sigma_rotation: float | None = None  # [degrees]
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,8 @@ class FrameLog:
 
     def add(self, result: FrameResult, ms: float) -> None:
         """Appends a frame, which took `ms`."""
-        self.lines.append(FrameLine(result.index, result.timestamp, result.status, result.keyframe, ms, dict(result.losses)))
+        told, sigmas = (result.index, result.timestamp, result.status, result.keyframe), (result.sigma_position, result.sigma_rotation)
+        self.lines.append(FrameLine(*told, ms, dict(result.losses), result.status, *sigmas))
 
     def set_final_statuses(self, statuses: Sequence[Status]) -> None:
         """Replaces the statuses: lost frames may have become interpolated. A frame at which the run broke off has a status but no line."""
@@ -53,7 +61,19 @@ class FrameLog:
 
     def restore(self, state: State) -> None:
         """Sets the lines that `state` returned."""
-        self.lines[:] = [FrameLine(**(line | {"status": Status(line["status"])})) for line in state["lines"]]
+        self.lines[:] = [FrameLine(**(line | {name: Status(line[name]) for name in ("status", "live_status")})) for line in state["lines"]]
+
+    def reported(self, live: Trajectory, corrected: Collection[int] = ()) -> ReportedFrames:
+        """What was reported of each frame at the time. Covariances are not in the log.
+
+        live: the poses reported. corrected: frames at which a closed loop moved the camera. Raises ResultError if there is not a pose for
+        each line.
+        """
+        if len(live) != len(self.lines):
+            raise ResultError(f"{len(live)} poses were reported of {len(self.lines)} frames; expected one for each")
+        keyframes, unknown = np.array([line.keyframe for line in self.lines], bool), np.full((len(live), 6, 6), np.nan)
+        statuses = [line.live_status for line in self.lines]
+        return ReportedFrames(live.timestamps, live.poses, statuses, keyframes, unknown, corrected)
 
     @property
     def losses(self) -> dict[str, NDArray[np.float64]]:
@@ -66,10 +86,13 @@ class FrameLog:
         names = list(self.losses)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow([*_FIXED, *names])
+            writer.writerow([*_FIXED, *_LATER, *names])
             for line in self.lines:
                 losses = [f"{line.losses[name]:.6g}" if name in line.losses else "" for name in names]
-                writer.writerow([line.index, f"{line.timestamp:.6f}", line.status.value, int(line.keyframe), f"{line.ms:.2f}", *losses])
+                fixed = (line.index, f"{line.timestamp:.6f}", line.status.value, int(line.keyframe), f"{line.ms:.2f}")
+                sigmas = (line.sigma_position and 100 * line.sigma_position, line.sigma_rotation)
+                later = (line.live_status.value, *("" if sigma is None else f"{sigma:.4g}" for sigma in sigmas))
+                writer.writerow([*fixed, *later, *losses])
 
     @staticmethod
     def load(path: Path) -> "FrameLog":
@@ -88,8 +111,10 @@ def _line(row: dict[str, str]) -> FrameLine:
         raise ValueError(f"no column {', '.join(absent)}")
     if "" in row:
         raise ValueError("more values than columns")
-    losses = {name: float(value) for name, value in row.items() if name not in _FIXED and value}
+    losses = {name: float(value) for name, value in row.items() if name not in (*_FIXED, *_LATER) and value}
     index, timestamp, ms = int(row["index"]), float(row["timestamp"]), float(row["ms"])
     if not 0 <= index < _MOST_FRAMES:
         raise ValueError(f"frame {row['index'][:20]}")
-    return FrameLine(index, timestamp, Status(row["status"]), bool(int(row["keyframe"])), ms, losses)
+    position, rotation = (float(row[name]) if row.get(name) else None for name in _LATER[1:])
+    live_status, metres = Status(row.get(_LATER[0]) or row["status"]), None if position is None else position / 100
+    return FrameLine(index, timestamp, Status(row["status"]), bool(int(row["keyframe"])), ms, losses, live_status, metres, rotation)

@@ -10,38 +10,77 @@ import numpy as np
 from idfslam.datasets import FrameSource, Selection
 from idfslam.datasets.input_summary import summarise
 from idfslam.errors import ResultError
+from idfslam.evaluation.doubt import DoubtRates, doubt_rates
 from idfslam.evaluation.evaluate import evaluate_poses
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.frame import Status
+from idfslam.geometry.trajectory import Trajectory
 from idfslam.runs import result_folder
+from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.meter import Meter
 from idfslam.storage.json_file import read_json
+from idfslam.storage.plain_values import shown
 
 if TYPE_CHECKING:
     from idfslam.slam import Slam
 
 # Values of metrics.json that other commands show as numbers
-_NUMBERS = ("frames", "seconds", "frames_per_second", "keyframes", "lost_frames", "degenerate_frames", "submaps", "peak_memory_mb")
+_NUMBERS = (
+    "frames",
+    "seconds",
+    "frames_per_second",
+    "keyframes",
+    "lost_frames",
+    "degenerate_frames",
+    "doubtful_frames",
+    "submaps",
+    "peak_memory_mb",
+)
 
 
-def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, *, interrupted: bool) -> dict[str, Any]:
-    """The values of metrics.json: speed, memory, counts of frames and keyframes, and the pose errors where ground truth is known."""
+def run_metrics(slam: "Slam", recording: FrameSource, meter: Meter, frame_log: FrameLog, *, interrupted: bool) -> dict[str, Any]:
+    """The values of metrics.json: speed, memory, counts of frames and keyframes, and where ground truth is known the errors of the poses
+    and of their statuses.
+    """
     metrics = {"schema": result_folder.SCHEMA} | meter.summary(slam.timings) | {"interrupted": interrupted}
     errors, live_errors = pose_errors(slam, recording), pose_errors(slam, recording, live=True)
     summary = summarise(recording) if isinstance(recording, Selection) else None
     metrics |= {"input": summary.to_dict()} if summary else {}
     metrics |= keyframe_counts(slam) | ({} if errors is None else errors.to_dict())
-    return metrics if live_errors is None else metrics | {"live_ate_m": live_errors.ate.translation.rmse}
+    if live_errors is None:
+        return metrics
+    return metrics | {"live_ate_m": live_errors.ate.translation.rmse, "doubt": _doubt(slam, recording, frame_log, metrics).to_dict()}
+
+
+def _doubt(slam: "Slam", recording: FrameSource, frame_log: FrameLog, metrics: Mapping[str, Any]) -> DoubtRates:
+    """How well the statuses told which poses were wrong, for a recording with ground truth."""
+    live, truth = slam.live_trajectory(), recording.ground_truth
+    assert truth is not None
+    reported = frame_log.reported(Trajectory(recording.timestamps[: len(live)], live), corrected_frames(metrics))
+    return doubt_rates(reported, truth[: len(live)])
+
+
+def corrected_frames(metrics: Mapping[str, Any]) -> set[int]:
+    """The frames of a run at which a closed loop moved the camera. Raises ResultError if `loops` is not a list of pairs of frames."""
+    try:
+        return {max(int(i), int(j)) for i, j in metrics.get("loops") or ()}
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ResultError(
+            f"the loops in {result_folder.METRICS} are no pairs of frames ({shown(error)}); run again into this folder"
+        ) from error
 
 
 def keyframe_counts(slam: "Slam") -> dict[str, Any]:
-    """Counts of keyframes, of lost frames (interpolated ones included), of degenerate frames, and `Slam.figures`."""
-    count = Counter(slam.statuses())
+    """Counts of keyframes, of lost frames (interpolated ones included), of degenerate and doubtful frames, and `Slam.figures`."""
+    statuses = slam.statuses()
+    count = Counter(statuses)
     return {
         "keyframes": kept_keyframes(slam),
         "lost_frames": count[Status.LOST] + count[Status.INTERPOLATED],
         "interpolated_frames": count[Status.INTERPOLATED],
         "degenerate_frames": count[Status.DEGENERATE],
+        "doubtful_frames": count[Status.DOUBTFUL],
+        "doubtful_share": count[Status.DOUBTFUL] / max(len(statuses), 1),
     } | slam.figures()
 
 

@@ -25,7 +25,7 @@ class ProgressBar:
         self._lines = None if console is None or in_terminal else console
         self._next_line = monotonic()  # [s]
         self._total, self._done, self._first = total, 0, 0
-        self._keyframes = self._lost = 0
+        self._keyframes = self._lost = self._doubtful = 0
 
     def __enter__(self) -> "ProgressBar":
         self._progress.start()
@@ -34,9 +34,9 @@ class ProgressBar:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._progress.stop()
 
-    def resume(self, *, done: int, keyframes: int, lost: int) -> None:
+    def resume(self, *, done: int, keyframes: int, lost: int, doubtful: int) -> None:
         """Sets the counts of the frames done before the run was resumed."""
-        self._done, self._first, self._keyframes, self._lost = done, done, keyframes, lost
+        self._done, self._first, self._keyframes, self._lost, self._doubtful = done, done, keyframes, lost, doubtful
         self._progress.update(self._task, completed=done)
 
     def update(self, result: FrameResult, *, frames_per_second: float, keyframes: int | None) -> None:
@@ -44,6 +44,7 @@ class ProgressBar:
         self._done += 1
         self._keyframes = self._keyframes if keyframes is None else keyframes
         self._lost += result.status is Status.LOST
+        self._doubtful += result.status is Status.DOUBTFUL
         speed, counts = f"{frames_per_second:.2f} frames/s", self._counts()
         self._progress.update(self._task, advance=1, description="frames", speed=speed, counts=counts)
         if result.losses:
@@ -53,9 +54,9 @@ class ProgressBar:
             total = "" if self._total is None else f" of {self._total}"
             self._line(f"frames {self._done}{total}, {speed}{self._left(frames_per_second)}, {counts}")
 
-    def finish(self, *, keyframes: int, lost: int) -> None:
+    def finish(self, *, keyframes: int, lost: int, doubtful: int) -> None:
         """Sets the counts at the end of the run, when submaps have been merged and lost frames interpolated."""
-        self._keyframes, self._lost = keyframes, lost
+        self._keyframes, self._lost, self._doubtful = keyframes, lost, doubtful
         self._progress.update(self._task, counts=self._counts())
 
     def describe(self, stage: str) -> None:
@@ -64,7 +65,8 @@ class ProgressBar:
         self._line(stage)
 
     def _counts(self) -> str:
-        return f"keyframes {self._keyframes}" + (f", lost {self._lost}" if self._lost else "")
+        counts = {"keyframes": self._keyframes, "lost": self._lost, "doubtful": self._doubtful}
+        return ", ".join(f"{name} {count}" for name, count in counts.items() if count or name == "keyframes")
 
     def _left(self, frames_per_second: float) -> str:
         """The estimated time left, if it can be told."""

@@ -47,9 +47,12 @@ class ResultWriter:
         atomic_files.write_json(self._folder / result_folder.METRICS, metrics)
 
     def write_poses(self) -> None:
-        """The trajectory and its picture, the keyframes, and the config."""
+        """The trajectory, also as it was reported at the time, and its picture, the keyframes, and the config."""
+        trajectory, live = trajectory_of(self._slam, self._recording), self._slam.live_trajectory()
         with atomic_files.replacing(self._folder / result_folder.TRAJECTORY) as part:
-            save_tum(part, trajectory_of(self._slam, self._recording))
+            save_tum(part, trajectory)
+        with atomic_files.replacing(self._folder / result_folder.LIVE) as part:
+            save_tum(part, Trajectory(trajectory.timestamps[: len(live)], live), remark="each pose as it was reported at the time")
         keyframes = self._keyframes()
         result_folder.write_keyframes(self._folder, keyframes)
         result_folder.write_config(self._folder, self._config, self._source)

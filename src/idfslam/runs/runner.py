@@ -96,8 +96,9 @@ def run(
             except (DivergedError, RecordingError):
                 _write_poses(writer, state, place)
                 raise
-            metrics = run_metrics(state.slam, recording, state.meter, interrupted=stop.is_set()) | _camera_metrics(recording)
-            bar.finish(keyframes=metrics["keyframes"], lost=metrics["lost_frames"])
+            metrics = run_metrics(state.slam, recording, state.meter, state.frame_log, interrupted=stop.is_set())
+            metrics |= _camera_metrics(recording)
+            bar.finish(keyframes=metrics["keyframes"], lost=metrics["lost_frames"], doubtful=metrics["doubtful_frames"])
             bar.describe("writing the mesh and the map")
             mesh = state.slam.mesh(config.mesh.resolution)
             viewer.finish(state.slam, mesh)
@@ -206,7 +207,8 @@ def _restore(state: RunState, checkpoints: Checkpoints, recording: Dataset | Liv
 
     state.restore(stored, frame)
     counts = keyframe_counts(state.slam)
-    bar.resume(done=state.meter.frames, keyframes=counts["keyframes"], lost=counts["lost_frames"])
+    found = {"keyframes": counts["keyframes"], "lost": counts["lost_frames"], "doubtful": counts["doubtful_frames"]}
+    bar.resume(done=state.meter.frames, **found)
 
 
 def _finish(slam: Slam, recording: Dataset | LiveStream) -> None:
