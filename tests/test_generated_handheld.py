@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from idfslam.datasets import generated
 from idfslam.datasets.generated import handheld
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
+from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, developed, radiance
+from idfslam.datasets.generated.depth_camera import patches, projector_shadow, with_flying_pixels
+from idfslam.datasets.generated.exposure import AutomaticExposure
 from idfslam.datasets.generated.faults import FAULTS, Faults
 from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room
 from idfslam.datasets.generated.handheld_motion import ROUND, HandheldMotion
@@ -157,7 +161,7 @@ def test_the_twin_is_an_ideal_camera_with_the_noise_of_a_kinect() -> None:
     assert (twin.true_timing, twin.camera) == (SensorTiming(), twin.true_camera)
 
 
-@pytest.mark.parametrize("faults", ["", "shutter", "time", "calibration", "shutter=2+time=3"])
+@pytest.mark.parametrize("faults", ["", "shutter", "time", "calibration", "light+depth", "shutter=2+time=3"])
 def test_faults_leave_motion_and_scene_as_they_are(faults: str) -> None:
     np.testing.assert_array_equal(recording(faults).ground_truth, recording("ideal", frames=700).ground_truth[recording(faults).shots])
     np.testing.assert_array_equal(recording(faults).exact(40).depth, recording("ideal").exact(int(recording(faults).shots[40])).depth)
@@ -276,6 +280,128 @@ def test_depth_is_scaled_and_warped_by_hand() -> None:
     assert told[2, 2] == pytest.approx(2.25 * (1.01 + 0.006 * (4 / 9 - 0.5)), rel=1e-6)
     assert told[0, 1] == 0
     assert off.stated(Camera(320, 240, 300, 300, 160, 120)) == Camera(320, 240, 303, 306, 162, 119)
+
+
+# ----- light
+
+
+def test_blur_is_the_mean_of_the_light_of_its_moments() -> None:
+    camera, i = recording("light").colour_camera, fastest()
+    assert isinstance(camera, AutomaticColourCamera)
+    moments, exposure = camera.moments(i), camera.exposure(i)
+    assert len(moments) >= 3
+    assert moments.mean() == pytest.approx(i / 30)
+    assert np.diff(moments) == pytest.approx(exposure.time / len(moments))
+    light = np.mean([radiance(camera.scene.render(camera.camera, camera.motion.pose_at(t[None])).colour) for t in moments], axis=0)
+    expected = (1 - np.exp(-light * camera.vignette[..., None] * exposure.brightness)) ** (1 / camera.gamma)
+    np.testing.assert_allclose(camera.image(i), expected, atol=1e-5)
+    noise = np.abs(recording("light")[i].colour - noisy_colour(camera.image(i), i / 30, np.random.default_rng(0), 0.0))
+    assert noise.mean() == pytest.approx(0.012 * exposure.gain * np.sqrt(2 / np.pi), rel=0.1)
+    sharp = np.abs(np.diff(recording("ideal").exact(i).colour, axis=1)).mean()
+    assert np.abs(np.diff(camera.image(i), axis=1)).mean() < 0.9 * sharp
+
+
+def test_blur_goes_with_a_rolling_shutter() -> None:
+    """Each row of a blurred image of a rolling shutter is blurred about its own time."""
+    both = recording("shutter+light")
+    camera, i = both.colour_camera, fastest()
+    assert isinstance(camera, AutomaticColourCamera)
+    assert both.true_timing == recording("shutter").true_timing
+    still = camera.moments(i)[0]
+    np.testing.assert_array_equal(camera.poses(still), both.motion.pose_at(row_times(still, both.true_timing.readout or 0, 120)))
+
+
+def test_film_and_radiance_invert_each_other() -> None:
+    # The film of scenes: sqrt(1 - exp(-0.5)) = 0.6273
+    assert radiance(np.full((1, 1, 3), 0.6273, np.float32)) == pytest.approx(0.5, abs=1e-3)
+    light = np.linspace(0, 6, 30, dtype=np.float32).reshape(1, 10, 3)
+    np.testing.assert_allclose(radiance(developed(light, 2.0)), light, rtol=2e-3, atol=1e-6)
+    assert developed(np.ones((1, 1, 3), np.float32), 1.0) == pytest.approx(1 - np.exp(-1), abs=1e-6)
+
+
+def test_vignetting_darkens_the_corners() -> None:
+    camera = recording("light").colour_camera
+    assert isinstance(camera, AutomaticColourCamera)
+    assert camera.vignette[59:61, 79:81] == pytest.approx(1, abs=1e-3)
+    assert 0.25 <= 1 - camera.vignette[0, 0] <= 0.45
+    assert camera.vignette[0, 0] == pytest.approx(camera.vignette[-1, -1])
+
+
+def test_exposure_follows_the_view_with_a_lag() -> None:
+    """A view of the target's brightness, then from image 100 on one of a quarter of it."""
+    automatic = AutomaticExposure(lambda shot: 0.42 if shot < 100 else 0.105, 30.0, seed=0, strength=1)
+    before, during, after = (automatic.of(shot) for shot in (100, 106, 160))
+    assert before.brightness == pytest.approx(1)
+    assert 0.009 <= before.time <= 0.014
+    assert before.gain == 1
+    assert 1.2 < during.brightness < 3
+    assert after.brightness == pytest.approx(4)
+    assert after.time == 0.015  # longer in dark views; the gain does the rest
+    assert after.gain == pytest.approx(4 * before.time / 0.015)
+    bright = AutomaticExposure(lambda shot: 4.2, 30.0, seed=0, strength=1).of(0)
+    assert (bright.time, bright.gain) == (0.004, 1)
+    half = AutomaticExposure(lambda shot: 0.105, 30.0, seed=0, strength=0.5).of(0)
+    assert half.brightness == pytest.approx(2)
+    assert half.time == 0.0075
+
+
+def test_exposures_of_a_recording() -> None:
+    camera = recording("light").colour_camera
+    assert isinstance(camera, AutomaticColourCamera)
+    exposures = [camera.exposure(shot) for shot in range(0, 600, 20)]
+    times = np.array([exposure.time for exposure in exposures])
+    assert times.min() >= 0.004
+    assert times.max() <= 0.015
+    assert np.ptp(times) > 0.002
+    again = handheld_room(Faults(light=1), 0, **SIZE).colour_camera
+    assert isinstance(again, AutomaticColourCamera)
+    assert again.exposure(400) == camera.exposure(400)  # whatever was asked for before
+
+
+# ----- holes and flying pixels
+
+
+def test_shadow_of_the_projector_by_hand() -> None:
+    # 43.5 px m: a disparity of 43.5 px at 1 m and of 21.75 at 2 m: the shadow beside the nearer half is 21.75 px wide, less one
+    depth = np.full((2, 100), 2.0, np.float32)
+    depth[:, 60:] = 1.0
+    dark = projector_shadow(depth, 1.0)
+    assert np.flatnonzero(dark[0]).tolist() == list(range(40, 60))
+    assert np.flatnonzero(projector_shadow(depth, 0.5)[1]).tolist() == list(range(51, 60))
+    assert not projector_shadow(depth[:, ::-1], 1.0).any()  # on the other side none
+    assert not projector_shadow(depth, 0.0).any()
+
+
+def test_flying_pixels_lie_between_the_surfaces_of_an_edge() -> None:
+    depth = np.full((100, 40), 1.0, np.float32)
+    depth[:, 20:] = 2.0
+    mixed = with_flying_pixels(depth, 1.0, np.random.default_rng(0))
+    np.testing.assert_array_equal(mixed[:, :19], 1.0)
+    np.testing.assert_array_equal(mixed[:, 21:], 2.0)
+    flying = mixed[:, 19:21][mixed[:, 19:21] != depth[:, 19:21]]
+    assert 0.4 < flying.size / 200 < 0.6
+    assert flying.min() > 1
+    assert flying.max() < 2
+    assert flying.std() > 0.2
+
+
+def test_holes_are_larger_and_readings_fly() -> None:
+    faulty, twin = recording("depth"), recording("ideal")
+    more, flying = [], []
+    for i in range(0, 600, 60):
+        exact, told = faulty.exact_depth(i), faulty[i].depth
+        more.append((told == 0).mean() - (twin[i].depth == 0).mean())
+        near, far = cv2.erode(exact, np.ones((5, 5))), cv2.dilate(exact, np.ones((5, 5)))
+        flying.append(((told > near + 0.1) & (told < far - 0.1)).sum() / (far > near + 0.2).sum())
+        np.testing.assert_array_equal(faulty[i].colour, twin[i].colour)
+    assert 0.03 < np.mean(more) < 0.2
+    assert 0.03 < np.mean(flying) < 0.3
+
+
+def test_patches_are_evenly_spread_numbers() -> None:
+    drawn = patches((480, 640), 640, np.random.default_rng(0))
+    assert np.quantile(drawn, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.03)
+    assert np.abs(np.diff(drawn, axis=1)).mean() < 0.05
 
 
 # ----- drops

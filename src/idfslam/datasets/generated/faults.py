@@ -20,6 +20,8 @@ class Faults:
     shutter: float = 0.0  # rolling shutters of both cameras
     time: float = 0.0  # depth is taken at other times than colour, and its stamps lie
     calibration: float = 0.0  # camera and depth are not as stated
+    light: float = 0.0  # motion blur, automatic exposure and gain, vignetting, gamma
+    depth: float = 0.0  # larger holes, and readings in mid-air at edges
     drops: float = 0.0  # frames are missing
 
     @staticmethod

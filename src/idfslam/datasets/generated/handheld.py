@@ -9,12 +9,14 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
+from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, ColourCamera
+from idfslam.datasets.generated.depth_camera import DepthCamera, ImperfectDepthCamera
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld_motion import HandheldMotion, Walk
 from idfslam.datasets.generated.miscalibration import Miscalibration
 from idfslam.datasets.generated.rendered import FPS, pinhole
 from idfslam.datasets.generated.room import TOUR, tour_at
-from idfslam.datasets.generated.sensor_noise import noisy_colour, noisy_depth
+from idfslam.datasets.generated.sensor_noise import noisy_colour
 from idfslam.datasets.generated.shutter import drawn_readouts, row_times
 from idfslam.datasets.provenance import GENERATED, Provenance
 from idfslam.errors import ConfigError, FrameError
@@ -53,10 +55,14 @@ class HandheldRecording:
         self.true_timing = SensorTiming(*drawn_readouts(seed, faults.shutter), clock.delay)
         self.timing = SYNCHRONISED if self.true_timing == SYNCHRONISED and not faults.time else _UNKNOWN
         """What the frames state."""
-        self._readout, self._depth_readout = self.true_timing.readout or 0.0, self.true_timing.depth_readout or 0.0
         self.true_camera = pinhole(size)
         self.miscalibration = Miscalibration.drawn(seed, faults.calibration)
         self.camera = self.miscalibration.stated(self.true_camera)
+        readout, self._depth_readout = self.true_timing.readout or 0.0, self.true_timing.depth_readout or 0.0
+        optics = scene, self.true_camera, self.motion, readout
+        self.colour_camera = AutomaticColourCamera(*optics, seed, faults.light) if faults.light else ColourCamera(*optics)
+        body = scene, self.true_camera
+        self._depth_camera = ImperfectDepthCamera(*body, faults.depth) if faults.depth else DepthCamera(*body)
         self.ground_truth: Array = self.motion.pose_at(self.timestamps)
 
     def __len__(self) -> int:
@@ -66,22 +72,26 @@ class HandheldRecording:
         """Frame `index`, rendered at each call with the same result. Raises FrameError outside the recording."""
         if not 0 <= index < len(self):
             raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
-        rng = np.random.default_rng([self._seed, int(self.shots[index])])
-        depth, normals = self._scene.render_depth(self.true_camera, self.depth_poses(index))
-        depth = noisy_depth(self.miscalibration.depth(depth), normals, self.true_camera, rng)
-        colour = self._scene.render(self.true_camera, self.colour_poses(index)).colour
-        colour = noisy_colour(colour, self.timestamps[index], rng)
+        shot = int(self.shots[index])
+        noise, faults = np.random.default_rng([self._seed, shot]), np.random.default_rng([self._seed, 79, shot])
+        depth = self.miscalibration.depth(self._depth_camera.image(self.depth_poses(index), noise, faults))
+        colour = self.colour_camera.image(shot)
+        colour = noisy_colour(colour, self.timestamps[index], noise, self.colour_camera.grain(shot))
         stamps = float(self.timestamps[index]), float(self.depth_timestamps[index])
         return Frame(index, stamps[0], colour, depth, self.camera, stamps[1], self.timing)
 
     def colour_poses(self, index: int) -> Array:
         """True camera-to-world poses of the rows of a colour image, (H, 4, 4); (1, 4, 4) of a global shutter."""
-        return self.motion.pose_at(row_times(self.timestamps[index], self._readout, self.camera.height))
+        return self.colour_camera.poses(float(self.timestamps[index]))
 
     def depth_poses(self, index: int) -> Array:
         """True camera-to-world poses of the rows of a depth image, (H, 4, 4); (1, 4, 4) of a global shutter."""
         taken = self.depth_timestamps[index] + (self.true_timing.depth_delay or 0.0)
         return self.motion.pose_at(row_times(taken, self._depth_readout, self.camera.height))
+
+    def exact_depth(self, index: int) -> NDArray[np.float32]:
+        """(H, W) [m] what the depth camera scanned, row by row at its true times, without noise, holes and errors of calibration."""
+        return self._scene.render_depth(self.true_camera, self.depth_poses(index))[0]
 
     def velocity(self, index: int) -> Array:
         """(6,) [m/s, rad/s] the true shift and turn in the camera's frame at a colour image's middle row."""

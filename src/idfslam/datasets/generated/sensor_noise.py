@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from idfslam.geometry.camera import Camera
 
 NEAREST, FARTHEST = 0.4, 4.5  # [m] range of readings; widened, more of the scene has depth
-_BASELINE_FOCAL = 0.075 * 580  # [m px] raised, depth has finer steps (Nguyen et al.)
+BASELINE_FOCAL = 0.075 * 580  # [m px] raised, depth has finer steps (Nguyen et al.)
 _DISPARITY_STEP = 1 / 8  # [px] raised, depth has coarser steps (Nguyen et al.)
 _LATERAL = 0.5  # [px] standard deviation of the pixel that a reading is taken from; raised, edges are more ragged. Chosen by hand
 _EDGE = 0.05  # [1] relative depth step within 3 x 3 pixels that counts as an edge; raised, fewer readings are lost. Chosen by hand
@@ -23,6 +23,8 @@ _GRAZING = (
 )  # cosines of the angle to the normal: below
 #    the first all readings are lost, above the second none; raised, fewer slanted surfaces have depth. Chosen by hand
 
+GRAIN = 0.012  # [1] standard deviation of the grain of colour; raised, colour is noisier. Chosen by hand
+
 
 def axial_sigma(z: NDArray[np.floating]) -> NDArray[np.floating]:
     """Standard deviation [m] of a reading at depth z [m]."""
@@ -31,7 +33,7 @@ def axial_sigma(z: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def quantise(z: NDArray[np.floating]) -> NDArray[np.floating]:
     """Depth z > 0 [m] rounded to whole steps of disparity."""
-    return _BASELINE_FOCAL / (np.maximum(np.round(_BASELINE_FOCAL / z / _DISPARITY_STEP), 1) * _DISPARITY_STEP)
+    return BASELINE_FOCAL / (np.maximum(np.round(BASELINE_FOCAL / z / _DISPARITY_STEP), 1) * _DISPARITY_STEP)
 
 
 def noisy_depth(depth: NDArray[np.float32], normals: NDArray[np.float32], camera: Camera, rng: Generator) -> NDArray[np.float32]:
@@ -58,9 +60,12 @@ def _loss(depth: NDArray[np.float32], normals: NDArray[np.float32], camera: Came
     return np.maximum(grazing, np.where(step > _EDGE * depth, _EDGE_LOSS, 0.0))
 
 
-def noisy_colour(colour: NDArray[np.float32], timestamp: float, rng: Generator) -> NDArray[np.float32]:
-    """Colour (H, W, 3) with grain, slowly drifting exposure and white balance, in 256 steps; `timestamp` in seconds."""
+def noisy_colour(colour: NDArray[np.float32], timestamp: float, rng: Generator, grain: float = GRAIN) -> NDArray[np.float32]:
+    """Colour (H, W, 3) with grain of this standard deviation, slowly drifting exposure and white balance, in 256 steps.
+
+    `timestamp` is in seconds.
+    """
     exposure = 1 + 0.06 * np.sin(2 * np.pi * timestamp / 9.0)
     balance = 1 + 0.015 * np.sin(2 * np.pi * timestamp / 13.0) * np.array([1.0, 0.0, -1.0])
-    grainy = colour * (exposure * balance) + 0.012 * rng.standard_normal(colour.shape)
+    grainy = colour * (exposure * balance) + grain * rng.standard_normal(colour.shape)
     return (np.rint(np.clip(grainy, 0, 1) * 255) / 255).astype(np.float32)
