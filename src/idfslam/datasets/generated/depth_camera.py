@@ -62,7 +62,8 @@ class ImperfectDepthCamera(DepthCamera):
 def projector_shadow(depth: Image, scale: float) -> NDArray[np.bool_]:
     """(H, W) where the projector, beside the camera, does not reach a surface (H, W) [m] past a nearer one to its right.
 
-    The pixel at u with disparity d is dark if one at u' > u has a disparity above d + u' - u by more than a pixel. `scale` multiplies the disparities [px].
+    The pixel at u with disparity d is dark if one at u' > u has a disparity above d + u' - u by more than a pixel. `scale` multiplies the
+    disparities [px].
     """
     shift = scale * BASELINE_FOCAL / np.maximum(depth, 0.1) - np.arange(depth.shape[1])
     highest = np.maximum.accumulate(shift[:, ::-1], axis=1)[:, ::-1]
