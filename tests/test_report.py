@@ -88,6 +88,7 @@ def test_the_page_tells_the_figures(reported: Path) -> None:
     text = re.sub(r"\s+", " ", text)
     for figure in ("frames 14 ", "speed 10.0 frames/s", "ATE RMSE 0.00 cm", "lost frames 1 ", "keyframes 3 ", "memory 512 MiB"):
         assert figure in text
+    assert "Frame 4: no image confirmed a pose; the last motion was carried on" in text and "1 and 0 degenerate, 0 doubtful" in text
     assert "align 40.00 60 %" in text  # of 66.5 ms
     assert "table_log2" in text
     assert "torch" in text

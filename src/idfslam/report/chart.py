@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 INK, GRID = "#1d2733", "#d9dee4"  # colours in PNG files; the page replaces them by currentColor and --grid
-ESTIMATE, KEYFRAME, LOST, DEGENERATE = "#d1495b", "#e0a030", "#8b3fc4", "#3f8fd2"
+ESTIMATE, KEYFRAME, LOST, DOUBTFUL, DEGENERATE = "#d1495b", "#e0a030", "#8b3fc4", "#c2703d", "#3f8fd2"
 SERIES = ("#3f8fd2", "#d1495b", "#2f9e6e", "#e0a030", "#8b3fc4", "#5f6b7a", "#c2703d", "#00959e")
 WIDTH = 5.8  # [inch] of a chart; larger: smaller letters on a phone
 _STYLE: Any = {

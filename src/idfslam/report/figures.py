@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from idfslam.frame import Status
-from idfslam.report.chart import DEGENERATE, ESTIMATE, INK, KEYFRAME, LOST, SERIES, WIDTH, Chart, chart, key
+from idfslam.report.chart import DEGENERATE, DOUBTFUL, ESTIMATE, INK, KEYFRAME, LOST, SERIES, WIDTH, Chart, chart, key
 from idfslam.runs.frame_log import FrameLog
 
 Floats = NDArray[np.float64]
@@ -84,11 +84,11 @@ def error_chart(seconds: Floats, errors: Floats, rmse: float) -> Chart:
 
 
 def frames_chart(log: FrameLog) -> Chart:
-    """Milliseconds of each frame, and below it keyframes and frames with a doubtful pose."""
+    """Milliseconds of each frame, and below it keyframes and frames whose pose is not sure."""
     index = np.array([line.index for line in log.lines])
     ms = np.array([line.ms for line in log.lines])
     smooth = np.array([np.median(ms[max(0, i - 10) : i + 11]) for i in range(len(ms))])
-    kinds = ((Status.LOST, LOST), (Status.DEGENERATE, DEGENERATE))
+    kinds = ((Status.LOST, LOST), (Status.INTERPOLATED, LOST), (Status.DOUBTFUL, DOUBTFUL), (Status.DEGENERATE, DEGENERATE))
 
     def draw(figure: Figure) -> None:
         plot, strip = figure.subplots(2, 1, sharex=True, height_ratios=(6, 1.4))

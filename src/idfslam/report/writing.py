@@ -26,6 +26,7 @@ from idfslam.export.memory_need import finest_cells
 from idfslam.geometry.level import level
 from idfslam.report import figures
 from idfslam.report.chart import Chart
+from idfslam.report.passages import passages
 from idfslam.report.views import Room, comparisons
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
@@ -112,6 +113,7 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
         made=datetime.fromtimestamp((folder / result_folder.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
         cards=_cards(run, ate, metrics, mesh),
         interrupted=bool(metrics.get("interrupted")),
+        passages=[] if run.frames is None else passages(run.frames, run.trajectory.poses),
         sections=sections,
         stages=sorted(metrics.get("ms_per_frame", {}).items(), key=lambda item: -item[1]),
         missing=missing,
@@ -249,7 +251,8 @@ def _cards(run: FinishedRun, error: Error, metrics: dict[str, Any], mesh: trimes
         cards.append(("ATE RMSE", f"{s.rmse * 100:.2f}", f"cm, largest {s.max * 100:.2f} cm"))
         cards += _measured(run, error[1])
     if "lost_frames" in metrics:
-        cards.append(("lost frames", f"{metrics['lost_frames']}", f"and {metrics.get('degenerate_frames', 0)} degenerate"))
+        others = f"and {metrics.get('degenerate_frames', 0)} degenerate, {metrics.get('doubtful_frames', 0)} doubtful"
+        cards.append(("lost frames", f"{metrics['lost_frames']}", others))
     if metrics.get("submaps", 1) > 1:
         cards.append(("submaps apart", f"{metrics['submaps'] - 1}", "never met the first one, and are left out"))
     cards.append(("keyframes", f"{len(run.keyframes.indices)}", f"{run.keyframes.camera.width} x {run.keyframes.camera.height} px"))
