@@ -13,6 +13,7 @@ import pytest
 from helpers.box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_view
 from helpers.visible_files import visible_files
 from idfslam.errors import ConfigError, FrameError
+from idfslam.frame import FrameResult, Status
 from idfslam.geometry.trajectory import load_tum
 from idfslam.ros2.node import SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map
 from idfslam.runs import result_folder
@@ -66,7 +67,7 @@ def install(monkeypatch: pytest.MonkeyPatch, node: Node, spin: Any = None) -> di
         },
         "tf2_ros": {"TransformBroadcaster": lambda node: SimpleNamespace(sendTransform=seen["transforms"].append)},
         "sensor_msgs.msg": {"Image": Message, "CameraInfo": Message},
-        "geometry_msgs.msg": {"PoseStamped": Message, "TransformStamped": Message},
+        "geometry_msgs.msg": {"PoseStamped": Message, "PoseWithCovarianceStamped": Message, "TransformStamped": Message},
         "nav_msgs.msg": {"Path": Message},
         "std_msgs.msg": {"String": Message},
     }
@@ -77,6 +78,28 @@ def install(monkeypatch: pytest.MonkeyPatch, node: Node, spin: Any = None) -> di
         vars(module).update(content)
         monkeypatch.setitem(sys.modules, name, module)
     return seen
+
+
+def test_covariance_and_doubt_are_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """World axes x right, y down, z forward are -y, -z and x of the map."""
+    node = Node({"out": str(tmp_path / "out")})
+    install(monkeypatch, node)
+    slam_node = SlamNode(load_ros())
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0), frame_id="camera")
+    P = np.diag([1e-4, 4e-4, 4e-4, 0.01, 0.02, 0.03])
+    P[0, 2] = P[2, 0] = 1e-5
+    for status in (Status.DOUBTFUL, Status.OK, Status.LOST):
+        slam_node._publish(header, FrameResult(7, 1.0, np.eye(4), status, False, {}, P))
+    slam_node._publish(header, FrameResult(8, 1.0, np.eye(4), Status.OK, False, {}))
+    slam_node.close()
+    published = node.published["~/pose_with_covariance"]
+    assert len(published) == 2 and published[0].header.frame_id == "map"
+    Q = np.array(published[0].pose.covariance).reshape(6, 6)
+    np.testing.assert_allclose(np.diag(Q), [4e-4, 1e-4, 4e-4, 0.03, 0.01, 0.02])
+    assert Q[0, 1] == pytest.approx(-1e-5) and published[0].pose.pose.position.x == 0.0
+    told = [message.data for message in node.published["~/status"]]
+    assert told[0] == "doubtful, frame 7, dropped 0, may be off by 3.0 cm and 14.0 degrees"
+    assert told[1:] == ["ok, frame 7, dropped 0", "lost, frame 7, dropped 0", "ok, frame 8, dropped 0"]
 
 
 def image(pixels: np.ndarray, encoding: str, i: int = 0, *, padding: int = 0, bigendian: bool = False) -> SimpleNamespace:

@@ -1,4 +1,4 @@
-"""A ROS 2 node. It reads RGB-D topics, publishes the camera's pose (PoseStamped and TF), path and status, and writes a result folder.
+"""A ROS 2 node. It reads RGB-D topics, publishes the camera's pose (also with covariance, and TF), path and status, and writes results.
 
     python -m idfslam.ros2.node --ros-args -p colour_topic:=/camera/color/image_raw -p preset:=fast -p out:=results/robot
 
@@ -106,6 +106,7 @@ class SlamNode:
     def _advertise(self) -> None:
         ros, publisher = self._ros, self.node.create_publisher
         self._pose = publisher(ros.geometry_msgs.PoseStamped, "~/pose", _QUEUE)
+        self._uncertain = publisher(ros.geometry_msgs.PoseWithCovarianceStamped, "~/pose_with_covariance", _QUEUE)
         self._path = publisher(ros.nav_msgs.Path, "~/path", 1)
         self._status = publisher(ros.std_msgs.String, "~/status", _QUEUE)
         self._tf = ros.tf2_ros.TransformBroadcaster(self.node)
@@ -154,6 +155,10 @@ class SlamNode:
         position, quaternion = pose_in_map(result.T_wc)
         pose = self._pose_message(header, result.T_wc)
         self._pose.publish(pose)
+        if result.status.measured and result.covariance is not None:
+            uncertain = ros.geometry_msgs.PoseWithCovarianceStamped(header=pose.header)
+            uncertain.pose.pose, uncertain.pose.covariance = pose.pose, covariance_in_map(result.covariance)
+            self._uncertain.publish(uncertain)
         if p.publish_tf:
             transform = ros.geometry_msgs.TransformStamped()
             transform.header, transform.child_frame_id = pose.header, p.camera_frame or header.frame_id
@@ -164,7 +169,7 @@ class SlamNode:
             path = ros.nav_msgs.Path(header=pose.header)
             path.poses = [self._pose_message(header, k.T_wk) for k in self._state.slam.stored_keyframes() if k.submap == 0]
             self._path.publish(path)
-        self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}"))
+        self._status.publish(ros.std_msgs.String(data=f"{result.status.value}, frame {result.index}, dropped {self.dropped}{told(result)}"))
 
     def _pose_message(self, header: Any, T_wc: NDArray[np.float64]) -> Any:
         message = self._ros.geometry_msgs.PoseStamped()
@@ -251,6 +256,19 @@ def pose_in_map(T_wc: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
 
     T = T_MAP_WORLD @ T_wc
     return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+
+
+def covariance_in_map(covariance: NDArray[np.float64]) -> list[float]:
+    """The covariance (6, 6) of shift and turn along the world's axes along those of the map: 36 values by rows, as ROS has them."""
+    turned = np.kron(np.eye(2), T_MAP_WORLD[:3, :3])
+    return [float(value) for value in (turned @ covariance @ turned.T).ravel()]
+
+
+def told(result: Any) -> str:
+    """How far the pose of a doubtful frame may be off, if it is known."""
+    if result.status.value != "doubtful" or result.covariance is None:
+        return ""
+    return f", may be off by {result.sigma_position * 100:.1f} cm and {result.sigma_rotation:.1f} degrees"
 
 
 def fill(message: Any, names: str, values: NDArray[np.float64]) -> None:
