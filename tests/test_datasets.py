@@ -162,15 +162,16 @@ def test_frames_without_a_pose_are_nan(tmp_path: Path) -> None:
 # ----- TUM
 
 
-def test_tum_uses_colour_stamps_and_leaves_out_unpaired_images(tmp_path: Path) -> None:
+def test_tum_uses_colour_stamps_and_every_colour_image_is_a_frame(tmp_path: Path) -> None:
     path = write_tum(tmp_path / "room")
     lines = (path / "depth.txt").read_text().splitlines()
-    # header, 1: 100.000 s; 2: 100.033 s moved by 15 ms (kept); 3: 100.067 s moved by 25 ms (left out)
+    # header, 1: 100.000 s; 2: 100.033 s moved by 15 ms (kept); 3: 100.067 s moved by 25 ms (the nearest in time)
     lines[2] = lines[2].replace("100.033333 ", "100.048333 ")
     lines[3] = lines[3].replace("100.066667 ", "100.091667 ")
     (path / "depth.txt").write_text("\n".join(lines))
     recording = open_recording(path)
-    np.testing.assert_allclose(recording.timestamps, [100.0, 100.033333])
+    np.testing.assert_allclose(recording.timestamps, [100.0, 100.033333, 100.066667])
+    assert [recording[i].depth_timestamp for i in range(3)] == [100.0, 100.048333, 100.048333]  # 18 ms before, 25 ms after
 
 
 def test_tum_ground_truth_is_nearest_in_time(tmp_path: Path) -> None:

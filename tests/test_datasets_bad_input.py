@@ -77,9 +77,13 @@ DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
     ),
     "depth is colour": ("depth", lambda path: write_depth(path, colour_image(0)), "colour image, expected 16-bit depth.*swapped"),
     "colour is depth": ("rgb", lambda path: write_depth(path, depth_image(1000)), "16-bit grey image, expected colour.*swapped"),
+    "depth size": ("depth", lambda path: write_depth(path, depth_image(1000, (8, 5))), "colour 16x12 and depth 8x5, expected one size"),
+}
+
+
+WITHOUT_DEPTH: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "no depth": ("depth", lambda path: write_depth(path, np.zeros((HEIGHT, WIDTH), np.uint16)), "no depth .all zero"),
     "all invalid": ("depth", lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 65535, np.uint16)), "no depth"),
-    "depth size": ("depth", lambda path: write_depth(path, depth_image(1000, (8, 5))), "colour 16x12 and depth 8x5, expected one size"),
 }
 
 
@@ -90,7 +94,7 @@ def test_a_single_bad_frame_is_a_frame_error(name: str, frame: int, tmp_path: Pa
     path, (folder, damage, message) = write_folder(tmp_path / "room", frames=6, suffix="png"), DAMAGE[name]
     recording = open_recording(path)
     damage(path / folder / f"{frame:06d}.png")
-    if name != "depth missing":  # that is found at opening: next test
+    if name != "depth missing":  # then it is a frame without depth
         recording = open_recording(path)
     with pytest.raises(FrameError, match=message) as caught:
         recording[frame]
@@ -98,9 +102,18 @@ def test_a_single_bad_frame_is_a_frame_error(name: str, frame: int, tmp_path: Pa
     assert recording[1].index == 1 and recording[5].index == 5
 
 
-@pytest.mark.parametrize("name", DAMAGE)
+@pytest.mark.parametrize("name", WITHOUT_DEPTH)
+@pytest.mark.parametrize("frame", [0, 3])
+def test_a_frame_without_a_reading_is_a_frame_without_depth(name: str, frame: int, tmp_path: Path) -> None:
+    path, (folder, damage, _) = write_folder(tmp_path / "room", frames=6, suffix="png"), WITHOUT_DEPTH[name]
+    damage(path / folder / f"{frame:06d}.png")
+    shown = open_recording(path)[frame]
+    assert not shown.depth.any() and round(float(shown.colour[0, 0, 0]) * 255) == 10 + frame
+
+
+@pytest.mark.parametrize("name", [*DAMAGE, *WITHOUT_DEPTH])
 def test_the_same_in_every_frame_is_a_recording_error(name: str, tmp_path: Path) -> None:
-    path, (folder, damage, message) = write_folder(tmp_path / "room", suffix="png"), DAMAGE[name]
+    path, (folder, damage, message) = write_folder(tmp_path / "room", suffix="png"), (DAMAGE | WITHOUT_DEPTH)[name]
     for file in (path / folder).iterdir():
         damage(file)
     refuses(path, "3 colour images, but no depth images" if name == "depth missing" else message)
@@ -165,14 +178,12 @@ def test_empty_folders(tmp_path: Path) -> None:
     refuses(tmp_path, r"rgb\.txt: empty")
 
 
-@pytest.mark.parametrize("missing", ["rgb/000001.png", "depth/000001.png"])
-def test_an_image_without_a_partner_is_left_out_and_the_others_keep_time_and_pose(
-    missing: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_a_depth_image_without_a_partner_is_left_out_and_the_others_keep_time_and_pose(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_folder(tmp_path / "room", suffix="png")
-    (path / missing).unlink()
-    other = {"rgb/000001.png": "depth/000001.png", "depth/000001.png": "rgb/000001.png"}[missing]
-    truth = warns(path, f"room: 1 image is left out: {other} has no partner of the same number", caplog)
+    (path / "rgb/000001.png").unlink()
+    truth = warns(path, "room: 1 image is left out: depth/000001.png has no partner of the same number", caplog)
     recording = open_recording(path)
     assert len(recording) == 2 and recording.timestamps == pytest.approx([0, 2 / 30])
     assert round(float(recording[1].colour[0, 0, 0]) * 255) == 12  # red of image 2
@@ -185,11 +196,30 @@ def test_an_image_without_a_partner_is_left_out_and_the_others_keep_time_and_pos
     assert truth is not None and truth[:, 0, 3] == pytest.approx([0.0, 0.4])
 
 
+def test_a_colour_image_without_a_partner_is_a_frame_without_depth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody states stamps, so that no other depth image is known to be near in time."""
+    path = write_folder(tmp_path / "room", suffix="png")
+    (path / "depth/000001.png").unlink()
+    truth = warns(path, "room: 1 of 3 colour images have no depth image of their own; they take the nearest in time, or have no", caplog)
+    recording = open_recording(path)
+    assert recording.timestamps == pytest.approx([0, 1 / 30, 2 / 30])
+    assert [frame.depth.any() for frame in (recording[0], recording[1], recording[2])] == [True, False, True]
+    assert recording[1].depth_timestamp == recording[1].timestamp
+    assert truth is not None and truth[:, 0, 3] == pytest.approx([0.0, 0.2, 0.4])
+    for file in (path / "pose").iterdir():
+        file.unlink()
+    (path / "pose").rmdir()
+    for rows, expected in (((0, 1, 2), [0.0, 0.2, 0.4]), ((0, 2), [0.0, np.nan, 0.4])):  # of all frames; of those with depth
+        np.savetxt(path / "traj.txt", np.stack([pose(i).ravel() for i in rows]))
+        truth = open_recording(path).ground_truth
+        assert truth is not None and truth[:, 0, 3] == pytest.approx(expected, nan_ok=True)
+
+
 def test_many_images_without_a_partner_are_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_folder(tmp_path / "room", frames=40)
     for i in range(2, 40):
         (path / f"depth/{i:06d}.png").unlink()
-    warns(path, "room: 38 images are left out, the first because rgb/000002.jpg has no partner of the same number", caplog)
+    warns(path, "room: 38 of 40 colour images have no depth image of their own", caplog)
     (path / "depth/000000.png").unlink()
     (path / "depth/000001.png").rename(path / "depth/000099.png")
     refuses(path, r"40 colour and 1 depth images, none with a partner .the first is rgb/000000\.jpg.: expected pairs of equal numbers")

@@ -63,13 +63,14 @@ def test_large_images_are_reduced_with_their_camera(tmp_path: Path) -> None:
     check_colour(frame.colour, 1)
 
 
-def test_frames_without_a_partner_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_frame_without_a_depth_image_has_the_nearest(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_stray(tmp_path / "scan")
     (path / "depth/000001.png").unlink()
     recording = open_recording(path)
-    assert "3 frames of video and 2 depth images; the 2 with both are read" in caplog.text
-    check_colour(recording[1].colour, 2)
-    np.testing.assert_allclose(recording.ground_truth[1], pose(2), atol=1e-9)
+    assert "1 of 3 colour images have no depth image of their own" in caplog.text
+    check_colour(recording[1].colour, 1)
+    assert recording[1].depth_timestamp == recording[0].timestamp and recording[1].depth.any()
+    np.testing.assert_allclose(recording.ground_truth[1], pose(1), atol=1e-9)
 
 
 def edited(path: Path, old: str, new: str) -> None:

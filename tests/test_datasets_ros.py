@@ -162,13 +162,15 @@ def test_depth_of_the_other_order_of_bytes(tmp_path: Path) -> None:
 
 
 def test_pairs_go_by_the_stamps_of_the_headers(tmp_path: Path) -> None:
-    """Depth is stamped 5 ms later and arrives a whole frame late; one colour image has no depth and is left out."""
+    """Depth is stamped 5 ms later and arrives a whole frame late; one colour image has no depth of its own."""
     messages = [entry if entry[0] != DEPTH else (DEPTH, entry[1] + 1 / 30, entry[2]) for entry in recorded(4, late=0.005)]
     messages = [entry for entry in messages if not (entry[0] == DEPTH and abs(entry[1] - (100 + 3 / 30 + 0.025)) < 1e-6)]
     recording = open_recording(bag(tmp_path, messages, "mcap"))
-    np.testing.assert_allclose(recording.timestamps, 100 + np.array([0, 1, 3]) / 30, atol=1e-6)
-    for k, i in enumerate((0, 1, 3)):
-        check(recording[k], i)
+    np.testing.assert_allclose(recording.timestamps, 100 + np.arange(4) / 30, atol=1e-6)
+    lags = [recording[i].depth_lag for i in range(4)]
+    np.testing.assert_allclose(lags, [0.005, 0.005, 0.005 - 1 / 30, 0.005], atol=1e-6)  # the third has the depth of the second
+    for i in (0, 1, 3):
+        check(recording[i], i)
 
 
 def test_images_without_stamps_go_by_their_arrival(tmp_path: Path) -> None:

@@ -52,23 +52,25 @@ def test_a_depth_camera_beside_the_video(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "kept"), [("0008", [0, 2, 3]), ("0009", [0, 1, 3]), ("0010", [0, 1, 2])]
+    ("missing", "shown"), [("0008", [0, 0, 2, 3]), ("0009", [0, 1, 1, 3]), ("0010", [0, 1, 2, 2])]
 )  # the depth images are 7 to 10
-def test_a_video_frame_without_a_depth_image_is_left_out(
-    missing: str, kept: list[int], tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_a_video_frame_without_a_depth_image_has_the_nearest(
+    missing: str, shown: list[int], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_video_folder(tmp_path / "room")
     whole = open_recording(path)
     (path / f"depth/{missing}.png").unlink()
     recording = open_recording(path)
-    assert recording.timestamps.tolist() == whole.timestamps[kept].tolist()
-    assert "1 image is left out: 4 frames in rgb.mp4 and 3 images in depth/ (they are paired by number)" in caplog.text
+    assert recording.timestamps.tolist() == whole.timestamps.tolist()
+    assert [recording[i].depth_timestamp for i in range(4)] == whole.timestamps[shown].tolist()
+    assert "1 of 4 colour images have no depth image of their own" in caplog.text
 
 
 def test_depth_images_of_another_rate_than_the_video(tmp_path: Path) -> None:
     video, images = tmp_path / "rgb.mp4", [tmp_path / f"{i}.png" for i in range(60)]
     every_second = paired_by_number(video, 30, {float(i): images[i] for i in range(0, 30, 2)})  # numbered as the frames
-    assert every_second.places.tolist() == list(range(0, 30, 2)) and every_second.files[3] == (video, images[6])
+    assert np.flatnonzero(every_second.has_depth).tolist() == list(range(0, 30, 2)) and every_second.files[6] == (video, images[6])
+    assert every_second.numbers == list(range(30))
     one_more = paired_by_number(video, 30, {float(i): images[i] for i in range(1, 32)})
     assert one_more.places.tolist() == list(range(30)) and one_more.files[0] == (video, images[1])
     with pytest.raises(RecordingError, match=r"30 frames in rgb\.mp4 and 10 images in depth/, expected one depth image for each frame"):

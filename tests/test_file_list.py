@@ -84,8 +84,12 @@ def test_many_missing_files_are_one_warning_and_all_of_them_one_error(tmp_path: 
     files = sorted((path / "depth").iterdir())
     for file in files[2:]:
         file.unlink()
-    assert len(open_recording(path)) == 2
-    assert [f"48 images are left out, the first because line 4: {files[2]} does not exist" in text for text in caplog.messages] == [True]
+    recording = open_recording(path)
+    assert [recording[i].depth.any() for i in range(50)] == [True] * 3 + [False] * 47  # the third has the depth of the second
+    assert [f"48 images are left out, the first because line 4: {files[2]} does not exist" in text for text in caplog.messages] == [
+        True,
+        False,
+    ]
     for file in files[:2]:
         file.unlink()
     with pytest.raises(RecordingError, match=r"depth\.txt: line 2: .*100.000000.png does not exist"):

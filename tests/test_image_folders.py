@@ -103,9 +103,11 @@ def test_pairs_by_the_nearest_stamp(tmp_path: Path, caplog: pytest.LogCaptureFix
     check(path)
     assert not caplog.records
     (path / f"depth/{1.7e9 + 2 / 30 + 0.004:.6f}.png").unlink()
-    check(path, [(0, 0), (1, 1), (3, 3)])
-    np.testing.assert_allclose(open_recording(path).timestamps, 1.7e9 + np.array([0, 1, 3]) / 30, rtol=0, atol=1e-6)
-    assert "4 colour and 3 depth images; the 3 pairs within half a frame of each other are read" in caplog.text
+    check(path, [(0, 0), (1, 1), (2, 1), (3, 3)])  # 29 ms before and 37 ms after
+    recording = open_recording(path)
+    np.testing.assert_allclose(recording.timestamps, 1.7e9 + np.arange(4) / 30, rtol=0, atol=1e-6)
+    np.testing.assert_allclose([recording[i].depth_lag for i in range(4)], [0.004, 0.004, 0.004 - 1 / 30, 0.004], atol=2e-6)
+    assert "1 of 4 colour images have no depth image of their own" in caplog.text
 
 
 def test_the_names_of_rs_convert(tmp_path: Path) -> None:
@@ -140,8 +142,9 @@ def test_equal_numbers_win_over_order(tmp_path: Path, caplog: pytest.LogCaptureF
     path = write_folder(tmp_path / "room", frames=5)
     assert len(open_recording(path)) == 5
     (path / "rgb/000000.jpg").rename(path / "rgb/000009.jpg")
-    assert len(open_recording(path)) == 4
-    assert "2 images are left out, the first because depth/000000.png has no partner of the same number" in caplog.text
+    assert len(open_recording(path)) == 5
+    assert "1 image is left out: depth/000000.png has no partner of the same number" in caplog.text
+    assert "1 of 5 colour images have no depth image of their own" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ def test_a_recording_is_told_in_one_line(tmp_path: Path, caplog: pytest.LogCaptu
     pinhole = f"f {camera.fx:.1f} {camera.fy:.1f} c {camera.cx:.1f} {camera.cy:.1f}"
     assert line.startswith(f"camera {camera.width}x{camera.height} {pinhole} (")
     assert "(intrinsics.txt), depth 1/1000 m (assumed), median " in line
-    assert line.endswith(" m, 30.0 frames/s (assumed)")
+    assert line.endswith(" m, 30.0 frames/s (assumed), unknown shutter")
     (line,) = said(path, caplog, depth_scale=1000)
     assert ", depth 1/1000 m, median " in line
     caplog.clear()
@@ -194,7 +194,8 @@ def test_millimetres_in_the_layout_of_tum(tmp_path: Path, caplog: pytest.LogCapt
     for file in (path / "depth").iterdir():
         cv2.imwrite(str(file), np.full((12, 16), 1900, np.uint16))
     line, warning = said(path, caplog)
-    assert line == "camera 16x12 f 15.0 15.0 c 7.5 5.5 (intrinsics.txt), depth 1/5000 m (TUM layout), median 0.38 m, 30.0 frames/s (stamps)"
+    stamps = "30.0 frames/s (stamps), unknown shutter"
+    assert line == f"camera 16x12 f 15.0 15.0 c 7.5 5.5 (intrinsics.txt), depth 1/5000 m (TUM layout), median 0.38 m, {stamps}"
     assert warning == (
         "kitchen: the median depth of 0.38 m is implausibly small: the depth scale of 1/5000 m is probably wrong; "
         "give --camera.depth-scale 1000 (a median of 1.90 m)"
@@ -211,7 +212,7 @@ def test_stamps_in_another_unit_are_converted(unit: float, name: str, tmp_path: 
     line, *warnings = said(path, caplog)
     assert line == f"{path}: the stamps are taken for {name}, and converted to seconds"
     np.testing.assert_allclose(open_recording(path).timestamps, 100 + np.arange(5) / 30, atol=1e-3)
-    assert warnings[0].endswith("frames/s (stamps)") and len(warnings) == 1
+    assert warnings[0].endswith("frames/s (stamps), unknown shutter") and len(warnings) == 1
 
 
 def test_a_wrong_camera_is_doubted_when_the_recording_is_opened(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

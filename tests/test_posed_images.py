@@ -75,11 +75,15 @@ def test_float_depth_is_metres(tmp_path: Path) -> None:
     check(path)
 
 
-def test_frames_without_files_or_of_another_camera_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_which_frames_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = write_nerfstudio(tmp_path / "room", frames=5, change=lambda values: values["frames"][4].update(fl_x=30.0))
     (path / "depth/frame_00003.png").unlink()
+    recording = open_recording(path)
+    assert [recording[i].depth.any() for i in range(len(recording))] == [True, True, True, False]  # nobody states stamps
+    assert "1 of 4 colour images have no depth image of their own" in caplog.text
+    (path / "images/frame_00003.png").unlink()
     check(path)
-    assert "1 image is left out: depth/frame_00003.png is missing" in caplog.text
+    assert "1 image is left out: images/frame_00003.png is missing" in caplog.text
     assert "1 image is left out: frame_00004.png is of another camera" in caplog.text
 
 

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from idfslam.datasets import plausibility
 from idfslam.datasets.cameras import plausibility as camera_plausibility
 from idfslam.datasets.provenance import ASSUMED, GENERATED, Provenance, provenance
+from idfslam.datasets.recording import depth_timestamps, timing
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +43,7 @@ class InputSummary:
     sources: Provenance
     depths: NDArray[np.float32]  # (N,) [m] a sample; empty for generated recordings, whose depth is exact
     frames_per_second: float | None  # None: there is one frame only
+    timing: SensorTiming = SYNCHRONISED
     with_truth: tuple[int, int] | None = None  # how many frames have ground truth, and of how many; None: it is unknown
 
     @property
@@ -59,6 +62,8 @@ class InputSummary:
             parts.append(f"{self.frames_per_second:.1f} frames/s ({s.stamps})")
         if s.depth_delay:
             parts.append(f"depth {abs(1000 * s.depth_delay):.0f} ms {'after' if s.depth_delay > 0 else 'before'} colour")
+        if s.camera != GENERATED:
+            parts.append(shutter(self.timing))
         if s.camera != GENERATED and self.with_truth is not None and self.with_truth[0] < self.with_truth[1]:
             parts.append("ground truth for {} of {} frames".format(*self.with_truth))
         return ", ".join(parts)
@@ -72,6 +77,9 @@ class InputSummary:
             "median_depth_m": self.median_depth,
             "stamps_per_second": self.frames_per_second,
             "stamps_source": self.sources.stamps,
+            "readout_s": self.timing.readout,
+            "depth_readout_s": self.timing.depth_readout,
+            "depth_delay_s": self.timing.depth_delay,
         }
 
 
@@ -85,7 +93,19 @@ def summarise(recording: _Recording) -> InputSummary | None:
     depths = [] if sources.camera == GENERATED else list(_depths(recording))
     truth = recording.ground_truth
     with_truth = None if truth is None else (int(np.isfinite(truth).all((1, 2)).sum()), len(truth))
-    return InputSummary(recording.camera, sources, np.concatenate(depths) if depths else np.zeros(0, np.float32), rate, with_truth)
+    sample = np.concatenate(depths) if depths else np.zeros(0, np.float32)
+    return InputSummary(recording.camera, sources, sample, rate, timing(recording), with_truth)
+
+
+def shutter(times: SensorTiming) -> str:
+    """What is known about a sensor's times, in a few words."""
+    colour, depth = (
+        "unknown shutter" if readout is None else f"read-out of {1000 * readout:.0f} ms" if readout else "global shutter"
+        for readout in (times.readout, times.depth_readout)
+    )
+    text = colour if colour == depth else f"colour {colour}, depth {depth}"
+    delay = times.depth_delay or 0.0
+    return f"{text}, depth {abs(1000 * delay):.0f} ms {'after' if delay > 0 else 'before'} its stamps" if delay else text
 
 
 def doubts(summary: InputSummary, stamps: NDArray[np.float64]) -> Iterator[str]:
@@ -120,8 +140,11 @@ def brief(source: str) -> str:
 def _depths(recording: _Recording) -> Iterator[NDArray[np.float32]]:
     """Readings of a few frames; of those that can be read."""
     spread = getattr(recording, "random_access", True)
-    places = np.linspace(0, len(recording) - 1, _SAMPLES).astype(int) if spread else np.arange(min(_SAMPLES, len(recording)))
-    for i in np.unique(places).tolist():
+    stamps = depth_timestamps(recording)
+    with_depth = np.flatnonzero(np.isfinite(recording.timestamps if stamps is None else stamps))  # frames that have a depth image
+    count = len(with_depth)
+    chosen = np.linspace(0, count - 1, _SAMPLES).astype(int) if spread and count else np.arange(min(_SAMPLES, count))
+    for i in with_depth[np.unique(chosen)].tolist():
         try:
             depth = recording[i].depth[::_STEP, ::_STEP]
         except FrameError:

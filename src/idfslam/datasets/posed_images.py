@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.images.decoding import Depth, ImageFiles, readings
+from idfslam.datasets.images.decoding import Depth, FilePair, ImageFiles, readings
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.file_numbers import counting_numbers, name_stamps
 from idfslam.datasets.images.pairs import warn_left_out
+from idfslam.datasets.images.partners import of_frames, stamps_of, warn_without_own
 from idfslam.datasets.images.resampling import downscaled_colour, limited_size, upscaled_depth
 from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
@@ -31,7 +32,7 @@ class PosedFrame:
     """What is stated about one frame; NaN where nothing is."""
 
     colour: Path
-    depth: Path
+    depth: Path | None  # None: it has no depth image
     intrinsics: tuple[float, float, float, float]  # fx, fy, cx, cy [px], pixel centres at integer coordinates
     size: tuple[int, int] | None  # width, height [px] that the intrinsics are for; None: those of the colour image
     T_wc: NDArray[np.float64]  # (4, 4), x right, y down, z forward
@@ -48,8 +49,9 @@ def open_frames(
     depth_scale: float | None = None,
     distortion: tuple[float, ...] | None = None,
 ) -> Recording:
-    """Opens frames in the order of their stamps, else of the numbers in their names. Frames without a file are left out, with a warning.
+    """Opens frames in the order of their stamps, else of the numbers in their names.
 
+    Frames without a colour image are left out, with a warning. One without a depth image has the nearest in time, if that is near.
     source: the file that states them. depth_scale: units per metre; None: floating-point numbers are metres, integers millimetres.
     Raises RecordingError if no frame is left.
     """
@@ -59,10 +61,15 @@ def open_frames(
     of_this_camera = ~(np.abs(rows[:, :2] / camera[:2] - 1) > _OTHER_CAMERA).any(1)
     warn_left_out(source, [f"{frames[i].colour.name} is of another camera" for i in np.flatnonzero(~of_this_camera)])
     frames = [frame for frame, same in zip(frames, of_this_camera) if same]
-    files = [(frame.colour, frame.depth) for frame in frames]
-    images = PosedImages(ImageFiles(files), [frame.confidence for frame in frames])
-    recorded, size = images.sizes()
     stamps, stamps_source = _stamps(frames, source)
+    has_depth = np.array([frame.depth is not None for frame in frames])
+    warn_without_own(source, int(has_depth.sum()), len(frames))
+    partner = np.where(has_depth, np.arange(len(frames)), -1) if stamps_source == ASSUMED else of_frames(has_depth, stamps)
+    depths = [(frames[k].depth, frames[k].confidence) if k >= 0 else (None, None) for k in partner.tolist()]
+    files: list[FilePair] = [(frame.colour, depth) for frame, (depth, _) in zip(frames, depths)]
+    images = PosedImages(ImageFiles(files), [confidence for _, confidence in depths])
+    recorded, size = images.sizes()
+    images = replace(images, size=size)
     fx, fy, cx, cy = (float(value) if np.isfinite(value) else None for value in camera)
     calibration = Calibration(fx, fy, cx, cy, distortion=distortion, source=source)
     calibration = calibration.resized(frames[0].size or recorded, recorded)
@@ -71,6 +78,7 @@ def open_frames(
         path.name,
         images,
         timestamps=stamps,
+        depth_timestamps=None if has_depth.all() else stamps_of(stamps, partner),
         stamps_source=stamps_source,
         ground_truth=lambda: Truth(np.stack([frame.T_wc for frame in frames]), source),
         calibration=override.over(calibration).resized(recorded, size).over(scale or usual_scale(files)),
@@ -83,9 +91,13 @@ class PosedImages:
 
     files: ImageFiles
     confidence: Sequence[Path | None]
+    size: tuple[int, int] | None = None  # width, height [px] of what is returned; needed for frames without a depth image
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         bgr, raw = self.files(i)
+        if raw is None:
+            whole = self.size in (None, (bgr.shape[1], bgr.shape[0]))
+            return (bgr if whole or self.size is None else downscaled_colour(bgr, self.size)), None
         path = self.confidence[i]
         if path is not None:
             certain = ImageFiles([(path, path)]).colour(0)[..., 0] > 0
@@ -98,9 +110,9 @@ class PosedImages:
         return downscaled_colour(bgr, size), upscaled_depth(raw, size)
 
     def sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Width and height [px] of the first readable colour image, as it is recorded and as it is returned."""
+        """Width and height [px] of the first readable colour image with depth, as it is recorded and as it is returned."""
         error: FrameError | None = None
-        for i in range(min(len(self.files.pairs), 10)):
+        for i in [i for i, (_, depth) in enumerate(self.files.pairs) if depth is not None][:10]:
             try:
                 (height, width, _), (rows, columns, _) = self.files.colour(i).shape, self(i)[0].shape
             except FrameError as first:
@@ -128,10 +140,12 @@ def from_opengl(matrix: Any) -> NDArray[np.float64]:
 def _with_files(path: Path, frames: Sequence[PosedFrame], source: str) -> list[PosedFrame]:
     problems, complete = [], []
     for frame in frames:
-        missing = [file for file in (frame.colour, frame.depth) if not os.path.isfile(file)]
-        problems += [f"{file.relative_to(path) if file.is_relative_to(path) else file} is missing" for file in missing[:1]]
-        complete += [] if missing else [frame]
-    if not complete:
+        file = frame.colour
+        if os.path.isfile(file):
+            complete.append(frame if frame.depth is None or os.path.isfile(frame.depth) else replace(frame, depth=None))
+        else:
+            problems.append(f"{file.relative_to(path) if file.is_relative_to(path) else file} is missing")
+    if not any(frame.depth is not None for frame in complete):
         raise RecordingError(f"{source}: {problems[0] if problems else 'no frames with depth'}, expected colour and depth of each frame")
     warn_left_out(source, problems)
     return complete

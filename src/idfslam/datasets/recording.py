@@ -13,24 +13,28 @@ from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibra
 from idfslam.datasets.cameras.camera_files import CAM_PARAMS
 from idfslam.datasets.images.decoding import Depth, Undistortion, has_readings, metres, readings, rgb
 from idfslam.datasets.images.depth_registration import DepthRegistration
+from idfslam.datasets.images.pairs import noticeable_delay
 from idfslam.datasets.images.resampling import OneView
 from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.plausibility import common_scale
 from idfslam.datasets.poses.truth import ReadTruth, optional_truth
 from idfslam.datasets.provenance import ASSUMED, STATED, Provenance, provenance
-from idfslam.datasets.time_stamps import in_seconds, increasing
+from idfslam.datasets.time_stamps import in_seconds, increasing, units_per_second
 from idfslam.datasets.topics import Topics
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.frame import FPS, Frame
 from idfslam.frame_images import FARTHEST
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 
 if TYPE_CHECKING:
     import trimesh
 
-_PROBES = 5  # frames, spread over a recording, of which one must be readable; raised, recordings with more damage open. Chosen by hand
+_PROBES = 5, 50  # frames, spread over a recording, of which one must be readable and have depth: at first, and if none is. Raised,
+#    recordings with more damage, or with less depth, open. Chosen by hand
 
-ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth]]  # i -> colour (H, W, 3) BGR, depth (H, W)
+ReadImages = Callable[[int], tuple[NDArray[np.uint8], Depth | None]]
+"""i -> colour (H, W, 3) BGR, depth (H, W) or None: this frame has no depth image."""
 
 
 class FrameSource(Protocol):
@@ -64,6 +68,18 @@ def reading_threads(dataset: Dataset) -> int:
     return int(getattr(dataset, "reading_threads", 1))
 
 
+def depth_timestamps(dataset: FrameSource) -> NDArray[np.float64] | None:
+    """(N,) [s] the stamps of its depth images, NaN where a frame has none: its attribute `depth_timestamps`; None: those of colour."""
+    stamps: NDArray[np.float64] | None = getattr(dataset, "depth_timestamps", None)
+    return stamps
+
+
+def timing(dataset: FrameSource) -> SensorTiming:
+    """The times of its sensor: its attribute `timing`; without it, a global shutter with colour and depth of one moment."""
+    found: SensorTiming = getattr(dataset, "timing", SYNCHRONISED)
+    return found
+
+
 @dataclass(frozen=True)
 class Reader:
     """One layout of recordings: its name for --format, its files in words, and functions that recognise and open it.
@@ -82,7 +98,8 @@ class Reader:
 class Recording:
     """A recording whose images are read on request. One frame is read at once, to check that the recording can be used.
 
-    Raises RecordingError if the camera is unknown or does not fit the images, or if no frame can be read.
+    Every colour image is a frame. One without a depth image, or whose depth image has no reading, has no depth.
+    Raises RecordingError if the camera is unknown or does not fit the images, or if no frame can be read or has depth.
     """
 
     def __init__(
@@ -96,12 +113,17 @@ class Recording:
         depth_camera: DepthCameraCalibration | None = None,  # None: depth is registered to colour
         random_access: bool = True,  # False: reading frames out of order is slow, as in videos
         stamps_source: str = STATED,  # ASSUMED with regular_stamps; else "file names", "timestamps.txt" ...
-        depth_delay: float = 0.0,  # [s] see `noticeable_delay`
+        depth_timestamps: NDArray[np.float64] | None = None,  # (N,) [s], NaN: the frame has no depth image. None: those of colour
     ) -> None:
-        usable = increasing(in_seconds(timestamps, name), name)
+        seconds = in_seconds(timestamps, name)
+        usable = increasing(seconds, name)
         if usable is None:
             usable, stamps_source = regular_stamps(len(timestamps)), ASSUMED
         self.name, self.timestamps, self.random_access = name, usable, random_access
+        self.depth_timestamps = (
+            None if depth_timestamps is None else _beside(usable, seconds, depth_timestamps / units_per_second(timestamps))
+        )
+        self.timing = calibration.timing()
         self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
         self._probed = 0, 0.0  # the frame that was read, and its median depth in units of the images
         self._sizes = colour, depth = self._probe()  # width, height [px]
@@ -110,7 +132,8 @@ class Recording:
         if self._one_view is not None:
             self.camera = self.camera.resized(*self._one_view.size)
         notes = () if self._one_view is None else (str(self._one_view),)
-        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, depth_delay, notes)
+        delay = 0.0 if self.depth_timestamps is None else noticeable_delay(self.timestamps, self.depth_timestamps)
+        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, delay, notes)
         self._refuse_far_depth()
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         self._undistort = Undistortion(self.camera, lens) if any(lens) else None
@@ -124,9 +147,11 @@ class Recording:
         return len(self.timestamps)
 
     def __getitem__(self, i: int) -> Frame:
-        """Frame i, from -N to N-1; raises FrameError if its images are missing, damaged or without depth."""
+        """Frame i, from -N to N-1; raises FrameError if its images are missing or damaged."""
         i = range(len(self))[i]
-        bgr, raw = self._readable(i)
+        bgr, raw = self._read(i)
+        if raw is None:
+            raw = np.zeros(self._sizes[1][::-1], np.uint16)
         if self._registered and self._one_view is None and _size(bgr) != _size(raw):
             raise self._two_sizes(i, _size(bgr), _size(raw))
         for kind, found, expected in (("", _size(bgr), self._sizes[0]), ("'s depth", _size(raw), self._sizes[1])):
@@ -140,36 +165,45 @@ class Recording:
             raw = self._undistort.depth(raw) if self._registered else raw
         if self._register is not None:
             raw = self._register(raw)
-        return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera)
+        return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera, self._depth_timestamp(i), self.timing)
+
+    def _depth_timestamp(self, i: int) -> float | None:
+        """[s] of frame i's depth image; None: that of colour."""
+        if self.depth_timestamps is None or np.isnan(self.depth_timestamps[i]):
+            return None
+        return float(self.depth_timestamps[i])
 
     def surface(self) -> None:
         """None: files hold no surface."""
 
-    def _readable(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def _with_depth(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
-        if not has_readings(raw):
+        if raw is None or not has_readings(raw):
             raise FrameError(f"{self.name}: frame {i} has no depth (all zero or 65535), expected readings of a depth camera")
         return bgr, raw
 
     def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Width and height [px] of colour and of depth, from a readable one of a few frames; if possible from one with equal sizes."""
+        """Width and height [px] of colour and of depth, from one of a few frames with depth; if possible from one with equal sizes."""
         if not len(self):
             raise RecordingError(f"{self.name}: no frames")
         first_error: FrameError | None = None
         two_sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
-        for i in np.unique(np.linspace(0, len(self) - 1, _PROBES, dtype=int)):
-            try:
-                bgr, raw = self._readable(int(i))
-                colour, depth, self._probed = _size(bgr), _size(raw), (int(i), float(np.median(raw[readings(raw)])))
-                if not self._registered or colour == depth:
-                    return colour, depth
-                if not OneView.fits(colour, depth):
-                    raise self._two_sizes(int(i), colour, depth)
-                two_sizes = two_sizes or (colour, depth)
-            except FrameError as error:
-                first_error = first_error or error
-        if two_sizes is not None:
-            return two_sizes
+        stamps = self.timestamps if self.depth_timestamps is None else self.depth_timestamps
+        places = np.flatnonzero(np.isfinite(stamps))  # of the frames that have a depth image
+        for count in _PROBES:
+            for i in places[np.unique(np.linspace(0, len(places) - 1, count, dtype=int))].tolist():
+                try:
+                    bgr, raw = self._with_depth(i)
+                    colour, depth, self._probed = _size(bgr), _size(raw), (i, float(np.median(raw[readings(raw)])))
+                    if not self._registered or colour == depth:
+                        return colour, depth
+                    if not OneView.fits(colour, depth):
+                        raise self._two_sizes(i, colour, depth)
+                    two_sizes = two_sizes or (colour, depth)
+                except FrameError as error:
+                    first_error = first_error or error
+            if two_sizes is not None:
+                return two_sizes
         raise RecordingError(str(first_error)) from first_error
 
     def _refuse_far_depth(self) -> None:
@@ -185,6 +219,11 @@ class Recording:
         sizes = f"colour {colour[0]}x{colour[1]} and depth {depth[0]}x{depth[1]}"
         advice = f"register the depth to the colour camera, or describe the depth camera in {CAM_PARAMS} (docs: Recordings of your own)"
         return FrameError(f"{self.name}: frame {i} has {sizes}, expected one size: {advice}")
+
+
+def _beside(usable: NDArray[np.float64], stamps: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) [s] the stamps of depth. Where that of colour was replaced by a `usable` one, depth is taken to be of the same moment."""
+    return np.where(np.isnan(depth) | (usable == stamps), depth, usable)
 
 
 def _size(image: NDArray[Any]) -> tuple[int, int]:
@@ -212,6 +251,8 @@ class Selection:
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
         self.provenance, self.random_access = provenance(dataset), bool(getattr(dataset, "random_access", True))
         self.timestamps = dataset.timestamps[self._indices]
+        stamps, self.timing = depth_timestamps(dataset), timing(dataset)
+        self.depth_timestamps = None if stamps is None else stamps[self._indices]
         poses = dataset.ground_truth if truth else None
         self.ground_truth = None if poses is None else poses[self._indices]
 

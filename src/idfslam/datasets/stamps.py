@@ -8,6 +8,8 @@ from idfslam.errors import RecordingError
 from idfslam.storage.text_file import read_text
 
 STAMPS = "timestamps.txt"
+HEADER = "# number timestamp depth_timestamp"
+"""A first line by which a third column holds the stamps of depth [s]; without it, what follows in a line may be anything."""
 
 
 def read_stamps(path: Path, *series: list[float]) -> dict[float, float] | None:
@@ -34,6 +36,13 @@ def read_stamps(path: Path, *series: list[float]) -> dict[float, float] | None:
     if without := [line for line, row in rows if row[0] != row[0]]:
         raise RecordingError(f"{path}: line {without[0]} begins with no number, expected the number of a frame and its stamp in seconds")
     return dict(sorted((row[0], row[1] if len(row) > 1 else float("nan")) for _, row in rows))
+
+
+def read_depth_stamps(path: Path) -> dict[float, float]:
+    """The stamps of the depth images by frame number, if the file's first line is HEADER; else, and without the file, none."""
+    if not path.is_file() or read_text(path).split("\n", 1)[0].split() != HEADER.split():
+        return {}
+    return {_counted(words[0]): number(words[2]) for _, words in listed_lines(path) if len(words) > 2}
 
 
 def _counted(word: str) -> float:

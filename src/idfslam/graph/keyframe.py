@@ -48,6 +48,7 @@ class Keyframe:
         self.T_wk = T_wk
         self.index, self.timestamp = frame.index, frame.timestamp
         self.camera: Camera = frame.camera
+        self._times = frame.depth_timestamp, frame.timing
         self.host = 0  # number of this keyframe if it is stored; else of the stored keyframe that its pose is relative to
         self.submap = 0  # number of the first stored keyframe of its submap
         self.covisible: set[int] = set()  # stored keyframes that are covisible at the present poses (Eq. 5)
@@ -70,7 +71,7 @@ class Keyframe:
             colour, depth = self._archive.read(self._images_at)
             if colour.dtype == torch.uint8:
                 colour = torch.from_numpy(np.multiply(colour.numpy(), _EIGHT_BITS, dtype=np.float32))
-            frame = Frame(self.index, self.timestamp, colour.numpy(), depth.numpy(), self.camera)
+            frame = Frame(self.index, self.timestamp, colour.numpy(), depth.numpy(), self.camera, *self._times)
             self._images = Images(frame, depth.to(self._device), colour.to(self._device))
         images = self._images
         if self._archive is not None:

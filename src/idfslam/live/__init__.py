@@ -97,9 +97,9 @@ def _speed(name: str) -> float:
 def _realsense(which: str, calibration: Calibration) -> DepthCamera:
     from idfslam.live.realsense import RealSense
 
-    if calibration != Calibration():
+    if calibration != Calibration().with_times(calibration.timing()):
         raise ConfigError("realsense: the device tells its own camera and depth scale, expected no override: leave the camera's values out")
-    return RealSense(which)
+    return RealSense(which, calibration)
 
 
 def _opencv(which: str, calibration: Calibration) -> DepthCamera:

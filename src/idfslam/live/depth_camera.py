@@ -13,15 +13,18 @@ from idfslam.geometry.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A colour and a depth image of one moment, not yet converted: the conversion is costly and done only for images that are used."""
+    """A colour image and its depth image, not yet converted: the conversion is costly and done only for images that are used."""
 
-    timestamp: float  # [s] by the camera's own clock
+    timestamp: float  # [s] of colour, by the camera's own clock
     retrieve: Callable[[int], Frame]  # frame index -> frame; raises FrameError if the images cannot be used
     T_gt: NDArray[np.float64] | None = None  # (4, 4) true camera-to-world pose; only a replayed recording has it
 
 
 class DepthCamera(Protocol):
-    """An opened camera. `grab` and `close` are called by one thread, `Capture.retrieve` by another."""
+    """An opened camera. `grab` and `close` are called by one thread, `Capture.retrieve` by another.
+
+    An attribute `timing`, a SensorTiming, says what is known about the sensor's times, as its frames do.
+    """
 
     @property
     def name(self) -> str: ...

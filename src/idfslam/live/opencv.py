@@ -61,6 +61,7 @@ class OpenCvCamera:
         height, width = self._checked(*images)[1].shape
         self.camera = calibration.camera(width, height, name)
         self._scale = calibration.over(Calibration(depth_scale=MILLIMETRES)).scale(name)
+        self.timing = calibration.timing()
 
     def grab(self) -> Capture | None:
         images = self._read()
@@ -84,7 +85,7 @@ class OpenCvCamera:
         return np.asarray(bgr, np.uint8), np.asarray(depth, np.uint16)
 
     def _retrieve(self, bgr: NDArray[np.uint8], raw: NDArray[np.uint16], stamp: float, index: int) -> Frame:
-        return Frame(index, stamp, rgb(bgr), metres(raw, self._scale), self.camera)
+        return Frame(index, stamp, rgb(bgr), metres(raw, self._scale), self.camera, timing=self.timing)
 
 
 def open_pair(colour: str, depth: str, calibration: Calibration) -> OpenCvCamera:

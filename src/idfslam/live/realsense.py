@@ -8,20 +8,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.images.decoding import Undistortion, metres, rgb
 from idfslam.errors import CameraError, ConfigError, pip_install
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import LONGEST, SensorTiming
 from idfslam.live.depth_camera import Capture
 
 WIDTH, HEIGHT, RATE = 640, 480, 30  # [px], [Hz] every model has this mode for colour and depth
+# Read-out times [s] that are published: these models have pixels with a global shutter (Intel RealSense D400 series, product table)
+GLOBAL_SHUTTERS = {"D435": SensorTiming(None, 0.0, None), "D455": SensorTiming(0.0, 0.0, None)}
 TIMEOUT = 4000  # [ms] of waiting for images; raised, a disconnected camera is noticed later. Chosen by hand
 
 
 class RealSense:
-    """A camera by its serial number, any connected one, or a recorded file. Raises CameraError if there is none."""
+    """A camera by its serial number, any connected one, or a recorded file. Raises CameraError if there is none.
 
-    def __init__(self, which: str = "") -> None:
+    times: what the user states about the sensor's times; else what is published about the model counts.
+    """
+
+    def __init__(self, which: str = "", times: Calibration | None = None) -> None:
         self._rs = rs = _pyrealsense2()
         self._file = Path(which).suffix in (".db3", ".bag")
         self.name = Path(which).stem if self._file else f"realsense-{which}" if which else "realsense"
@@ -43,6 +50,7 @@ class RealSense:
             wanted = f"colour and depth of {WIDTH}x{HEIGHT} at {RATE} Hz, on USB 3"
             raise CameraError(f"{self.name}: {error}{'' if self._file else f'; expected {wanted}'}") from error
         self.camera = Camera(intrinsics.width, intrinsics.height, intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy)
+        self.timing = (times or Calibration()).over(_published(self._device, rs)).timing()
         self._undistort = self._undistortion(intrinsics)
         self._align = rs.align(rs.stream.color)
 
@@ -68,7 +76,10 @@ class RealSense:
             bgr = bgr[..., ::-1]
         if self._undistort is not None:
             bgr, raw = self._undistort.colour(bgr), np.asarray(self._undistort.depth(raw), np.uint16)
-        return Frame(index, colour.get_timestamp() / 1000, rgb(np.ascontiguousarray(bgr)), metres(raw, self._scale), self.camera)
+        stamp, depth_stamp = colour.get_timestamp() / 1000, images.get_depth_frame().get_timestamp() / 1000
+        one_clock = abs(depth_stamp - stamp) < LONGEST
+        views = rgb(np.ascontiguousarray(bgr)), metres(raw, self._scale)
+        return Frame(index, stamp, *views, self.camera, depth_stamp if one_clock else None, self.timing)
 
     def _undistortion(self, intrinsics: Any) -> Undistortion | None:
         """Undistortion if the camera has distortion.
@@ -93,6 +104,13 @@ class RealSense:
         if not serial_numbers or (which and which not in serial_numbers):
             wanted = f"the one with serial number {which}" if which else "one that is plugged in"
             raise CameraError(f"RealSense: found {', '.join(serial_numbers) or 'no camera'}, expected {wanted}")
+
+
+def _published(device: Any, rs: ModuleType) -> Calibration:
+    """The times that are published about a device's model."""
+    name = str(device.get_info(rs.camera_info.name)) if device.supports(rs.camera_info.name) else ""
+    times = next((times for model, times in GLOBAL_SHUTTERS.items() if model in name), None)
+    return Calibration() if times is None else Calibration().with_times(times)
 
 
 def _pyrealsense2() -> ModuleType:

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.compute.interrupt import stop_on_interrupt
+from idfslam.datasets.cameras.calibration import TIMES
+from idfslam.datasets.cameras.camera_files import CAM_PARAMS
 from idfslam.datasets.images.decoding import SATURATED
 from idfslam.datasets.readers.folder import COLOUR_FOLDERS
-from idfslam.datasets.stamps import STAMPS
+from idfslam.datasets.stamps import HEADER, STAMPS
 from idfslam.errors import ResultError
 from idfslam.frame import Frame
 from idfslam.live import LiveStream
@@ -72,14 +74,17 @@ def record(
 
 
 def _prepare(folder: Path, stream: LiveStream) -> None:
-    """Makes the folders and writes the camera's file."""
-    if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS, _INTRINSICS) if (folder / name).exists()]:
+    """Makes the folders and writes the camera's files: intrinsics.txt, and cam_params.json if something is known about its times."""
+    if found := [name for name in (*COLOUR_FOLDERS, _DEPTH, STAMPS, _INTRINSICS, CAM_PARAMS) if (folder / name).exists()]:
         raise ResultError(f"{folder}: holds a recording already ({found[0]}); choose another folder with --out")
     atomic_files.prepare(folder)
     for name in (_COLOUR, _DEPTH):
         (folder / name).mkdir()
     with atomic_files.replacing(folder / _INTRINSICS) as part:
         np.savetxt(part, stream.camera.matrix().numpy(), fmt="%.10g")
+    known = {name: value for name in TIMES if (value := getattr(stream.timing, name)) is not None}
+    if known:
+        atomic_files.write_json(folder / CAM_PARAMS, {"camera": known})
 
 
 class FrameWriter:
@@ -125,16 +130,21 @@ class FrameWriter:
         try:
             _write(self._folder / _COLOUR / f"{name}{self._suffix}", bgr(frame))
             _write(self._folder / _DEPTH / f"{name}.png", millimetres(frame))
-            line = f"{name} {frame.timestamp:.6f}\n".encode()
             with self._lock:
                 if self._full:
                     return
-                if self._stamps.write(line) != len(line):
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                if not self.stored:
+                    self._write_line(HEADER)
+                self._write_line(f"{name} {frame.timestamp:.6f} {frame.timestamp + frame.depth_lag:.6f}")
                 self.stored += 1
         except OSError:
             self._full = True  # no line may follow an incomplete one
             raise
+
+    def _write_line(self, text: str) -> None:
+        line = f"{text}\n".encode()
+        if self._stamps.write(line) != len(line):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _write(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

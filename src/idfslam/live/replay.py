@@ -5,6 +5,7 @@ from functools import partial
 from time import perf_counter, sleep
 
 from idfslam.datasets import Dataset
+from idfslam.datasets.recording import timing
 from idfslam.frame import Frame
 from idfslam.live.depth_camera import Capture
 
@@ -13,7 +14,7 @@ class Replay:
     """Frame i comes (stamp i - stamp 0) / `speed` seconds after the first and keeps its stamp and true pose."""
 
     def __init__(self, recording: Dataset, *, speed: float = 1.0) -> None:
-        self.name, self.camera = recording.name, recording.camera
+        self.name, self.camera, self.timing = recording.name, recording.camera, timing(recording)
         self._recording, self._speed = recording, speed
         self._next, self._start = 0, 0.0
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import CameraError, FrameError
 from idfslam.frame import Frame
+from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.live.depth_camera import Capture, DepthCamera
 
 log = logging.getLogger(__name__)
@@ -27,7 +28,7 @@ class LiveStream:
     """
 
     def __init__(self, device: DepthCamera, *, frames: int | None = None, timeout: float = TIMEOUT) -> None:
-        self.name, self.camera = device.name, device.camera
+        self.name, self.camera, self.timing = device.name, device.camera, timing_of(device)
         self.dropped = 0
         self.failure: CameraError | None = None
         self._device, self._frames, self._timeout = device, frames, timeout
@@ -105,6 +106,12 @@ class LiveStream:
             else:
                 self._end.set_exception(error)
             self._changed.notify()
+
+
+def timing_of(device: DepthCamera) -> SensorTiming:
+    """What a camera says about its sensor's times: its attribute `timing`; without it nothing is known."""
+    found: SensorTiming = getattr(device, "timing", SensorTiming(None, None, None))
+    return found
 
 
 def _retrieve(capture: Capture, index: int) -> Frame | FrameError:

@@ -11,6 +11,7 @@ be registered to the colour images.
 """
 
 import logging
+import math
 import sys
 import threading
 from collections.abc import Sequence
@@ -45,6 +46,9 @@ class Parameters:
     info_topic: str = "/camera/color/camera_info"
     slop: float = 0.02  # [s] the largest difference between the time stamps of a pair
     depth_scale: float = 1000.0  # units per metre of 16-bit depth; 32FC1 is in metres
+    readout: float = math.nan  # [s] read-out time of colour, 0: global shutter; NaN: unknown
+    depth_readout: float = math.nan  # [s] the same of depth
+    depth_delay: float = math.nan  # [s] by which depth is taken later than its stamps say; NaN: unknown
     preset: str = "fast"
     config: str = ""  # a YAML file whose values override the preset's
     out: str = ""  # the result folder; empty: results/ros2, with a number if that is taken
@@ -95,6 +99,7 @@ class SlamNode:
         limit_torch_threads(config.field.encoding)
         self._state = RunState(Slam(config))
         self._state.slam.archive_in(self._folder.partial)
+        self._timing = timing_of(p)
         self._received, self.dropped = ReceivedFrames(), 0
         self._newest: tuple[Any, Any, Any] | None = None
         self._arrived, self._closing = threading.Condition(), False
@@ -145,7 +150,7 @@ class SlamNode:
                 return
 
     def _process(self, colour: Any, depth: Any, info: Any) -> None:
-        frame = frame_of(len(self._received.stamps), colour, depth, info, self.parameters.depth_scale)
+        frame = frame_of(len(self._received.stamps), colour, depth, info, self.parameters.depth_scale, self._timing)
         result = self._state.process(frame)
         self._received.add(frame)
         self._publish(colour.header, result)
@@ -207,11 +212,23 @@ class SlamNode:
         self._folder.swap()
 
 
-def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float) -> Any:
-    """An undistorted Frame of sensor_msgs/Image (colour and depth) and CameraInfo. Raises FrameError if they do not fit together."""
+def timing_of(parameters: Parameters) -> Any:
+    """The SensorTiming that the parameters state. Raises ConfigError for values that are no sensor's."""
+    from idfslam.geometry.sensor_timing import SensorTiming
+
+    stated = (parameters.readout, parameters.depth_readout, parameters.depth_delay)
+    return SensorTiming(*(None if math.isnan(value) else value for value in stated))
+
+
+def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float, timing: Any = None) -> Any:
+    """An undistorted Frame of sensor_msgs/Image (colour and depth, each with its stamp) and CameraInfo.
+
+    timing: the sensor's SensorTiming; None: unknown. Raises FrameError if the messages do not fit together.
+    """
     from idfslam.datasets.images.decoding import Undistortion, metres, rgb
     from idfslam.frame import Frame
     from idfslam.geometry.camera import Camera
+    from idfslam.geometry.sensor_timing import SensorTiming
 
     bgr, raw = colour_of(colour), depth_of(depth, depth_scale)
     camera = Camera(info.width, info.height, info.k[0], info.k[4], info.k[2], info.k[5])
@@ -222,8 +239,9 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float)
     if any(info.d):
         undistort = Undistortion(camera, tuple(info.d))
         bgr, undistorted = undistort.colour(bgr), undistort.depth(raw)
-    stamp = colour.header.stamp
-    return Frame(index, stamp.sec + stamp.nanosec * 1e-9, rgb(bgr), metres(undistorted, depth_scale), camera)
+    stamp, depth_stamp = (message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in (colour, depth))
+    times = SensorTiming(None, None, None) if timing is None else timing
+    return Frame(index, stamp, rgb(bgr), metres(undistorted, depth_scale), camera, depth_stamp, times)
 
 
 def colour_of(message: Any) -> NDArray[np.uint8]:

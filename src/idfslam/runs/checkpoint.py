@@ -20,6 +20,7 @@ from torch import Tensor
 from idfslam import __version__
 from idfslam.config import Config, dump
 from idfslam.datasets import Dataset
+from idfslam.datasets.recording import depth_timestamps, timing
 from idfslam.errors import ResultError
 from idfslam.runs import result_folder
 from idfslam.storage import atomic_files, safetensors_file
@@ -33,13 +34,15 @@ log = logging.getLogger(__name__)
 
 def fingerprint(config: Config, recording: Dataset, device: torch.device) -> dict[str, Any]:
     """The values that must be equal in a run and in the checkpoint that it resumes from; the keys are their names in messages."""
-    stamps = zlib.crc32(recording.timestamps.tobytes())
+    depth_stamps = depth_timestamps(recording)
+    stamps = zlib.crc32(b"" if depth_stamps is None else depth_stamps.tobytes(), zlib.crc32(recording.timestamps.tobytes()))
     return {
         "version of idf-slam": __version__,
         "device": device.type,
         "number of frames": len(recording),
         "time stamps' checksum": stamps,
         "camera": str(recording.camera),
+        "sensor's times": str(timing(recording)),
         **_flat(dump(config)),
     }
 

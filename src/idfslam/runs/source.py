@@ -35,12 +35,13 @@ def open_feed(source: Source) -> Dataset | LiveStream:
 def read_frames(recording: Dataset | LiveStream, source: Source | None = None, *, first: int = 0) -> Iterator[tuple[Frame, bool]]:
     """Each frame from index `first` on, read ahead, and whether it could be read. A blank frame replaces an unreadable one.
 
-    The first unreadable frames are warnings of their own, the others are counted in one at the end. Raises RecordingError if an unreadable
-    frame is due to the recording's files being gone, which shows when `source` is an absolute path.
+    The first unreadable frames are warnings of their own, the others are counted in one at the end, and so are frames without depth.
+    Raises RecordingError if an unreadable frame is due to the recording's files being gone, which shows when `source` is an absolute path.
     """
-    unreadable = 0
+    unreadable, without_depth = 0, 0
     for i, frame in recording if isinstance(recording, LiveStream) else Prefetch(recording, first=first):
         if isinstance(frame, Frame):
+            without_depth += not frame.depth.any()
             yield frame, True
         elif source is not None and Path(source.path).is_absolute() and not Path(source.path).exists():
             raise RecordingError(f"{source.path}: is gone since frame {i}; bring it back, then continue with `idf-slam run --resume`")
@@ -50,5 +51,7 @@ def read_frames(recording: Dataset | LiveStream, source: Source | None = None, *
                 rest = "" if unreadable < _NAMED else "; further ones are counted at the end"
                 log.warning("%s; the frame is treated as lost%s", frame, rest)
             yield Frame.blank(i, float(recording.timestamps[i]), recording.camera), False
+    if without_depth:
+        log.warning("%s: %d frames have no depth; frames.csv says how the pose of each was found", recording.name, without_depth)
     if unreadable > _NAMED:
         log.warning("%s: %d frames could not be read and are treated as lost", recording.name, unreadable)

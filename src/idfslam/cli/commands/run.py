@@ -50,6 +50,13 @@ class CameraFlags:
     """Principal point along y [px]."""
     depth_scale: float | None = None
     """Units of the depth images per metre; 1000 for millimetres."""
+    readout: float | None = None
+    """Read-out time of the colour images, from their first row to their last [s]; 0 for a global shutter. Default: the recording's,
+    else unknown."""
+    depth_readout: float | None = None
+    """The same of the depth images [s]."""
+    depth_delay: float | None = None
+    """Time by which depth is taken later than its time stamps say [s]; negative: earlier."""
 
     def given(self) -> dict[str, float]:
         """Those that are given."""

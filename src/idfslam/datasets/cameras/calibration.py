@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from idfslam.datasets.cameras.plausibility import flags, in_fractions, meant_for
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SensorTiming
 
+TIMES = ("readout", "depth_readout", "depth_delay")
+"""The names of a sensor's times, in Calibration, SensorTiming, files and flags."""
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
 
 
@@ -26,6 +29,9 @@ class Calibration:
     height: int | None = None
     distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
+    readout: float | None = None  # [s] see `SensorTiming`
+    depth_readout: float | None = None  # [s]
+    depth_delay: float | None = None  # [s]
     source: str = "the command line"
     assumed: str = ""  # where a depth scale comes from that nobody stated, for example "TUM layout"
 
@@ -37,11 +43,13 @@ class Calibration:
     def over(self, other: "Calibration") -> "Calibration":
         """These values, with missing ones taken from `other`, a source of lower precedence.
 
-        If fx, fy, cx and cy are all given, only the depth scale is taken from `other`: without distortion values there is no distortion.
+        If fx, fy, cx and cy are all given, only depth scale and times are taken from `other`: without distortion values there is no
+        distortion.
         """
         scale, assumed = (other.depth_scale, other.assumed) if self.depth_scale is None else (self.depth_scale, self.assumed)
         if self.complete:
-            return replace(self, depth_scale=scale, assumed=assumed)
+            times = SensorTiming(*(getattr(other if getattr(self, name) is None else self, name) for name in TIMES))
+            return replace(self, depth_scale=scale, assumed=assumed).with_times(times)
         stated = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("source", "assumed")}
         stated = {name: value for name, value in stated.items() if value is not None}
         if partly := [name for name in ("fx", "fy", "cx", "cy") if name in stated]:
@@ -83,6 +91,14 @@ class Calibration:
             raise RecordingError(f"{recording}: {found}: {meant_for(camera) or f'{GIVE_CAMERA} in pixels of these images'}")
         return camera
 
+    def with_times(self, times: SensorTiming) -> "Calibration":
+        """The same, with these times of the sensor."""
+        return replace(self, readout=times.readout, depth_readout=times.depth_readout, depth_delay=times.depth_delay)
+
+    def timing(self) -> SensorTiming:
+        """The times of the sensor; None for those that nobody states. Raises ConfigError for values that are no sensor's."""
+        return SensorTiming(self.readout, self.depth_readout, self.depth_delay)
+
     def scale(self, recording: str) -> float:
         """Units of the depth images per metre; raises RecordingError if unknown or not positive."""
         if self.depth_scale is None or not (math.isfinite(self.depth_scale) and self.depth_scale > 0):
@@ -97,13 +113,18 @@ def assumed_scale(depth_scale: float, why: str = "assumed") -> Calibration:
 
 
 def override(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
-    """The user's values: any of fx, fy, cx, cy, depth_scale; None counts as not given. Raises ConfigError for other keys."""
+    """The user's values: any of fx, fy, cx, cy, depth_scale and TIMES; None counts as not given.
+
+    Raises ConfigError for other keys, and for times that are no sensor's.
+    """
     values = {key: value for key, value in (camera or {}).items() if value is not None}
-    allowed = ("fx", "fy", "cx", "cy", "depth_scale")
+    allowed = ("fx", "fy", "cx", "cy", "depth_scale", *TIMES)
     if unknown := [key for key in values if key not in allowed]:
         raise ConfigError(f"camera: unknown value '{unknown[0]}', expected any of {', '.join(allowed)}")
     scale = values.get("depth_scale") if depth_scale is None else depth_scale
-    return Calibration(values.get("fx"), values.get("fy"), values.get("cx"), values.get("cy"), depth_scale=scale)
+    times = SensorTiming(*(values.get(name) for name in TIMES))
+    pinhole = Calibration(values.get("fx"), values.get("fy"), values.get("cx"), values.get("cy"), depth_scale=scale)
+    return pinhole.with_times(times)
 
 
 @dataclass(frozen=True)

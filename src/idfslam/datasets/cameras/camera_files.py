@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
+from idfslam.datasets.cameras.calibration import TIMES, Calibration, DepthCameraCalibration
 from idfslam.datasets.cameras.camera_text import DEPTH_SCALES, checked_distortion, from_matrix, parse_camera, units_per_metre
-from idfslam.errors import RecordingError
+from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
+from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.storage.json_file import read_json
 from idfslam.storage.text_file import read_text
 
@@ -54,12 +55,12 @@ def read_beside_recording(path: Path) -> Calibration:
 
 
 def read_cam_params(*folders: Path) -> Calibration:
-    """Reads cam_params.json, {"camera": {w, h, fx, fy, cx, cy, scale[, distortion]}}, from the first folder that has one."""
+    """Reads cam_params.json of the first folder that has one: {"camera": {w, h, fx, fy, cx, cy, scale[, distortion][, readout ...]}}."""
     path = _cam_params(folders)
     if path is None:
         return Calibration()
     values = _json(path, f"expected {_FORM}")
-    if "camera" not in values and "fx" not in values:
+    if not {"camera", "fx", *TIMES} & values.keys():
         return read_camera_json(path)
     return _camera_of({"camera": values} if "camera" not in values else values, "camera", path)
 
@@ -115,10 +116,11 @@ def read_camera_json(path: Path) -> Calibration:
         width, height = (int(given[key]) if key in given else None for key in ("width", "height"))
         scale = float(given["scale"]) if "scale" in given else None
         distortion = [float(value) for value in given.get("distortion", ())]
+        times = _times(values, path)
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise RecordingError(f"{path}: {type(error).__name__} {error}, {expected}") from error
     lens = checked_distortion(distortion, str(path))
-    return replace(camera, width=width, height=height, distortion=lens, depth_scale=units_per_metre(scale))
+    return replace(camera, width=width, height=height, distortion=lens, depth_scale=units_per_metre(scale)).with_times(times)
 
 
 def _cam_params(folders: Sequence[Path]) -> Path | None:
@@ -135,6 +137,9 @@ def _json(path: Path, expected: str) -> dict[str, Any]:
 def _camera_of(values: Mapping[str, Any], key: str, path: Path) -> Calibration:
     try:
         values = values[key]
+        times = _times(values, path)
+        if times != SensorTiming(None, None, None) and not any(name in values for name in ("fx", "fy", "cx", "cy")):
+            return Calibration(source=str(path)).with_times(times)  # another source states the camera
         fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
         width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
         name = next((name for name in ("scale", *DEPTH_SCALES) if values.get(name) is not None), None)
@@ -142,4 +147,14 @@ def _camera_of(values: Mapping[str, Any], key: str, path: Path) -> Calibration:
         distortion = [float(value) for value in values.get("distortion") or ()]
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
-    return Calibration(fx, fy, cx, cy, width, height, checked_distortion(distortion, str(path)), scale, source=str(path))
+    lens = checked_distortion(distortion, str(path))
+    return Calibration(fx, fy, cx, cy, width, height, lens, scale, source=str(path)).with_times(times)
+
+
+def _times(values: Mapping[str, Any], path: Path) -> SensorTiming:
+    """The times of the sensor that are stated. Raises ValueError or TypeError if one is no number, RecordingError if it is no sensor's."""
+    numbers = (None if values.get(name) is None else float(values[name]) for name in TIMES)
+    try:
+        return SensorTiming(*numbers)
+    except ConfigError as error:
+        raise RecordingError(f"{path}: {error}") from error

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from idfslam.datasets.provenance import provenance
-from idfslam.datasets.recording import FPS, Dataset
+from idfslam.datasets.recording import FPS, Dataset, depth_timestamps, timing
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame
 
@@ -47,6 +47,10 @@ class Kidnapped:
         stamps = dataset.timestamps
         interval = float(np.median(np.diff(stamps))) or 1 / FPS
         self.timestamps: Array = stamps[0] + interval * np.arange(len(self.order))
+        depth_stamps, self.timing = depth_timestamps(dataset), timing(dataset)
+        self.depth_timestamps: Array | None = None
+        if depth_stamps is not None:
+            self.depth_timestamps = np.where(self.order == BLACK, np.nan, self.timestamps + (depth_stamps - stamps)[self.order])
         self.ground_truth: Array | None = None
         if truth is not None:
             self.ground_truth = np.where((self.order == BLACK)[:, None, None], np.nan, truth[self.order])

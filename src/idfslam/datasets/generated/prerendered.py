@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from idfslam.datasets.provenance import provenance
-from idfslam.datasets.recording import Dataset, reading_threads
+from idfslam.datasets.recording import Dataset, depth_timestamps, reading_threads, timing
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 
@@ -25,6 +25,7 @@ class Prerendered:
         self.name, self.camera, self.reading_threads = dataset.name, dataset.camera, reading_threads(dataset)
         self.provenance = provenance(dataset)
         self.timestamps, self.ground_truth = dataset.timestamps, dataset.ground_truth
+        self.depth_timestamps, self.timing = depth_timestamps(dataset), timing(dataset)
         self._frames: dict[int, Frame] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._render, name="prerender", daemon=True)

@@ -19,6 +19,9 @@ from idfslam.geometry.camera import Camera
 Depth = NDArray[np.uint16] | NDArray[np.float32]
 """A depth image (H, W) as stored. uint16: 0 and 65535 mean no reading; float32: 0, negative and non-finite values mean no reading."""
 
+FilePair = tuple[Path, Path | None]
+"""The files of colour and of depth; None: a frame without a depth image."""
+
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp"})
 DEPTH_SUFFIXES = frozenset({*SUFFIXES, ".pfm", ".raw", ".bin", *array_files.READERS}) - {".jpg", ".jpeg", ".webp"}
 _RAW = frozenset({".raw", ".bin"})  # numbers without a header
@@ -29,12 +32,14 @@ _JPEG = b"\xff\xd8"
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """Reads images from files. Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) of pair i."""
+    """Reads images from files. Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) of pair i; None without depth."""
 
-    pairs: list[tuple[Path, Path]]
+    pairs: Sequence[FilePair]
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         colour, depth = self.pairs[i]
+        if depth is None:
+            return self.colour(i), None
         if depth.suffix.lower() in _RAW:
             image = decode_colour(_read(colour), str(colour))
             return image, decode_raw(_read(depth), image.shape[:2], str(depth))
@@ -64,7 +69,8 @@ def holds_floats(colour: Path, depth: Path) -> bool:
     if depth.suffix.lower() in _INTEGERS:
         return False
     try:
-        return ImageFiles([(colour, depth)])(0)[1].dtype == np.float32
+        raw = ImageFiles([(colour, depth)])(0)[1]
+        return raw is not None and raw.dtype == np.float32
     except FrameError:
         return False
 

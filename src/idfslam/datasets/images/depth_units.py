@@ -1,15 +1,15 @@
 """The unit of depth images where nobody states one."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from idfslam.datasets.cameras.calibration import Calibration, assumed_scale
-from idfslam.datasets.images.decoding import holds_floats
+from idfslam.datasets.images.decoding import FilePair, holds_floats
 
 
-def usual_scale(pairs: Sequence[tuple[Path, Path]], units: float = 1000, why: str = "assumed") -> Calibration:
+def usual_scale(pairs: Sequence[FilePair], units: float = 1000, why: str = "assumed") -> Calibration:
     """Floating-point numbers are metres; integers have the layout's `units` per metre, which `why` names. pairs: colour and depth."""
-    return metres_if(bool(pairs) and holds_floats(*pairs[0]), units, why)
+    first = next(((colour, depth) for colour, depth in pairs if depth is not None), None)
+    return metres_if(first is not None and holds_floats(*first), units, why)
 
 
 def metres_if(floats: bool, units: float = 1000, why: str = "assumed") -> Calibration:

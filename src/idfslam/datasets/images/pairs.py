@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.images.decoding import by_number
+from idfslam.datasets.images.decoding import FilePair, by_number
 from idfslam.datasets.images.file_numbers import counting_numbers, name_stamps
+from idfslam.datasets.images.partners import of_frames, stamps_of, warn_without_own, with_nearest
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import associate
 
@@ -29,17 +30,37 @@ _NOTICEABLE = 1 / 3  # [1] of the time between frames, from which on a delay of 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """N pairs of images in the order of time."""
+    """N colour images in the order of time, with their depth images."""
 
     numbers: list[float]  # (N,) of the colour images
-    files: list[tuple[Path, Path]]  # (N,) colour, depth
+    files: list[FilePair]  # (N,)
     places: NDArray[np.int64]  # (N,) position among all frames, those that were left out included: the others keep their time
     frames: int  # how many all are
     stamps: NDArray[np.float64] | None = None  # (N,) [s], if the files are named by them
-    depth_delay: float = 0.0  # [s] see `noticeable_delay`
+    depth_stamps: NDArray[np.float64] | None = None  # (N,) [s] likewise, NaN: the frame has no depth image; None: those of colour
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def has_depth(self) -> NDArray[np.bool_]:
+        """(N,) whether each has a depth image."""
+        return np.array([depth is not None for _, depth in self.files], bool)
+
+    def depth_timestamps(self, timestamps: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """(N,) [s] the stamps of depth, NaN where there is none; None: those of colour, `timestamps` (N,)."""
+        if self.depth_stamps is not None:
+            return self.depth_stamps
+        return None if self.has_depth.all() else np.where(self.has_depth, timestamps, np.nan)
+
+    def with_nearest_depth(self, timestamps: NDArray[np.float64]) -> "Pairs":
+        """The same; a frame without a depth image has the nearest one, if that is near in time. timestamps: (N,) [s] of both images."""
+        if self.depth_stamps is not None or self.has_depth.all():
+            return self
+        partner = of_frames(self.has_depth, timestamps)
+        depths = [*(depth for _, depth in self.files), None]  # the last one is number -1
+        files = [(colour, depths[k]) for (colour, _), k in zip(self.files, partner.tolist())]
+        return replace(self, files=files, depth_stamps=stamps_of(timestamps, partner))
 
 
 def numbered_series(colour: Sequence[Path], depth: Sequence[Path], folder: Path) -> tuple[dict[float, Path], dict[float, Path]]:
@@ -64,7 +85,10 @@ def _counted(files: Sequence[Path]) -> bool:
 
 
 def pair_images(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> Pairs:
-    """Pairs images, each by its number and sorted by it; raises RecordingError if they do not belong together."""
+    """Pairs images, each by its number and sorted by it; raises RecordingError if they do not belong together.
+
+    A colour image without a depth image of its own takes the nearest in time, if the files are named by their stamps, else none.
+    """
     stamps, depth_stamps = (name_stamps([file.stem for file in files.values()]) for files in (colour, depth))
     same = len(colour.keys() & depth.keys())
     if colour.keys() != depth.keys() and stamps is not None and depth_stamps is not None:
@@ -87,61 +111,61 @@ def _by_stamps(
     if not len(pairs):
         spans = " and ".join(f"{times[0]:.3f} to {times[-1]:.3f} s" for times in (stamps, depth_stamps))
         raise RecordingError(f"{folder}: colour and depth images are named {spans}, none within half a frame: expected stamps of one clock")
-    if len(pairs) < max(len(colour), len(depth)):
-        counts = (len(colour), len(depth), len(pairs))
-        log.warning("%s: %d colour and %d depth images; the %d pairs within half a frame of each other are read", folder, *counts)
-    numbers, first, second = list(colour), list(colour.values()), list(depth.values())
-    files = [(first[i], second[k]) for i, k in pairs.tolist()]
-    times = stamps[pairs[:, 0]]
-    delay = noticeable_delay(times, depth_stamps[pairs[:, 1]])
-    return Pairs([numbers[i] for i in pairs[:, 0]], files, pairs[:, 0], len(colour), times, delay)
+    partner = with_nearest(pairs, stamps, depth_stamps)
+    warn_without_own(str(folder), len(pairs), len(colour))
+    second = [*depth.values(), None]  # the last one is number -1
+    files = [(file, second[k]) for file, k in zip(colour.values(), partner.tolist())]
+    return Pairs(list(colour), files, np.arange(len(colour)), len(colour), stamps, stamps_of(depth_stamps, partner))
 
 
 def _by_order(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> Pairs:
-    files = list(zip(colour.values(), depth.values()))
+    files: list[FilePair] = list(zip(colour.values(), depth.values()))
     if not files or len(colour) != len(depth):
         return _by_number(colour, depth, stamps if stamps is not None and len(stamps) == len(colour) else None, folder)
-    names = (f"{file.parent.name}/{file.name}" for file in files[0])
+    names = (f"{file.parent.name}/{file.name}" for file in files[0] if file is not None)
     log.warning("%s: colour and depth images have different numbers; they are paired in their order: %s with %s", folder, *names)
     return Pairs(list(colour), files, np.arange(len(files)), len(files), stamps)
 
 
 def _by_number(colour: dict[float, Path], depth: dict[float, Path], stamps: NDArray[np.float64] | None, folder: Path) -> Pairs:
     """stamps: (N,) [s] of the colour images."""
-    pairs, kept = paired(colour, depth, folder), [number in depth for number in colour]
-    return pairs if stamps is None else replace(pairs, stamps=stamps[kept])
+    return replace(paired(colour, depth, folder), stamps=stamps)
 
 
 def paired(colour: dict[float, Path], depth: dict[float, Path], folder: Path) -> Pairs:
-    """Pairs of colour and depth images with equal numbers.
+    """Colour images with the depth images of equal numbers.
 
-    Raises RecordingError if there is no pair. An image without a partner is left out, and one warning says how many are.
+    Raises RecordingError if there is no pair. A colour image without a partner has no depth, a depth image without one is left out; a
+    warning each says how many there are.
     """
     if not colour and not depth:
         raise RecordingError(f"{folder}: no numbered images in its folders, expected colour and depth images with numbers in their names")
     everything = {**colour, **depth}
-    numbers = [number for number in sorted(everything) if number in colour and number in depth]
+    numbers = sorted(colour)
     alone = [everything[number] for number in sorted(colour.keys() ^ depth.keys())]
+    own = len(colour.keys() & depth.keys())
     if not (colour and depth):
         found, missing = ("colour", "depth") if colour else ("depth", "colour")
         raise RecordingError(f"{folder}: {len(everything)} {found} images, but no {missing} images: expected one of each for a frame")
-    if not numbers:
+    if not own:
         counts = f"{len(colour)} colour and {len(depth)} depth images"
         example = f"{alone[0].parent.name}/{alone[0].name}"
         raise RecordingError(f"{folder}: {counts}, none with a partner (the first is {example}): expected pairs of equal numbers")
-    warn_left_out(str(folder), [f"{path.parent.name}/{path.name} has no partner of the same number" for path in alone])
-    files = [(colour[number], depth[number]) for number in numbers]
-    return Pairs(numbers, files, np.searchsorted(sorted(everything), numbers), len(everything))
+    left_out = [path for number, path in sorted(depth.items()) if number not in colour]
+    warn_left_out(str(folder), [f"{path.parent.name}/{path.name} has no partner of the same number" for path in left_out])
+    places = np.searchsorted(sorted(everything), numbers)
+    warn_without_own(str(folder), own, len(numbers))
+    return Pairs(numbers, [(colour[number], depth.get(number)) for number in numbers], places, len(everything))
 
 
 def noticeable_delay(colour: NDArray[np.float64], depth: NDArray[np.float64]) -> float:
     """[s] by which the depth images of pairs are later than colour in the median; 0 if that is less than a third of a frame.
 
-    colour, depth: (N,) [s] the stamps of the pairs.
+    colour, depth: (N,) [s] the stamps of the pairs; NaN where there is no depth.
     """
-    if len(colour) < 2:
+    if len(colour) < 2 or np.isnan(depth).all():
         return 0.0
-    delay = float(np.median(depth - colour))
+    delay = float(np.nanmedian(depth - colour))
     return delay if abs(delay) > _NOTICEABLE * float(np.median(np.diff(colour))) else 0.0
 
 

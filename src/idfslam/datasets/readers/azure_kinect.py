@@ -2,7 +2,7 @@
 
 The calibration registers depth to colour. Colour is downscaled to 640 pixels a side, about the resolution of the depth camera. The
 calibration describes the whole sensors, in fractions of their size; the size of the images tells which part of a sensor they show (k4a,
-Azure Kinect Sensor SDK: mode-specific calibration).
+Azure Kinect Sensor SDK: mode-specific calibration). The pixels of its depth camera have a global shutter (Bamji et al., ISSCC 2018).
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images.decoding import Depth
-from idfslam.datasets.images.pairs import noticeable_delay
+from idfslam.datasets.images.partners import stamps_of, warn_without_own, with_nearest
 from idfslam.datasets.images.resampling import limited_size
 from idfslam.datasets.images.video import VideoContents, VideoTrack, read_contents
 from idfslam.datasets.recording import Reader, Recording
@@ -35,12 +35,18 @@ def recognises(path: Path) -> bool:
 
 
 def open_azure_kinect(path: Path, override: Calibration) -> Recording:
-    """Pairs colour and depth images whose stamps differ by at most 20 ms, once the depth delay in the recording's tags is subtracted."""
+    """Pairs colour and depth images whose stamps differ by at most 20 ms, once the depth delay in the recording's tags is subtracted.
+
+    Every colour image is a frame, also one without a depth image.
+    """
     contents = read_contents(path)
     colour, depth = _tracks(path, contents)
-    pairs = associate(colour.times, depth.times - _delay(path, contents))
+    times = depth.times - _delay(path, contents)  # as if depth had been taken with colour
+    pairs = associate(colour.times, times)
     if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected both tracks of one recording")
+    partner = with_nearest(pairs, colour.times, times)
+    warn_without_own(str(path), len(pairs), len(partner))
     size = limited_size(*colour.size)
     file = contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json")
     calibration, depth_camera = Calibration(), None
@@ -50,16 +56,15 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
         found = f"colour {colour.size[0]}x{colour.size[1]}, depth {depth.size[0]}x{depth.size[1]} and no {file} attached"
         raise RecordingError(f"{path}: {found}, expected the calibration as k4arecorder writes it: record again")
 
-    def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
-        k, m = pairs[i].tolist()
-        return colour.colour(k, size if depth_camera else None), depth.grey16(m)
+    def read(i: int) -> tuple[NDArray[np.uint8], Depth | None]:
+        return colour.colour(i, size if depth_camera else None), depth.grey16(int(partner[i])) if partner[i] >= 0 else None
 
-    calibration = override.over(calibration)
+    calibration = override.over(calibration).over(Calibration(depth_readout=0))
     return Recording(
         path.stem,
         read,
-        timestamps=colour.times[pairs[:, 0]],
-        depth_delay=noticeable_delay(colour.times[pairs[:, 0]], (depth.times - _delay(path, contents))[pairs[:, 1]]),
+        timestamps=colour.times,
+        depth_timestamps=stamps_of(depth.times, partner),
         ground_truth=None,
         calibration=(calibration.resized(colour.size, size) if depth_camera else calibration).over(Calibration(depth_scale=1000)),
         depth_camera=depth_camera,

@@ -32,6 +32,7 @@ def open_bundle_fusion(path: Path, override: Calibration) -> Recording:
         path.name,
         ImageFiles(pairs.files),
         timestamps=pairs.places / FPS,
+        depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
         calibration=override.over(camera).over(usual_scale(pairs.files)),

@@ -22,7 +22,7 @@ from idfslam.datasets.poses.pose_file import read_pose_file
 from idfslam.datasets.poses.truth import Truth, read_matrix, read_stamped
 from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.recording import FPS, Reader, Recording
-from idfslam.datasets.stamps import STAMPS, read_stamps
+from idfslam.datasets.stamps import STAMPS, read_depth_stamps, read_stamps
 from idfslam.errors import RecordingError
 
 COLOUR_FOLDERS = ("rgb", "color", "colour")
@@ -53,12 +53,17 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         timestamps, source = np.array([stamps[number] for number in pairs.numbers]), STAMPS
     elif pairs.stamps is not None:
         timestamps, source = pairs.stamps, "file names"
+    shown = pairs if source == ASSUMED else pairs.with_nearest_depth(timestamps)
+    depth_timestamps = shown.depth_timestamps(timestamps)
+    if (listed := read_depth_stamps(path / STAMPS)) and pairs.has_depth.all():
+        depth_timestamps = np.array([listed.get(number, np.nan) for number in pairs.numbers])
+        depth_timestamps = np.where(np.isfinite(depth_timestamps), depth_timestamps, timestamps)
     return Recording(
         path.name,
-        ImageFiles(pairs.files),
+        ImageFiles(shown.files),
         timestamps=timestamps,
         stamps_source=source,
-        depth_delay=pairs.depth_delay,
+        depth_timestamps=depth_timestamps,
         ground_truth=lambda: read_poses(path, pairs, timestamps),
         calibration=override.over(usual_scale(pairs.files)),
         depth_camera=read_depth_camera(path),
@@ -100,6 +105,9 @@ def read_trajectory(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) 
     if file.timestamps is not None:
         return read_stamped(path, timestamps)
     T_wc = file.T_wc[frames.places] if len(file.T_wc) == frames.frames else file.T_wc
+    if len(T_wc) != len(frames) and len(T_wc) == frames.has_depth.sum():  # those of the frames with depth
+        T_wc = np.full((len(frames), 4, 4), np.nan)
+        T_wc[frames.has_depth] = file.T_wc
     return Truth(T_wc, str(path), file.problems)
 
 

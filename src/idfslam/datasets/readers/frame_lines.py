@@ -45,7 +45,7 @@ def recognises(path: Path) -> bool:
 
 
 def open_frame_lines(path: Path, override: Calibration) -> Recording:
-    """Opens the frames whose colour and depth exist."""
+    """Opens the frames whose colour exists."""
     file = _file(path)
     if file is None:
         raise RecordingError(f"{path}: no single .jsonl file, expected one with a line of JSON for each frame")

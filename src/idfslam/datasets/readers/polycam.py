@@ -35,23 +35,20 @@ def recognises(path: Path) -> bool:
 
 
 def open_polycam(path: Path, override: Calibration) -> Recording:
-    """Opens the frames that have image, depth and camera of one name."""
+    """Opens the frames that have image and camera of one name."""
     folder = _keyframes(path)
     kind = _kind(folder)
     if kind is None:
         raise RecordingError(f"{path}: expected keyframes/ with images/, depth/ and cameras/: export Polycam's raw data")
     images, depth, confidence = (numbered(folder / name) for name in (f"{kind}images", "depth", "confidence"))
     cameras = numbered(folder / f"{kind}cameras", suffixes=frozenset({".json"}))
-    missing = Path("no depth or camera of its name")
     frames = [
-        _frame(colour, depth.get(number, colour.with_name(f"depth of {colour.name}")), cameras.get(number, missing), confidence.get(number))
-        for number, colour in images.items()
-        if number in cameras
+        _frame(colour, depth.get(number), cameras[number], confidence.get(number)) for number, colour in images.items() if number in cameras
     ]
     return open_frames(path, frames, override, str(folder / f"{kind}cameras"))
 
 
-def _frame(colour: Path, depth: Path, camera: Path, confidence: Path | None) -> PosedFrame:
+def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | None) -> PosedFrame:
     try:
         values = read_json(camera, error=RecordingError, expected=_EXPECTED)
         rows = [[stated_number(values, f"t_{i}{k}") for k in range(4)] for i in range(3)]

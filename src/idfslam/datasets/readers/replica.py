@@ -28,6 +28,7 @@ def open_replica(path: Path, override: Calibration) -> Recording:
         path.name,
         ImageFiles(pairs.files),
         timestamps=pairs.places / FPS,
+        depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_trajectory(path / "traj.txt", pairs, pairs.places / FPS),
         calibration=stated.over(PUBLISHED).over(usual_scale(pairs.files, 6553.5, "Replica layout")),

@@ -24,18 +24,14 @@ def recognises(path: Path) -> bool:
 
 
 def open_scanner_app(path: Path, override: Calibration) -> Recording:
-    """Opens the frames that have image, depth and JSON of one number."""
+    """Opens the frames that have image and JSON of one number."""
     images, depth, confidence = (numbered(path, pattern) for pattern in ("frame_*", "depth_*", "conf_*"))
     states = numbered(path, "frame_*", suffixes=frozenset({".json"}))
-    frames = [
-        _frame(images[number], depth[number], states[number], confidence.get(number))
-        for number in images
-        if number in depth and number in states
-    ]
+    frames = [_frame(images[number], depth.get(number), states[number], confidence.get(number)) for number in images if number in states]
     return open_frames(path, frames, override, f"{path}: frame_*.json")
 
 
-def _frame(colour: Path, depth: Path, state: Path, confidence: Path | None) -> PosedFrame:
+def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | None) -> PosedFrame:
     try:
         values = read_json(state, error=RecordingError, expected=_EXPECTED)
         K = np.array(values["intrinsics"], np.float64).reshape(3, 3)

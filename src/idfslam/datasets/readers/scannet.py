@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_camera_file
-from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered
+from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered, read_depth
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.image_header import LONGEST_SIDE
 from idfslam.datasets.images.pairs import paired
@@ -25,6 +25,7 @@ from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
 from idfslam.datasets.recording import FPS, Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
+from idfslam.geometry.sensor_timing import LONGEST
 
 _VERSION = 4  # of .sens files; all published ones have it: a fact of the format
 _COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
@@ -53,20 +54,35 @@ def _open_exported(path: Path, override: Calibration) -> Recording:
     pairs = paired(numbered(path / "color"), numbered(path / "depth"), path)
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
-    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if override.complete else colour, depth)
+    size = None if pairs.has_depth.all() else _depth_size([file for _, file in pairs.files if file is not None])
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if override.complete else colour, depth, size)
     return Recording(
         path.name,
         read,
         timestamps=pairs.places / FPS,
+        depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_poses(path, pairs, pairs.places / FPS),
         calibration=override.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
     )
 
 
+def _depth_size(files: list[Path]) -> tuple[int, int]:
+    """Width and height [px] of the first readable depth image. Raises RecordingError if there is none."""
+    first: FrameError | None = None
+    for file in files:
+        try:
+            height, width = read_depth(file).shape
+        except FrameError as error:
+            first = first or error
+        else:
+            return width, height
+    raise RecordingError(str(first)) from first
+
+
 @dataclass(frozen=True)
 class ColourOnDepth:
-    """Called with i, returns colour resampled to the depth camera's image, and depth.
+    """Called with i, returns colour resampled to the depth camera's image, and depth; None where there is none.
 
     The two cameras are assumed to share their centre (ScanNet's extrinsics are the identity), so that the warp is affine.
     """
@@ -74,11 +90,12 @@ class ColourOnDepth:
     read: ReadImages
     colour: Calibration | None  # None: colour and depth show the same field of view in different sizes
     depth: Calibration
+    size: tuple[int, int] | None = None  # width, height [px] of depth, for frames without a depth image
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         bgr, raw = self.read(i)
         height, width = bgr.shape[:2]
-        size = (raw.shape[1], raw.shape[0])
+        size: tuple[int, int] = (raw.shape[1], raw.shape[0]) if raw is not None else self.size or (width, height)
         if (width, height) != size:
             shrinks = width > size[0]
             bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
@@ -113,21 +130,24 @@ class SensFrame:
     offset: int  # [bytes] of its colour image; its depth image follows
     colour_bytes: int
     depth_bytes: int
-    stamp: float  # [s]
+    stamp: float  # [s] of colour
+    depth_stamp: float  # [s]
     T_wc: NDArray[np.float64]  # (4, 4)
 
 
 def _open_sens(path: Path, override: Calibration) -> Recording:
     header, frames = read_sens_index(path)
-    stamps = np.array([frame.stamp for frame in frames])
+    stamps, depth_stamps = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "depth_stamp"))
     truth = np.stack([frame.T_wc for frame in frames])
     has_truth = np.isfinite(truth).all((1, 2)).any()
     warp = None if override.complete else header.colour
     increasing = bool(np.all(np.diff(stamps) > 0))
+    one_clock = increasing and bool(np.all(np.abs(depth_stamps - stamps) < LONGEST))
     return Recording(
         path.stem,
         ColourOnDepth(SensImages(path, header, frames), warp, header.depth),
         timestamps=stamps if increasing else regular_stamps(len(frames)),
+        depth_timestamps=depth_stamps if one_clock else None,
         stamps_source=STATED if increasing else ASSUMED,
         ground_truth=(lambda: Truth(truth, str(path))) if has_truth else None,
         calibration=override.over(header.depth),
@@ -145,8 +165,9 @@ def read_sens_index(path: Path) -> tuple[SensHeader, list[SensFrame]]:
         for i in range(header.frames):
             data = file.read(_FRAME.size)
             if len(data) == _FRAME.size:
-                *pose, stamp, _, colour_bytes, depth_bytes = _FRAME.unpack(data)
-                frame = SensFrame(file.tell(), colour_bytes, depth_bytes, stamp / 1e6, np.array(pose).reshape(4, 4))
+                *pose, stamp, depth_stamp, colour_bytes, depth_bytes = _FRAME.unpack(data)
+                stamps = stamp / 1e6, depth_stamp / 1e6
+                frame = SensFrame(file.tell(), colour_bytes, depth_bytes, *stamps, np.array(pose).reshape(4, 4))
                 end = frame.offset + colour_bytes + depth_bytes
             if len(data) < _FRAME.size or end > size:
                 raise RecordingError(f"{path}: cut off in frame {i} of {header.frames} ({size} bytes): copy the recording again")

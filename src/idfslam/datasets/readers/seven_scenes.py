@@ -30,6 +30,7 @@ def open_seven_scenes(path: Path, override: Calibration) -> Recording:
         f"{path.parent.name}-{path.name}",
         ImageFiles(pairs.files),
         timestamps=pairs.places / FPS,
+        depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
         calibration=override.over(read_beside(path, path.parent)).over(PUBLISHED).over(assumed_scale(1000, "7-Scenes layout")),

@@ -16,6 +16,7 @@ from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_camera_file
 from idfslam.datasets.images.confidence import MEDIUM
 from idfslam.datasets.images.decoding import Depth, numbered, read_depth, read_values
+from idfslam.datasets.images.partners import of_frames, stamps_of, warn_without_own
 from idfslam.datasets.images.resampling import limited_size, upscaled_depth
 from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness, part
@@ -36,25 +37,33 @@ def recognises(path: Path) -> bool:
 
 
 def open_stray_scanner(path: Path, override: Calibration) -> Recording:
-    """Opens an export. Video frame, depth image, confidence and odometry line with equal numbers are one frame."""
+    """Opens an export. Video frame, depth image, confidence and odometry line with equal numbers are one frame.
+
+    A frame without a depth image has the nearest in time, if that is near.
+    """
     for name in ("rgb.mp4", "odometry.csv", "depth"):
         if not (path / name).exists():
             raise RecordingError(f"{path}: {name} is missing, expected an export of Stray Scanner: rgb.mp4, depth/, odometry.csv")
     track, depth = VideoTrack(path / "rgb.mp4"), numbered(path / "depth")
     odometry = read_odometry(path / "odometry.csv")
-    numbers = [i for i in range(len(track)) if i in depth and i in odometry.rows]
-    if not numbers:
+    numbers = [i for i in range(len(track)) if i in odometry.rows]
+    has_depth = np.array([i in depth for i in numbers], bool)
+    if not has_depth.any():
         found = f"{len(track)} frames in rgb.mp4, {len(depth)} images in depth/ and {len(odometry.rows)} lines in odometry.csv"
         raise RecordingError(f"{path}: {found}, expected equal numbers: export the recording again")
-    if len(numbers) < max(len(track), len(depth)):
-        log.warning("%s: %d frames of video and %d depth images; the %d with both are read", path, len(track), len(depth), len(numbers))
+    if len(numbers) < len(track):
+        log.warning("%s: %d frames of video, %d of which have a line in odometry.csv: these are read", path, len(track), len(numbers))
+    warn_without_own(str(path), int(has_depth.sum()), len(numbers))
     rows = [odometry.rows[i] for i in numbers]
     calibration = override.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
-    size = limited_size(*track.size)
+    size, timestamps = limited_size(*track.size), odometry.table[rows, 0]
+    partner = of_frames(has_depth, timestamps)
+    depths = [numbers[k] if k >= 0 else None for k in partner.tolist()]
     return Recording(
         path.name,
-        StrayImages(track, numbered(path / "confidence"), depth, numbers, size),
-        timestamps=odometry.table[rows, 0],
+        StrayImages(track, numbered(path / "confidence"), depth, numbers, depths, size),
+        timestamps=timestamps,
+        depth_timestamps=None if has_depth.all() else stamps_of(timestamps, partner),
         ground_truth=lambda: odometry.truth(path / "odometry.csv", rows),
         calibration=calibration.resized(track.size, size).over(Calibration(depth_scale=1000)),
         random_access=False,
@@ -63,20 +72,23 @@ def open_stray_scanner(path: Path, override: Calibration) -> Recording:
 
 @dataclass(frozen=True)
 class StrayImages:
-    """Called with i, returns colour and depth of frame i in one size."""
+    """Called with i, returns colour and depth of frame i in one size; None where it has no depth."""
 
     track: VideoTrack
     confidence: dict[float, Path]  # empty: every reading counts
     depth: dict[float, Path]
-    numbers: list[int]
+    numbers: list[int]  # of the video's frames
+    depths: list[int | None]  # of their depth images
     size: tuple[int, int]  # width, height [px]
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
-        number = self.numbers[i]
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
+        number, colour = self.depths[i], self.track.colour(self.numbers[i], self.size)
+        if number is None:
+            return colour, None
         raw = read_depth(self.depth[number])
         if self.confidence:
             raw = np.where(self._confidence(number, raw.shape) >= MEDIUM, raw, 0).astype(np.uint16)
-        return self.track.colour(number, self.size), upscaled_depth(raw, self.size)
+        return colour, upscaled_depth(raw, self.size)
 
     def _confidence(self, number: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         path = self.confidence.get(number)

@@ -34,10 +34,12 @@ def open_sun3d(path: Path, override: Calibration) -> Recording:
     if not recognises(path):
         raise RecordingError(f"{path}: expected image/ and depth/ with files named NUMBER-MICROSECONDS, as SUN3D has them")
     pairs = pair_images(numbered(path / "image"), numbered(path / "depth"), path)
+    timestamps = pairs.places / FPS if pairs.stamps is None else pairs.stamps
     return Recording(
         path.name,
         TurnedDepth(ImageFiles(pairs.files)),
-        timestamps=pairs.places / FPS if pairs.stamps is None else pairs.stamps,
+        timestamps=timestamps,
+        depth_timestamps=pairs.depth_timestamps(timestamps),
         stamps_source=ASSUMED if pairs.stamps is None else "file names",
         ground_truth=None,
         calibration=override.over(assumed_scale(1000, "SUN3D layout")),
@@ -50,8 +52,10 @@ class TurnedDepth:
 
     read: ImageFiles
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         bgr, raw = self.read(i)
+        if raw is None:
+            return bgr, None
         turned = np.asarray(raw, np.uint16)  # SUN3D has no other
         return bgr, (turned >> 3 | turned << 13).astype(np.uint16)
 

@@ -30,13 +30,13 @@ def recognises(path: Path) -> bool:
 
 
 def open_transforms(path: Path, override: Calibration) -> Recording:
-    """Opens the frames that have depth."""
+    """Opens all frames; one that names no depth image has none of its own."""
     file = path / TRANSFORMS
     if not file.is_file():
         raise RecordingError(f"{path}: {TRANSFORMS} is missing, expected the file that nerfstudio and NeRFCapture write")
     try:
         values = read_json(file, error=RecordingError, expected=_EXPECTED)
-        frames = [_frame(path, {**values, **frame}) for frame in values["frames"] if any(name in frame for name in _DEPTH)]
+        frames = [_frame(path, {**values, **frame}) for frame in values["frames"]]
         unit, distortion = stated_number(values, *_UNITS), tuple(stated_number(values, name) for name in ("k1", "k2", "p1", "p2", "k3"))
         model = str(values.get("camera_model", ""))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
@@ -53,9 +53,10 @@ def _frame(path: Path, values: Mapping[str, Any]) -> PosedFrame:
     fx = stated_number(values, "fl_x", "fx")
     size = tuple(stated_number(values, name) for name in ("w", "h"))
     cx, cy = (stated_number(values, name) - 0.5 for name in ("cx", "cy"))
+    depth = next((str(values[name]) for name in _DEPTH if name in values), None)
     return PosedFrame(
         _image(path, str(values["file_path"])),
-        _image(path, str(next(values[name] for name in _DEPTH if name in values))),
+        None if depth is None else _image(path, depth),
         (fx, fy if (fy := stated_number(values, "fl_y", "fy")) == fy else fx, cx, cy),
         (int(size[0]), int(size[1])) if min(size) > 0 else None,
         from_opengl(values.get("transform_matrix")),

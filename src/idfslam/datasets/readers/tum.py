@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_depth_camera
-from idfslam.datasets.images.decoding import ImageFiles
+from idfslam.datasets.images.decoding import FilePair, ImageFiles
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.file_list import listed_image, listed_lines, number
-from idfslam.datasets.images.pairs import noticeable_delay, warn_left_out
+from idfslam.datasets.images.pairs import warn_left_out
+from idfslam.datasets.images.partners import stamps_of, warn_without_own, with_nearest
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses.truth import Truth, read_stamped
 from idfslam.datasets.recording import Reader, Recording
@@ -53,14 +54,14 @@ def _associations(path: Path) -> Path | None:
 
 
 def open_tum(path: Path, override: Calibration) -> Recording:
-    """Opens a sequence. A frame's stamp is that of its colour image; its true pose is the nearest in time within 20 ms."""
+    """Opens a sequence. Every colour image is a frame, and the true pose is the nearest to its stamp within 20 ms."""
     stamps, files = _paired_by_stamp(path) if _has_lists(path) else _associated(path)
     timestamps = stamps[:, 0]
     return Recording(
         path.name,
         ImageFiles(files),
         timestamps=timestamps,
-        depth_delay=noticeable_delay(timestamps, stamps[:, 1]),
+        depth_timestamps=stamps[:, 1],
         ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
         calibration=override.over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
@@ -76,8 +77,8 @@ def published(path: Path) -> Calibration:
     return Calibration()
 
 
-def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
-    """Stamps (N, 2) [s] of colour and depth images, and the images, of rgb.txt and depth.txt."""
+def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[FilePair]]:
+    """Stamps (N, 2) [s] of colour and depth images, NaN without depth, and the images, of rgb.txt and depth.txt."""
     (t_colour, colour), (t_depth, depth) = (read_list(path / name) for name in _LISTS)
     first, second = t_colour[:, 0], t_depth[:, 0]
     if units_per_second(first) == units_per_second(second):
@@ -88,10 +89,13 @@ def _paired_by_stamp(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, 
     pairs = associate(first, second)
     if not len(pairs):
         raise RecordingError(f"{path}: no colour and depth image within {1000 * TOLERANCE:.0f} ms, expected stamps of one clock")
-    return np.stack([first[pairs[:, 0]], second[pairs[:, 1]]], 1), [(colour[i][0], depth[k][0]) for i, k in pairs]
+    partner = with_nearest(pairs, first, second)
+    warn_without_own(str(path), len(pairs), len(partner))
+    files = [(image, depth[k][0] if k >= 0 else None) for (image,), k in zip(colour, partner.tolist())]
+    return np.stack([first, stamps_of(second, partner)], 1), files
 
 
-def _associated(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path, Path]]]:
+def _associated(path: Path) -> tuple[NDArray[np.float64], list[FilePair]]:
     """The same of associations.txt, whose images may come in either order."""
     file = _associations(path)
     if file is None:

@@ -12,6 +12,7 @@ from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, Depth, numbered, re
 from idfslam.datasets.images.depth_units import usual_scale
 from idfslam.datasets.images.folders import depth_folder
 from idfslam.datasets.images.pairs import Pairs, warn_left_out
+from idfslam.datasets.images.partners import warn_without_own
 from idfslam.datasets.images.video import VideoTrack
 from idfslam.datasets.near_miss import Likeness
 from idfslam.datasets.readers.folder import read_poses
@@ -39,21 +40,27 @@ def recognises(path: Path) -> bool:
 
 
 def open_video_folder(path: Path, override: Calibration) -> Recording:
-    """Opens a folder. Video frame i belongs to the i-th depth image in the order of their numbers; stamps are the video's."""
+    """Opens a folder. Video frame i belongs to the i-th depth image in the order of their numbers; stamps are the video's.
+
+    A frame without a depth image has the nearest in time, if that is near.
+    """
     file, folder = colour_video(path), depth_folder(path)
     if file is None or folder is None:
         raise RecordingError(f"{path}: expected a video rgb.mp4 (or color, colour, video; mp4, mov, mkv, avi) and the folder depth/")
     track = VideoTrack(file)
     pairs = paired_by_number(file, len(track), numbered(folder, suffixes=DEPTH_SUFFIXES))
-    timestamps = track.times[pairs.places]
+    timestamps = track.times
+    shown = pairs.with_nearest_depth(timestamps)
 
-    def read(i: int) -> tuple[NDArray[np.uint8], Depth]:
-        return track.colour(int(pairs.places[i])), read_depth(pairs.files[i][1])
+    def read(i: int) -> tuple[NDArray[np.uint8], Depth | None]:
+        depth = shown.files[i][1]
+        return track.colour(i), None if depth is None else read_depth(depth)
 
     return Recording(
         path.name,
         read,
         timestamps=timestamps,
+        depth_timestamps=shown.depth_timestamps(timestamps),
         ground_truth=lambda: read_poses(path, pairs, timestamps),
         calibration=override.over(usual_scale(pairs.files)),
         depth_camera=read_depth_camera(path),
@@ -62,9 +69,10 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
 
 
 def paired_by_number(video: Path, frames: int, depth: dict[float, Path]) -> Pairs:
-    """Frames of a video with depth images: in their order where there are equally many, else by the numbers of the depth images.
+    """All frames of a video with depth images: in their order where there are equally many, else by the numbers of the depth images.
 
-    What is left alone is left out, with one warning. Raises RecordingError if the numbers do not count the frames of the video.
+    Warns of frames without a depth image, and of depth images that are left out, because the video ends before them. Raises RecordingError
+    if the numbers do not count the frames of the video.
     """
     numbers = np.array(list(depth))
     places = np.arange(frames) if len(depth) == frames else _counted(numbers, frames)
@@ -72,9 +80,12 @@ def paired_by_number(video: Path, frames: int, depth: dict[float, Path]) -> Pair
     if places is None or not len(places):
         raise RecordingError(f"{video.parent}: {found}, expected one depth image for each frame, in their order")
     within = places < frames
-    numbers, places = numbers[within], places[within]
-    warn_left_out(str(video.parent), [f"{found} (they are paired by number)"] * (frames + len(depth) - 2 * len(places)))
-    return Pairs(numbers.tolist(), [(video, depth[number]) for number in numbers.tolist()], places, frames)
+    images = dict(zip(places[within].tolist(), numbers[within].tolist()))  # frame -> number
+    warn_left_out(str(video.parent), [f"{found} (they are paired by number)"] * int((~within).sum()))
+    warn_without_own(str(video.parent), len(images), frames)
+    step = (numbers[within][-1] - numbers[within][0]) / max(1, places[within][-1] - places[within][0])
+    numbers_of_all = [float(images.get(i, numbers[within][0] + step * (i - places[within][0]))) for i in range(frames)]
+    return Pairs(numbers_of_all, [(video, depth.get(number)) for number in numbers_of_all], np.arange(frames), frames)
 
 
 def _counted(numbers: NDArray[np.float64], frames: int) -> NDArray[np.int64] | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration, DepthCameraCalibration
 from idfslam.datasets.images.decoding import Depth
-from idfslam.datasets.images.pairs import noticeable_delay
+from idfslam.datasets.images.partners import stamps_of, warn_without_own, with_nearest
 from idfslam.datasets.poses.truth import Truth, at_stamps
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.datasets.ros import realsense_bag
@@ -64,7 +64,7 @@ def _bag(path: Path) -> Path:
 
 
 def open_ros(path: Path, override: Calibration, topics: Topics | None = None) -> Recording:
-    """Pairs images whose header stamps differ by at most 20 ms; a frame's stamp is that of its colour image."""
+    """Pairs images whose header stamps differ by at most 20 ms. Every colour image is a frame, also one without a depth image."""
     topics, path = topics or Topics(), _bag(path)
     bag = Bag(path)
     colour, depth = find_images(bag, topics)
@@ -86,13 +86,15 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         found = f"{len(stamps[colour.name])} images in {colour.name} and {len(stamps[depth.name])} in {depth.name}"
         raise RecordingError(f"{path}: {found}, none within {1000 * TOLERANCE:.0f} ms of another, expected stamps of one clock")
     log.info("%s: colour from %s, depth from %s", path, colour.name, depth.name)
-    timestamps = stamps[colour.name][pairs[:, 0]]
+    timestamps, partner = stamps[colour.name], with_nearest(pairs, stamps[colour.name], stamps[depth.name])
+    warn_without_own(str(path), len(pairs), len(partner))
+    depths: list[IndexedMessage | None] = [*index[depth.name], None]  # the last one is number -1
     scale = realsense_bag.units_per_metre(bag, depth.name) if realsense_bag.is_stream(depth.name) else units_per_metre(depth.message)
     return Recording(
         path.stem,
-        RosImages(bag, colour.name, depth.name, [(index[colour.name][i], index[depth.name][k]) for i, k in pairs]),
+        RosImages(bag, colour.name, depth.name, [(entry, depths[k]) for entry, k in zip(index[colour.name], partner.tolist())]),
         timestamps=timestamps,
-        depth_delay=noticeable_delay(timestamps, stamps[depth.name][pairs[:, 1]]),
+        depth_timestamps=stamps_of(stamps[depth.name], partner),
         ground_truth=None if pose_topic is None else lambda: read_truth(bag, pose_topic, colour.frame, frames, timestamps),
         calibration=override.over(camera).over(Calibration(depth_scale=scale)),
         depth_camera=_depth_camera(bag, colour, depth, frames, named=topics.depth is not None),
@@ -101,16 +103,18 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
 
 @dataclass(frozen=True)
 class RosImages:
-    """Called with i, returns colour and depth of pair i."""
+    """Called with i, returns colour and depth of pair i; None where it has no depth."""
 
     bag: Bag
     colour: str
     depth: str
-    pairs: list[tuple[IndexedMessage, IndexedMessage]]
+    pairs: list[tuple[IndexedMessage, IndexedMessage | None]]
 
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
+    def __call__(self, i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         colour, depth = self.pairs[i]
         bgr = colour_of(self.bag.at(self.colour, colour), f"{self.bag.path}: {self.colour} at {colour.stamp:.3f} s")
+        if depth is None:
+            return bgr, None
         return bgr, depth_of(self.bag.at(self.depth, depth), f"{self.bag.path}: {self.depth} at {depth.stamp:.3f} s")
 
 
