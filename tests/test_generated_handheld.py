@@ -12,10 +12,12 @@ from idfslam.datasets import generated
 from idfslam.datasets.generated import handheld
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
 from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, developed, radiance
+from idfslam.datasets.generated.corridor import SyntheticCorridor
+from idfslam.datasets.generated.corridor_walk import Walk
 from idfslam.datasets.generated.depth_camera import patches, projector_shadow, with_flying_pixels
 from idfslam.datasets.generated.exposure import AutomaticExposure
 from idfslam.datasets.generated.faults import FAULTS, Faults
-from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room
+from idfslam.datasets.generated.handheld import HandheldRecording, handheld_corridor, handheld_room
 from idfslam.datasets.generated.handheld_motion import ROUND, HandheldMotion
 from idfslam.datasets.generated.miscalibration import Miscalibration
 from idfslam.datasets.generated.room import tour_at
@@ -26,15 +28,17 @@ from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.scenes.corridor import build_corridor, draw_corridor
 from idfslam.scenes.room import build_room
 
 SIZE = {"width": 160, "height": 120}
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _rooms_built_once() -> Iterator[None]:
+def _scenes_built_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(handheld, "build_room", cache(build_room))
+        patch.setattr(handheld, "build_corridor", cache(build_corridor))
         yield
 
 
@@ -116,6 +120,15 @@ def test_motion_is_a_shaking_hands(seed: int) -> None:
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert 0.008 < np.median(steps) < 0.014
     assert steps.max() < 0.035
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_motion_in_a_corridor(seed: int) -> None:
+    plan = draw_corridor(seed).plan
+    poses = HandheldMotion(Walk(seed, plan).pose_at, seed).pose_at(np.arange(1200) / 30)
+    assert 1.0 <= np.median(degrees(poses)) <= 1.5  # straight stretches are calmer than a tour around a room
+    assert 6 <= degrees(poses).max() <= 9  # the head turns as well
+    assert np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).max() < 0.05
 
 
 def test_bursts_shake_at_two_to_six_hertz_about_all_axes() -> None:
@@ -427,3 +440,33 @@ def test_frames_outside_are_refused() -> None:
         recording()[600]
     with pytest.raises(ConfigError, match="handheld room -1"):
         handheld_room(Faults(), -1)
+    with pytest.raises(ConfigError, match="handheld corridor 0, 0 laps"):
+        handheld_corridor(Faults(), laps=0)
+
+
+# ----- the corridor
+
+
+def test_corridor_by_name() -> None:
+    names = ("corridor:handheld", "corridor:3:handheld-ideal:5laps", "corridor:handheld-time=0.5:1lap", "corridor:3laps:handheld")
+    assert [generated.kind_of(name) for name in names] == ["corridor"] * 3 + [None]
+    with pytest.raises(ConfigError, match="corridor:0:handheld-fog:2laps: the fault is 'fog'"):
+        open_recording("corridor:0:handheld-fog:2laps")
+    opened = open_recording("corridor:0:handheld-shutter+time:2laps", start=100, frames=1)
+    assert opened.name == "corridor-0-2laps-handheld-shutter+time"
+    assert (opened.camera.width, opened.camera.height) == (320, 240)
+
+
+def test_corridor_has_the_same_faults() -> None:
+    faulty, twin = (handheld_corridor(Faults.named(text), 0, width=64, height=48) for text in (None, "ideal"))
+    plain = SyntheticCorridor(0, width=64, height=48)
+    assert len(faulty) == len(twin) == len(plain)
+    i = int(np.argmax(degrees(twin.ground_truth)))
+    frame, shot = faulty[i], int(faulty.shots[i])
+    np.testing.assert_array_equal(faulty.ground_truth[i], faulty.motion.pose_at(np.array([shot / 30]))[0])
+    assert frame.timing == SensorTiming(None, None, None)
+    assert same(frame, faulty[i])
+    away = np.linalg.norm(twin.ground_truth[:, :3, 3] - plain.ground_truth[:, :3, 3], axis=1)
+    assert away.max() < 0.15  # the hand turns the camera about a point 20 cm behind it
+    rng = np.random.default_rng([0, i])
+    np.testing.assert_array_equal(twin[i].depth, noisy_depth(twin.exact(i).depth, twin.exact(i).normals, twin.true_camera, rng))

@@ -151,7 +151,9 @@ def test_names(box_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert second == RecordingSpec("kidnap-box", f"kidnap:{box_recording}")
     with pytest.raises(RecordingError, match="nowhere: no such file or folder, expected a recording, synthetic"):
         open_recording("kidnap:nowhere")
-    with pytest.raises(RecordingError, match=r"corridor:fine: not a corridor recording, expected corridor\[:SEED\]\[:kinect\]\[:Nlaps\]"):
+    with pytest.raises(
+        RecordingError, match=r"corridor:fine: not a corridor recording, expected corridor\[:SEED\]\[:kinect or :handheld.*\]\[:Nlaps\]"
+    ):
         open_recording("corridor:fine", format="corridor")
     with pytest.raises(ConfigError, match="own camera"):
         open_recording("corridor", camera={"fx": 500.0})

@@ -79,7 +79,8 @@ def open_recording(
 
     path: a folder, a file (.sens, .bag, .mcap, .mkv, .r3d, .mat, .h5), a zip or tar archive of a recording, a folder with one recording
         in it, a file or folder that is part of one, a file:// address, the name of a generated recording (`synthetic[:SEED][:kinect]`,
-        `synthetic[:SEED]:handheld`, `corridor[:SEED][:kinect][:Nlaps]`), or `kidnap:` followed by one of these (see `generated.kidnapped`).
+        `corridor[:SEED][:kinect][:Nlaps]`, or `:handheld` in place of `:kinect`: see `generated.handheld`), or `kidnap:` followed by one of
+        these (see `generated.kidnapped`).
     format: one of FORMATS, if the layout is not recognised correctly.
     camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
         pinhole camera without distortion.

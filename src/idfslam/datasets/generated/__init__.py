@@ -11,15 +11,16 @@ from idfslam.errors import ConfigError, RecordingError
 from idfslam.storage.plain_values import one_line, shown
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
-HANDHELD = "handheld[-FAULT[=STRENGTH][+...]]"
-NAMES = {SYNTHETIC: f"synthetic[:SEED][:kinect or :{HANDHELD}]", CORRIDOR: "corridor[:SEED][:kinect][:Nlaps]"}
+SENSOR = ":kinect or :handheld[-FAULT[=STRENGTH][+...]]"
+NAMES = {SYNTHETIC: f"synthetic[:SEED][{SENSOR}]", CORRIDOR: f"corridor[:SEED][{SENSOR}][:Nlaps]"}
 FORMS = f"{NAMES[SYNTHETIC]}, {NAMES[CORRIDOR]} or kidnap:RECORDING"
 """The names, for messages and help."""
 KIDNAP = "kidnap:"
 
+_SENSOR = r"(?:(?P<noise>:kinect)|(?P<handheld>:handheld)(?:-(?P<faults>[^:]*))?)?"
 _PATTERNS = {
-    SYNTHETIC: re.compile(r"synthetic(?::(?P<seed>\d{1,9}))?(?:(?P<noise>:kinect)|(?P<handheld>:handheld)(?:-(?P<faults>[^:]*))?)?"),
-    CORRIDOR: re.compile(r"corridor(?::(?P<seed>\d{1,9}))?(?P<noise>:kinect)?(?::(?P<laps>\d{1,3})laps?)?"),
+    SYNTHETIC: re.compile(rf"synthetic(?::(?P<seed>\d{{1,9}}))?{_SENSOR}"),
+    CORRIDOR: re.compile(rf"corridor(?::(?P<seed>\d{{1,9}}))?{_SENSOR}(?::(?P<laps>\d{{1,3}})laps?)?"),
 }
 _LONGEST = 1_000_000  # frames; raised, more memory is needed: 130 MB for the poses of a million. Chosen by hand: nine hours of a camera
 
@@ -58,10 +59,13 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
     if length > _LONGEST:
         raise ConfigError(f"{path}: the last frame is number {shown(length)}, expected at most {_LONGEST}: choose --frames and --stride")
     seed, noise = int(name["seed"] or 0), name["noise"] is not None
-    if kind == SYNTHETIC and name["handheld"]:
-        from idfslam.datasets.generated.handheld import TOUR, handheld_room
+    if name["handheld"]:
+        from idfslam.datasets.generated import handheld
 
-        return handheld_room(_faults(path, name["faults"]), seed, max(TOUR, length))
+        faults = _faults(path, name["faults"])
+        if kind == SYNTHETIC:
+            return handheld.handheld_room(faults, seed, max(handheld.TOUR, length))
+        return handheld.handheld_corridor(faults, seed, int(name["laps"] or 1), length)
     if kind == SYNTHETIC:
         from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster
 

@@ -5,6 +5,7 @@ anew at which doors and rooms the person looks. Pose i depends only on seed and 
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,53 +76,80 @@ def lap_frames(half: tuple[float, float], laps: int) -> int:
 
 def walk(seed: int, frames: int, plan: Plan) -> Array:
     """(N, 4, 4) camera-to-world poses of the walk."""
-    path, rng = closed_path(plan.half), np.random.default_rng([seed, 19])
-    t = np.arange(frames) / FPS
-    hurry = _wander(t, rng, 0.12, (9.1, 5.3))
-    pace = t + hurry - hurry[0]
-    s = np.interp(pace % path.time[-1], path.time, path.distance)
-    points = CubicSpline(path.distance, path.points, bc_type="periodic")
-    lean = CubicSpline(path.distance, path.lean, bc_type="periodic")
-
-    def direction(s: Array) -> Array:
-        return np.asarray(lean(s % path.length)) + 2 * np.pi * s / path.length
-
-    flat, ahead = direction(s), direction(s + 0.35)  # the gaze turns before the feet
-    aside = _wander(t, rng, 0.1, (8.3, 13.7)) + _wander(t, rng, 0.006, (1.13, 0.61))
-    position = np.zeros((frames, 3))
-    position[:, :2] = points(s) + aside[:, None] * np.stack([-np.sin(flat), np.cos(flat)], 1)
-    position[:, 2] = _EYE + _wander(t, rng, 0.05, (11.3, 6.1)) + _wander(t, rng, 0.01, (0.57, 1.31))
-    shake = [_wander(t, rng, np.deg2rad(0.45), (2.9, 1.3, 0.63)) for _ in range(3)]
-    yaw = ahead + _wander(t, rng, np.deg2rad(12), (9.7, 6.7, 4.3)) + shake[0]
-    yaw += _glances(seed, plan, path, pace)
-    pitch = np.deg2rad(-9) + _wander(t, rng, np.deg2rad(7), (7.9, 5.1)) + shake[1]
-    return poses_looking(position, yaw, pitch, _wander(t, rng, np.deg2rad(1.2), (6.3, 3.7)) + shake[2])
+    return Walk(seed, plan).pose_at(np.arange(frames) / FPS)
 
 
-def _wander(t: Array, rng: np.random.Generator, size: float, periods: tuple[float, ...]) -> Array:
-    """(N,) a sum of sines with these periods [s] and random phases; at most `size` times the square root of their number."""
-    phases = rng.uniform(0, 2 * np.pi, len(periods))
-    return size / np.sqrt(len(periods)) * np.sin(2 * np.pi * t[:, None] / np.array(periods) + phases).sum(1)
+class Walk:
+    """The walk of a seed as a smooth curve in continuous time."""
+
+    def __init__(self, seed: int, plan: Plan) -> None:
+        rng = np.random.default_rng([seed, 19])
+        self._path = path = closed_path(plan.half)
+        self._points = CubicSpline(path.distance, path.points, bc_type="periodic")
+        self._lean = CubicSpline(path.distance, path.lean, bc_type="periodic")
+        self._hurry = _Wander(rng, 0.12, (9.1, 5.3))
+        self._aside = _Wander(rng, 0.1, (8.3, 13.7)), _Wander(rng, 0.006, (1.13, 0.61))
+        self._height = _Wander(rng, 0.05, (11.3, 6.1)), _Wander(rng, 0.01, (0.57, 1.31))
+        self._shake = [_Wander(rng, np.deg2rad(0.45), (2.9, 1.3, 0.63)) for _ in range(3)]
+        self._yaw = _Wander(rng, np.deg2rad(12), (9.7, 6.7, 4.3))
+        self._pitch = _Wander(rng, np.deg2rad(7), (7.9, 5.1))
+        self._roll = _Wander(rng, np.deg2rad(1.2), (6.3, 3.7))
+        self._glances = cache(lambda lap: _glances(seed, plan, path, lap))
+
+    def pose_at(self, t: Array) -> Array:
+        """(N, 4, 4) camera-to-world poses at times (N,) [s]."""
+        path = self._path
+        pace = t + self._hurry(t) - self._hurry(np.zeros(1))
+        s = np.interp(pace % path.time[-1], path.time, path.distance)
+        flat, ahead = self._direction(s), self._direction(s + 0.35)  # the gaze turns before the feet
+        aside = self._aside[0](t) + self._aside[1](t)
+        position = np.zeros((len(t), 3))
+        position[:, :2] = self._points(s) + aside[:, None] * np.stack([-np.sin(flat), np.cos(flat)], 1)
+        position[:, 2] = _EYE + self._height[0](t) + self._height[1](t)
+        shake = [turn(t) for turn in self._shake]
+        yaw = ahead + self._yaw(t) + shake[0]
+        yaw += self._turn_of_the_head(pace)
+        return poses_looking(position, yaw, np.deg2rad(-9) + self._pitch(t) + shake[1], self._roll(t) + shake[2])
+
+    def _direction(self, s: Array) -> Array:
+        """(N,) heading [rad] of the path at distances (N,) [m]."""
+        return np.asarray(self._lean(s % self._path.length)) + 2 * np.pi * s / self._path.length
+
+    def _turn_of_the_head(self, pace: Array) -> Array:
+        """(N,) [rad] at the times `pace` (N,) [s] of an even walk."""
+        turn = np.zeros(len(pace))
+        for lap in range(int((pace.max() + _GLANCE) // self._path.time[-1]) + 1):
+            for when, angle in self._glances(lap):
+                turn += angle * np.cos(np.pi / 2 * np.clip((pace - when) / _GLANCE, -1, 1)) ** 2
+        return turn
 
 
-def _glances(seed: int, plan: Plan, path: Path, pace: Array) -> Array:
-    """(N,) the turn of the head [rad] at the times `pace` (N,) [s] of an even walk: in each lap to most openings and to some doors."""
-    turn = np.zeros(len(pace))
+class _Wander:
+    """A sum of sines with these periods [s] and random phases; at most `size` times the square root of their number."""
+
+    def __init__(self, rng: np.random.Generator, size: float, periods: tuple[float, ...]) -> None:
+        self._size, self._periods = size, np.array(periods)
+        self._phases = rng.uniform(0, 2 * np.pi, len(periods))
+
+    def __call__(self, t: Array) -> Array:
+        """(N,) at times (N,) [s]."""
+        return np.asarray(self._size / np.sqrt(len(self._periods)) * np.sin(2 * np.pi * t[:, None] / self._periods + self._phases).sum(1))
+
+
+def _glances(seed: int, plan: Plan, path: Path, lap: int) -> list[tuple[float, float]]:
+    """Times [s] of an even walk and angles [rad] of the looks to the side in one lap: to most openings and to some doors."""
     heading = path.lean + 2 * np.pi * path.distance / path.length
     bend = np.gradient(heading, path.distance)
     straight = maximum_filter1d(bend, round(1.8 / _STEP), mode="wrap") < 0.5 * bend.max()
     targets = np.array([T[:2, 3] for T in plan.openings + plan.doors])
-    for lap in range(int(pace.max() // path.time[-1]) + 1):
-        rng, taken = np.random.default_rng([seed, 23, lap]), list[float]()
-        for k in [*range(len(plan.openings)), *(rng.permutation(len(plan.doors)) + len(plan.openings))]:
-            nearest = int(np.linalg.norm(path.points - targets[k], axis=1).argmin())
-            start = nearest - round(0.5 / _STEP)  # where the target lies half ahead, half to the side
-            amount, looks = np.deg2rad(rng.uniform(48, 62)), rng.random() < (0.85 if k < len(plan.openings) else 0.3)
-            when = lap * path.time[-1] + path.time[start]
-            if not looks or start < 0 or not straight[start] or any(abs(when - other) < 2 * _GLANCE for other in taken):
-                continue
-            taken.append(when)
-            (x, y), phi = targets[k] - path.points[nearest], heading[nearest]
-            side = np.sign(np.cos(phi) * y - np.sin(phi) * x)
-            turn += side * amount * np.cos(np.pi / 2 * np.clip((pace - when) / _GLANCE, -1, 1)) ** 2
-    return turn
+    rng, glances = np.random.default_rng([seed, 23, lap]), list[tuple[float, float]]()
+    for k in [*range(len(plan.openings)), *(rng.permutation(len(plan.doors)) + len(plan.openings))]:
+        nearest = int(np.linalg.norm(path.points - targets[k], axis=1).argmin())
+        start = nearest - round(0.5 / _STEP)  # where the target lies half ahead, half to the side
+        amount, looks = np.deg2rad(rng.uniform(48, 62)), rng.random() < (0.85 if k < len(plan.openings) else 0.3)
+        when = lap * path.time[-1] + path.time[start]
+        if not looks or start < 0 or not straight[start] or any(abs(when - other) < 2 * _GLANCE for other, _ in glances):
+            continue
+        (x, y), phi = targets[k] - path.points[nearest], heading[nearest]
+        glances.append((float(when), float(np.sign(np.cos(phi) * y - np.sin(phi) * x) * amount)))
+    return glances

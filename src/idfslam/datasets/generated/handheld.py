@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.datasets.generated import corridor_walk
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
 from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, ColourCamera
 from idfslam.datasets.generated.depth_camera import DepthCamera, ImperfectDepthCamera
@@ -23,6 +24,7 @@ from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.corridor import build_corridor
 from idfslam.scenes.room import build_room
 from idfslam.scenes.shading import Rendering
 
@@ -107,7 +109,7 @@ class HandheldRecording:
 
 
 def handheld_room(faults: Faults, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480) -> HandheldRecording:
-    """A walk around the room of `SyntheticRoom(seed)` with a shaking hand. Raises ConfigError for a negative seed or too small a size."""
+    """The walk around the room of `SyntheticRoom(seed)` with a shaking hand. Raises ConfigError for a negative seed or too small a size."""
     if seed < 0 or frames < 1 or width < 8 or height < 8:
         found = f"handheld room {seed} of {frames} frames, {width}x{height} px"
         raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 frame of 8x8 px")
@@ -117,3 +119,19 @@ def handheld_room(faults: Faults, seed: int = 0, frames: int = TOUR, width: int 
         return tour_at(t * FPS, seed, room.half)
 
     return HandheldRecording(f"synthetic-{seed}", room, walk, (width, height), seed=seed, frames=frames, faults=faults)
+
+
+def handheld_corridor(
+    faults: Faults, seed: int = 0, laps: int = 1, frames: int = 0, width: int = 320, height: int = 240
+) -> HandheldRecording:
+    """The walk through `SyntheticCorridor(seed)` with a shaking hand: `laps` rounds, or `frames` frames if these are more.
+
+    Raises ConfigError for a negative seed, and for a size or a number of laps that is not positive.
+    """
+    if seed < 0 or laps < 1 or width < 8 or height < 8:
+        found = f"handheld corridor {seed}, {laps} laps, {width}x{height} px"
+        raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 lap and 8x8 px")
+    corridor = build_corridor(seed)
+    walk, name = corridor_walk.Walk(seed, corridor.plan), f"corridor-{seed}{f'-{laps}laps' if laps > 1 else ''}"
+    frames = max(frames, corridor_walk.lap_frames(corridor.plan.half, laps))
+    return HandheldRecording(name, corridor, walk.pose_at, (width, height), seed=seed, frames=frames, faults=faults)
