@@ -41,7 +41,7 @@ def main() -> None:
         live = [slam.process(frame).status for frame, _ in read_frames(recording)]
         slam.finish()
         assert recording.ground_truth is not None
-        kept = [i for i, status in enumerate(slam.statuses()) if status in (Status.OK, Status.DEGENERATE)]
+        kept = [i for i, status in enumerate(slam.statuses()) if status.measured]
         ate = absolute_trajectory_error(slam.trajectory()[kept], recording.ground_truth[kept]).translation
         told = " ".join("never" if wait is None else str(wait) for wait in waits(live, recording.order))
         print(

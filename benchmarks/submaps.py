@@ -42,7 +42,7 @@ def main() -> None:
         live = [slam.process(frame).status for frame in shown(recording, order)]
         slam.finish()
         statuses = slam.statuses()
-        found = [i for i, j in enumerate(order) if j >= 0 and statuses[i] in (Status.OK, Status.DEGENERATE)]
+        found = [i for i, j in enumerate(order) if j >= 0 and statuses[i].measured]
         error = absolute_trajectory_error(slam.trajectory()[found], truth[[order[i] for i in found]]).translation
         lost = [i for i, status in enumerate(live) if status is Status.LOST]
         told = f"told as lost from frame {lost[0]} to {lost[-1]}" if lost else "never lost"

@@ -49,7 +49,9 @@ def test_figures_of_a_run() -> None:
     metrics = {"frames": 14, "frames_per_second": 7.0, "frames_per_second_by_100": [7.0], "lost_frames": 1, "peak_memory_mb": None}
     assert column_values(metrics, None) == {"frames_per_second": 7.0, "lost_frames": 1.0}
     mesh = {"accuracy": 0.01, "completion": 0.02, "completion_ratio": 0.97, "protocol": "seen"}
-    found = column_values(metrics | {"ate_m": {"rmse": 0.005}}, mesh)
+    steps = {"rpe_1": {"rotation_deg": {"rmse": 0.4}}, "jump": {"rotation_deg": 2.5}, "doubtful_frames": 3}
+    found = column_values(metrics | {"ate_m": {"rmse": 0.005}} | steps, mesh)
+    assert (found["rpe_1_deg"], found["jump_deg"], found["doubtful_frames"]) == (0.4, 2.5, 3.0)
     assert (found["ate_m"], found["accuracy_m"], found["completion_m"], found["completion_ratio"]) == (0.005, 0.01, 0.02, 0.97)
 
 

@@ -43,6 +43,8 @@ class Column:
 
 COLUMNS = (
     Column("ate_m", "ATE RMSE [cm]", 100),
+    Column("rpe_1_deg", "RPE over one frame [deg]"),
+    Column("jump_deg", "largest jump [deg]"),
     Column("accuracy_m", "accuracy [cm]", 100),
     Column("completion_m", "completion [cm]", 100),
     Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
@@ -52,6 +54,7 @@ COLUMNS = (
     Column("peak_memory_above_imports_mb", "above imports [MiB]", digits=0),
     Column("keyframes", "keyframes", digits=1),
     Column("lost_frames", "lost frames", digits=1),
+    Column("doubtful_frames", "doubtful frames", digits=1),
 )
 
 
@@ -180,6 +183,8 @@ def column_values(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) ->
     """The values of COLUMNS that a run has, from its metrics.json and the mesh part of its evaluation.json."""
     values = {column.key: metrics.get(column.key) for column in COLUMNS}
     values |= {"speed_kept": speed_kept(metrics["frames_per_second_by_100"], metrics["frames"]), "ate_m": ate_rmse(metrics)}
+    if "jump" in metrics:
+        values |= {"rpe_1_deg": metrics["rpe_1"]["rotation_deg"]["rmse"], "jump_deg": metrics["jump"]["rotation_deg"]}
     if mesh is not None:
         values |= {"accuracy_m": mesh["accuracy"], "completion_m": mesh["completion"], "completion_ratio": mesh["completion_ratio"]}
     return {key: float(value) for key, value in values.items() if value is not None}

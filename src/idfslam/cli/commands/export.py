@@ -36,7 +36,8 @@ class Export:
     always up, since glTF demands it."""
     lost: Lost | None = None
     """Frames whose pose was not measured (lost, interpolated). `keep`: they are exported and marked. `drop`: they are left out.
-    Default: trajectories keep them, marked, and posed images leave them out."""
+    Default: trajectories keep them, marked, and posed images leave them out. Doubtful frames are treated in the same way, but always
+    stay in trajectories."""
     images: int | None = None
     """Number of frames whose images and points are exported, spread over the run. Default: the keyframes, with those of the map that the
     run started in."""

@@ -89,7 +89,7 @@ class OutputFlags:
     """Write report.html with its pictures at the end."""
     lost: Literal["keep", "drop"] = "keep"
     """Frames whose pose was not measured (lost, interpolated) in trajectory.txt. `keep`: it has a line for every frame, and frames.csv
-    says which were not measured. `drop`: it leaves them out."""
+    says which were not measured. `drop`: it leaves them out. Doubtful frames have a measured pose, and stay."""
 
 
 @dataclass(frozen=True)
