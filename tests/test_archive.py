@@ -11,6 +11,7 @@ import torch
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
 from idfslam.tracking.frame_features import FrameFeatures
@@ -28,7 +29,7 @@ def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
     random = np.random.default_rng(index)
     colour = random.integers(0, 256, (48, 64, 3)) * np.float32(1 / 255) if eight_bits else random.random((48, 64, 3))
     depth = np.where(random.random((48, 64)) < 0.2, 0, random.uniform(0.4, 5, (48, 64))).astype(np.float32)
-    frame = Frame(index, index / 30, colour.astype(np.float32), depth, CAMERA)
+    frame = Frame(index, index / 30, colour.astype(np.float32), depth, CAMERA, index / 30 + 0.004, SensorTiming(0.026, 0.0, None))
     made = Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(depth), torch.from_numpy(frame.colour))
     made.host = index
     return made
@@ -52,6 +53,7 @@ def test_images_come_back_exactly(eight_bits: bool) -> None:
         assert torch.equal(k.depth, depth)
         assert torch.equal(k.colour, colour)
         assert (k.frame.index, k.frame.timestamp, k.frame.camera) == (frame.index, frame.timestamp, CAMERA)
+        assert (k.frame.depth_timestamp, k.frame.timing) == (frame.depth_timestamp, frame.timing)
         assert sum(other._images is not None for other in keyframes) == 2
 
 

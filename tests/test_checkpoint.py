@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -30,6 +31,7 @@ from idfslam.config import Config, dump
 from idfslam.datasets import open_recording
 from idfslam.errors import RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status
+from idfslam.geometry.trajectory import load_tum
 from idfslam.graph.loop_consistency import Loop
 from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import FORMAT, Checkpoints, fingerprint
@@ -350,6 +352,28 @@ def test_resume(box_recording: Path, whole: Path, tmp_path: Path, every: int, re
     assert (metrics["frames"], metrics["resumed_at"]) == (BOX_FRAMES, resumed_at)
     lines, others = (FrameLog.load(place / result_folder.FRAMES).lines for place in (tmp_path, whole))
     assert [replace(line, ms=0.0) for line in lines] == [replace(line, ms=0.0) for line in others]
+
+
+@pytest.mark.slow
+def test_resume_with_frames_without_depth(box_recording: Path, tmp_path: Path) -> None:
+    """One before the break has no depth image, one after it has one without a reading."""
+    recording = shutil.copytree(box_recording, tmp_path / "box")
+    (recording / "depth/0006.png").unlink()
+    cv2.imwrite(str(recording / "depth/0011.png"), np.zeros((120, 160), np.uint16))
+    whole = broken(recording, tmp_path / "whole", Slam)
+    died(recording, tmp_path / "out")
+    assert resume(tmp_path / "out", checkpoint_every=4) is not None
+    assert same(tmp_path / "out", whole)
+    assert len(load_tum(whole / result_folder.TRAJECTORY)) == BOX_FRAMES
+    metrics = json.loads((whole / result_folder.METRICS).read_text())
+    assert metrics["unreadable_frames"] == 0
+    assert not {6, 11} & set(result_folder.read_keyframes(whole).indices.tolist())  # without depth there is nothing to map
+
+
+def test_the_times_of_the_sensor_must_be_those_of_the_run(box_recording: Path) -> None:
+    cpu = torch.device("cpu")
+    made, other = (fingerprint(small(), open_recording(box_recording, camera={"readout": value}), cpu) for value in (0.02, 0.03))
+    assert {name for name in made if made[name] != other[name]} == {"sensor's times"}
 
 
 @pytest.mark.slow

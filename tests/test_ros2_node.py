@@ -14,8 +14,9 @@ from helpers.box_room import BOX_FOCAL, BOX_HEIGHT, BOX_WIDTH, box_poses, box_vi
 from helpers.visible_files import visible_files
 from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import FrameResult, Status
+from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.geometry.trajectory import load_tum
-from idfslam.ros2.node import SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map
+from idfslam.ros2.node import Parameters, SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map, timing_of
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 
@@ -208,6 +209,18 @@ def test_grey_and_depth() -> None:
     assert (depth_of(image(raw.astype(">u2"), "16UC1", bigendian=True), 1000) == raw).all()
     metres = np.array([[np.nan, 1.5], [np.inf, -1.0]], np.float32)
     assert (depth_of(image(metres, "32FC1"), 1000) == [[0, 1500], [0, 0]]).all()
+
+
+def test_depth_keeps_its_stamp_and_parameters_state_the_times() -> None:
+    colour, depth, info = box_messages(0)
+    depth.header = SimpleNamespace(stamp=SimpleNamespace(sec=100, nanosec=7_000_000), frame_id="camera_optical")
+    times = timing_of(Parameters(readout=0.02, depth_delay=-0.004))
+    frame = frame_of(0, colour, depth, info, 1000, times)
+    assert (frame.timestamp, frame.depth_timestamp) == (100.0, 100.007)
+    assert frame.timing == times == SensorTiming(0.02, None, -0.004)
+    assert frame_of(0, colour, depth, info, 1000).timing == SensorTiming(None, None, None)
+    with pytest.raises(ConfigError, match=r"readout is 20\.0, expected seconds from 0 to 0\.5"):
+        timing_of(Parameters(readout=20.0))
 
 
 def test_what_cannot_be_a_frame() -> None:

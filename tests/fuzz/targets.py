@@ -134,13 +134,14 @@ def _array_recording(folder: Path, kind: str) -> Path:
 
 def _with_stamps(folder: Path) -> Path:
     path = recordings.write_folder(folder / "r", frames=2)
-    (path / "timestamps.txt").write_text("0 0.0\n1 0.1\n")
+    (path / "timestamps.txt").write_text("# number timestamp depth_timestamp\n0 0.0 0.01\n1 0.1 0.11\n")
     return path
 
 
 def _with_cam_params(folder: Path) -> Path:
     path = recordings.write_folder(folder / "r", frames=2)
     camera = {"w": 16, "h": 12, "fx": 15, "fy": 15, "cx": 7.5, "cy": 5.5, "scale": 1000, "distortion": [0.1, 0, 0, 0]}
+    camera |= {"readout": 0.026, "depth_readout": 0.03, "depth_delay": -0.009}
     T = np.eye(4).tolist()
     (path / "cam_params.json").write_text(json.dumps({"camera": camera, "depth_camera": camera, "T_colour_depth": T}))
     return path

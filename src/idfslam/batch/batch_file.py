@@ -27,13 +27,16 @@ _SUFFIXES = (".txt", ".yaml", ".yml")
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """The options --camera.* of `run`; 0: not given."""
+    """The options --camera.* of `run`, with values of their types: what an entry does not name is not given."""
 
     fx: float = 0.0
     fy: float = 0.0
     cx: float = 0.0
     cy: float = 0.0
     depth_scale: float = 0.0
+    readout: float = 0.0
+    depth_readout: float = 0.0
+    depth_delay: float = 0.0
 
 
 @dataclass(frozen=True)

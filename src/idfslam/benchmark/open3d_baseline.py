@@ -109,11 +109,15 @@ def measure(recording: Dataset, config: DenseSlamConfig | None = None) -> dict[s
     poses, seconds, unreadable = [np.eye(4)], 0.0, 0
     for i in range(len(recording)):
         try:
-            images = slam.images(recording[i])
+            frame = recording[i]
+            readable = bool(frame.depth.any())
         except FrameError:
+            readable = False
+        if not readable:  # Open3D tracks by depth
             poses.append(poses[-1])
             unreadable += 1
             continue
+        images = slam.images(frame)
         began = perf_counter()
         poses.append(slam.process(*images))
         seconds += perf_counter() - began

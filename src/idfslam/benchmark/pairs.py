@@ -145,7 +145,7 @@ def _share(those: NDArray[np.bool_]) -> float | None:
 
 @dataclass(frozen=True)
 class PairSample:
-    """Pairs of frames of a recording, `gap` apart, both with true poses. Unreadable pairs are skipped."""
+    """Pairs of frames of a recording, `gap` apart, both with true poses. Pairs that are unreadable or without depth are skipped."""
 
     recording: Dataset
     gap: int
@@ -159,6 +159,8 @@ class PairSample:
             try:
                 keyframe, frame = self.recording[i], self.recording[i + self.gap]
             except FrameError:
+                continue
+            if not (keyframe.depth.any() and frame.depth.any()):
                 continue
             yield keyframe, frame, np.linalg.inv(truth[i]) @ truth[i + self.gap]
 
