@@ -267,6 +267,17 @@ def test_clock_of_depth_by_hand() -> None:
     assert (delays < 0).any()
 
 
+def test_times_that_are_known_are_stated() -> None:
+    """The user may state the sensor's times, of which the recording states none; everything else about its camera is its own."""
+    camera = {"readout": 0.025, "depth_delay": -0.007}
+    assert open_recording("synthetic:0:handheld-time", camera=camera, frames=1)[0].timing == SensorTiming(0.025, None, -0.007)
+    assert handheld_room(Faults(), known=SensorTiming(None, 0.02, None), **SIZE).timing == SensorTiming(0.0, 0.02, 0.0)
+    with pytest.raises(ConfigError, match="own camera and depth"):
+        open_recording("synthetic:0:handheld", camera={"fx": 500.0})
+    with pytest.raises(ConfigError, match="own camera and depth"):
+        open_recording("synthetic:0:kinect", camera={"readout": 0.025})
+
+
 # ----- calibration
 
 

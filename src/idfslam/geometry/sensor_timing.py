@@ -30,3 +30,6 @@ class SensorTiming:
 
 SYNCHRONISED = SensorTiming()
 """A global shutter, with colour and depth of one moment."""
+
+UNKNOWN = SensorTiming(None, None, None)
+"""A sensor of which nobody states any of these times."""

@@ -124,9 +124,10 @@ class Run:
 
     path: Positional[Path | None] = None
     """A recording; its format is detected automatically. Generated recordings: synthetic[:SEED][:kinect] and
-    corridor[:SEED][:kinect][:Nlaps]. Live cameras: realsense[:SERIAL or FILE], openni[:NUMBER], orbbec[:NUMBER], and opencv:COLOUR:DEPTH
-    for two video devices (with --camera.fx and so on); frames that come too fast are dropped. `replay[@SPEED]:PATH` plays a recording like
-    a live camera. `kidnap:PATH` tests relocalisation: five blackouts of one second, each ending at an earlier place."""
+    corridor[:SEED][:kinect][:Nlaps]; with :handheld instead of :kinect they have the faults of a real sensor in a shaking hand.
+    Live cameras: realsense[:SERIAL or FILE], openni[:NUMBER], orbbec[:NUMBER], and opencv:COLOUR:DEPTH for two video devices (with
+    --camera.fx and so on); frames that come too fast are dropped. `replay[@SPEED]:PATH` plays a recording like a live camera.
+    `kidnap:PATH` tests relocalisation: five blackouts of one second, each ending at an earlier place."""
     map: Path | None = None
     """Start in the map of this earlier result folder and extend it. The recording of that run must still exist."""
     config: ConfigFile = None

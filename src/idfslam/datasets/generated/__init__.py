@@ -8,6 +8,7 @@ from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.recording import Dataset
 from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.geometry.sensor_timing import UNKNOWN
 from idfslam.storage.plain_values import one_line, shown
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
@@ -53,7 +54,8 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
     name = _PATTERNS[kind].fullmatch(path)
     if name is None:
         raise RecordingError(f"{one_line(path)}: not a {kind} {'room' if kind == SYNTHETIC else 'recording'}, expected {NAMES[kind]}")
-    if calibration != Calibration():
+    times = calibration.timing()
+    if (calibration.with_times(UNKNOWN) if name["handheld"] else calibration) != Calibration():
         what = f"a {kind} {'room' if kind == SYNTHETIC else 'recording'}"
         raise ConfigError(f"{path}: {what} has its own camera and depth, expected no override: leave the camera's values out")
     if length > _LONGEST:
@@ -64,8 +66,8 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
 
         faults = _faults(path, name["faults"])
         if kind == SYNTHETIC:
-            return handheld.handheld_room(faults, seed, max(handheld.TOUR, length))
-        return handheld.handheld_corridor(faults, seed, int(name["laps"] or 1), length)
+            return handheld.handheld_room(faults, seed, max(handheld.TOUR, length), known=times)
+        return handheld.handheld_corridor(faults, seed, int(name["laps"] or 1), length, known=times)
     if kind == SYNTHETIC:
         from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster
 

@@ -4,6 +4,8 @@ Every fault is a part of its own, drawn from the seed and scaled by its strength
 without faults shows the same motion in the same scene, with the same noise of a Kinect.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ from idfslam.datasets.generated.shutter import drawn_readouts, row_times
 from idfslam.datasets.provenance import GENERATED, Provenance
 from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import Frame
-from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
+from idfslam.geometry.sensor_timing import SYNCHRONISED, UNKNOWN, SensorTiming
 from idfslam.scenes.baked_scene import BakedScene
 from idfslam.scenes.corridor import build_corridor
 from idfslam.scenes.room import build_room
@@ -30,20 +32,30 @@ from idfslam.scenes.shading import Rendering
 
 Array = NDArray[np.float64]
 
-_UNKNOWN = SensorTiming(None, None, None)
-
 
 class HandheldRecording:
     """`len(recording)`, `recording[i]`, `camera`, `timestamps`, `ground_truth`, `surface()` as of any recording, and the truth.
 
     A frame depends only on the scene, the walk, `seed`, `faults` and its index. `ground_truth` has the poses of the colour images at their
-    middle rows. `camera` is what the recording states. Frames state that their timing is unknown if it has a fault.
+    middle rows. `camera` is what the recording states. Frames state that their timing is unknown if it has a fault, but for what is
+    `known` of it: what a user states.
     """
 
     provenance = Provenance(GENERATED, stamps=GENERATED)
     reading_threads = 2  # rendering a frame takes several times as long as SLAM does
 
-    def __init__(self, name: str, scene: BakedScene, walk: Walk, size: tuple[int, int], *, seed: int, frames: int, faults: Faults) -> None:
+    def __init__(
+        self,
+        name: str,
+        scene: BakedScene,
+        walk: Walk,
+        size: tuple[int, int],
+        *,
+        seed: int,
+        frames: int,
+        faults: Faults,
+        known: SensorTiming = UNKNOWN,
+    ) -> None:
         self.name, self.faults = f"{name}-handheld-{faults}", faults
         self._scene, self._seed = scene, seed
         self.motion = HandheldMotion(walk, seed)
@@ -55,7 +67,8 @@ class HandheldRecording:
         self.depth_timestamps: Array = clock.stamps(self.shots)
         """(N,) [s] as the frames state them; depth is taken `true_timing.depth_delay` later."""
         self.true_timing = SensorTiming(*drawn_readouts(seed, faults.shutter), clock.delay)
-        self.timing = SYNCHRONISED if self.true_timing == SYNCHRONISED and not faults.time else _UNKNOWN
+        stated = UNKNOWN if faults.shutter or faults.time else SYNCHRONISED
+        self.timing = replace(stated, **{name: seconds for name, seconds in vars(known).items() if seconds is not None})
         """What the frames state."""
         self.true_camera = pinhole(size)
         self.miscalibration = Miscalibration.drawn(seed, faults.calibration)
@@ -108,7 +121,9 @@ class HandheldRecording:
         return self._scene.surface()
 
 
-def handheld_room(faults: Faults, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480) -> HandheldRecording:
+def handheld_room(
+    faults: Faults, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480, known: SensorTiming = UNKNOWN
+) -> HandheldRecording:
     """The walk around the room of `SyntheticRoom(seed)` with a shaking hand. Raises ConfigError for a negative seed or too small a size."""
     if seed < 0 or frames < 1 or width < 8 or height < 8:
         found = f"handheld room {seed} of {frames} frames, {width}x{height} px"
@@ -118,11 +133,12 @@ def handheld_room(faults: Faults, seed: int = 0, frames: int = TOUR, width: int 
     def walk(t: Array) -> Array:
         return tour_at(t * FPS, seed, room.half)
 
-    return HandheldRecording(f"synthetic-{seed}", room, walk, (width, height), seed=seed, frames=frames, faults=faults)
+    name = f"synthetic-{seed}"
+    return HandheldRecording(name, room, walk, (width, height), seed=seed, frames=frames, faults=faults, known=known)
 
 
 def handheld_corridor(
-    faults: Faults, seed: int = 0, laps: int = 1, frames: int = 0, width: int = 320, height: int = 240
+    faults: Faults, seed: int = 0, laps: int = 1, frames: int = 0, width: int = 320, height: int = 240, known: SensorTiming = UNKNOWN
 ) -> HandheldRecording:
     """The walk through `SyntheticCorridor(seed)` with a shaking hand: `laps` rounds, or `frames` frames if these are more.
 
@@ -134,4 +150,4 @@ def handheld_corridor(
     corridor = build_corridor(seed)
     walk, name = corridor_walk.Walk(seed, corridor.plan), f"corridor-{seed}{f'-{laps}laps' if laps > 1 else ''}"
     frames = max(frames, corridor_walk.lap_frames(corridor.plan.half, laps))
-    return HandheldRecording(name, corridor, walk.pose_at, (width, height), seed=seed, frames=frames, faults=faults)
+    return HandheldRecording(name, corridor, walk.pose_at, (width, height), seed=seed, frames=frames, faults=faults, known=known)

@@ -1,0 +1,113 @@
+"""What each fault of a real sensor costs: the same hand-held motion with an ideal sensor, with each fault alone, and with all of them.
+
+    python benchmarks/sensor_faults.py [SCENE ...] [--seeds N] [--frames N] [--faults NAME ...] [--preset NAME] [section.value=...]
+
+SCENE is `synthetic` or `corridor`; seed S runs the recording SCENE:S:handheld-FAULT, so that each seed has a room and a motion of its own.
+--faults names other rows, such as `shutter=0.5` or `shutter+time`; `all` means every fault. It prints a table in Markdown: mean and
+standard deviation over the seeds of the ATE RMSE, the largest error of the motion from one frame to the next of all seeds, and the share of
+each status as it was reported when the frame was processed.
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from idfslam.compute.process import prepare_process
+
+prepare_process()
+
+import torch  # noqa: E402
+import yaml  # noqa: E402
+
+from idfslam.config import Config, preset, update  # noqa: E402
+from idfslam.datasets import open_recording  # noqa: E402
+from idfslam.datasets.generated.faults import FAULTS, IDEAL  # noqa: E402
+from idfslam.evaluation.trajectory_error import absolute_trajectory_error, relative_pose_error  # noqa: E402
+from idfslam.frame import Status  # noqa: E402
+from idfslam.runs.source import read_frames  # noqa: E402
+from idfslam.slam import Slam  # noqa: E402
+
+_ALL = "all"
+_COLUMNS = (
+    "sensor", "ATE RMSE [cm]", "times ideal", "RPE of a frame [degrees]", "largest jump [degrees]", "[cm]",
+    *(f"{status.value} [%]" for status in Status), "lost frames",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One run."""
+
+    ate: float  # [cm] RMSE
+    turn: float  # [degrees] RMSE over one frame
+    jump: tuple[float, float]  # [degrees], [cm] largest error over one frame
+    statuses: Counter[Status]
+
+
+def recording_name(scene: str, seed: int, faults: str) -> str:
+    """The name of the recording of a row."""
+    return f"{scene}:{seed}:handheld" + ("" if faults == _ALL else f"-{faults}")
+
+
+def measured(name: str, config: Config, frames: int | None) -> Measured:
+    """Runs a recording."""
+    recording, slam = open_recording(name, frames=frames), Slam(config)
+    statuses = Counter(slam.process(frame).status for frame, _ in read_frames(recording))
+    poses, truth = slam.trajectory(), np.asarray(recording.ground_truth)
+    rpe = relative_pose_error(poses, truth)
+    if rpe is None:
+        raise SystemExit(f"{name}: {len(poses)} frames, expected at least 2: choose --frames")
+    jump = rpe.largest_jump
+    ate = absolute_trajectory_error(poses, truth).translation.rmse
+    return Measured(100 * ate, rpe.rotation.rmse, (jump.rotation_deg, 100 * jump.translation_m), statuses)
+
+
+def row(name: str, runs: Sequence[Measured], ideal: float | None) -> str:
+    """A row of the table; `ideal` is the mean error [cm] of the ideal sensor."""
+    errors = np.array([run.ate for run in runs])
+    statuses = sum((run.statuses for run in runs), Counter[Status]())
+    ratio = "-" if ideal is None else f"{errors.mean() / ideal:.1f}"
+    jumps = " | ".join(f"{max(run.jump[k] for run in runs):.1f}" for k in range(2))
+    shares = " | ".join(f"{100 * statuses[status] / statuses.total():.1f}" for status in Status)
+    turn = np.mean([run.turn for run in runs])
+    return f"| {name} | {errors.mean():.2f} ± {errors.std():.2f} | {ratio} | {turn:.2f} | {jumps} | {shares} | {statuses[Status.LOST]} |"
+
+
+def configured(name: str, values: Sequence[str]) -> Config:
+    """The preset with `section.value=...` of the command line."""
+    config = preset(name)
+    for argument in values:
+        path, value = argument.split("=")
+        nested = yaml.safe_load(value)
+        for part in reversed(path.split(".")):
+            nested = {part: nested}
+        config = update(config, nested, "the command line")
+    return config
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help="synthetic or corridor, and section.value=... of the configuration")
+    parser.add_argument("--seeds", type=int, default=1, help="number of seeds, from 0 on, of scene, motion and system")
+    parser.add_argument("--frames", type=int, help="number of frames of each recording; default: all")
+    parser.add_argument("--faults", nargs="+", default=[IDEAL, *FAULTS, _ALL], help="rows of the table")
+    parser.add_argument("--preset", default="fast")
+    arguments = parser.parse_args()
+    config = configured(arguments.preset, [name for name in arguments.scenes if "=" in name])
+    torch.set_num_threads(1)
+    for scene in [name for name in arguments.scenes if "=" not in name] or ["synthetic"]:
+        print(f"\n{scene}, {arguments.seeds} seeds\n\n| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1), flush=True)
+        ideal: float | None = None
+        for faults in arguments.faults:
+            names = [recording_name(scene, seed, faults) for seed in range(arguments.seeds)]
+            runs = [measured(name, replace(config, seed=seed), arguments.frames) for seed, name in enumerate(names)]
+            if faults == IDEAL:
+                ideal = float(np.mean([run.ate for run in runs]))
+            print(row(faults, runs, ideal), flush=True)
+
+
+if __name__ == "__main__":
+    main()
