@@ -8,6 +8,7 @@ a row for each recording over its seeds, one for all, and the bins of the reliab
 """
 
 import argparse
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -93,11 +94,12 @@ def main() -> None:
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--plot", type=Path, default=Path("reliability.png"))
     arguments = parser.parse_args()
-    config = configured(arguments.preset, [name for name in arguments.recordings if "=" in name])
+    values = [word for word in arguments.recordings if re.match(r"[\w.]+=", word)]  # names as synthetic:0:handheld-time=2 are none
+    config = configured(arguments.preset, values)
     torch.set_num_threads(1)
     print("| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1), flush=True)
     all_rates, all_errors = DoubtRates(), list[MotionErrors]()
-    for name in (name for name in arguments.recordings if "=" not in name):
+    for name in (name for name in arguments.recordings if name not in values):
         runs = [measured(name, replace(config, seed=seed), arguments.frames) for seed in range(arguments.seeds)]
         rates, errors = sum((run[0] for run in runs), DoubtRates()), MotionErrors.joined([run[1] for run in runs])
         print(row(Path(name).name, arguments.seeds, rates, errors), flush=True)

@@ -14,8 +14,8 @@ Image = NDArray[np.float32]
 
 _EDGE = 0.03  # [1] relative depth step within 3 x 3 pixels across which readings are mixed; raised, fewer are. This and the rest: by hand
 _FLYING = 0.5  # [1] share of the readings at such edges that fly; raised, more do
-_DARK = 0.10, 0.32  # [1] brightness below which all readings are lost, and above which none are; raised, holes are larger
-_GRAZING = np.cos(np.deg2rad(80)), np.cos(np.deg2rad(62))  # cosines of the angle to the normal, likewise
+_DARK = 0.14, 0.42  # [1] brightness below which all readings are lost, and above which none are; raised, holes are larger
+_GRAZING = np.cos(np.deg2rad(80)), np.cos(np.deg2rad(58))  # cosines of the angle to the normal, likewise
 _LOST = 0.85  # [1] share lost of the darkest and most slanted surfaces; raised, holes are larger
 _PATCH = 12  # [px at a width of 640] size of the patches that are lost together; raised, holes are fewer and larger
 _SMALLER = 4  # how many times smaller the image is in which dark surfaces are found; raised, small ones are missed
