@@ -62,7 +62,7 @@ def _motion(lines: Sequence[FrameLine], poses: NDArray[np.float64]) -> str:
     """That the camera turned quickly, if it did."""
     first, last = max(lines[0].index - 1, 0), lines[-1].index
     seconds, steps = lines[-1].timestamp - lines[0].timestamp, len(lines) - 1
-    if last >= len(poses) or last == first or steps < 1 or seconds <= 0:
+    if last >= len(poses) or last <= first or steps < 1 or seconds <= 0:
         return ""
     R = poses[first : last + 1, :3, :3]
     turns = np.rad2deg(Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).magnitude())
