@@ -50,6 +50,7 @@ PAPER = Config(
         truncation=0.0,
         refits=0,
         plane_steps=0,
+        patches=False,
         min_inliers=30,
         min_inlier_share=0.2,
         min_agreement=0.0,

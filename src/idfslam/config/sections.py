@@ -197,6 +197,9 @@ class TrackerConfig:
     plane_steps: int = 5
     """Gauss-Newton steps of point-to-plane ICP on the two depth images after the registration, with the inliers as a prior. They make
     the pose several times as exact for 8 ms (docs/model-card.md); the paper has none (0)."""
+    patches: bool = True
+    """Refine the matches to a fraction of a pixel: patches of the keyframe are aligned to the frame's image, and the pose is that of image
+    and depth together (docs/model-card.md). When off, as in the paper, matches have the resolution of the features."""
     min_inliers: int = 12
     """Registrations with fewer inliers are lost."""
     min_inlier_share: float = 0.05

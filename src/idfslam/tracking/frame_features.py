@@ -1,8 +1,9 @@
 """What the tracker extracts from a frame: images at the tracker's resolution, points, and the trunk's features."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,10 +14,13 @@ from torch.nn import functional as F
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.tracking.patches import Patches, chosen_patches
 
 # All of these were chosen by hand.
 _ONE_SURFACE = 0.03  # [1] largest relative difference of depths on one surface. More: depth is averaged over edges
 _NORMAL_REACH = 2  # [px] distance to the neighbours that a normal is computed from. More: smoother normals, missing nearer to edges
+_IMAGE_ROWS = 480  # [px] most rows of the image that patches are aligned in. More: finer matches, and more time and memory a frame
+_COARSEST_ROWS = 100  # [px] least rows of the coarsest image of the pyramid. More: fewer levels, and smaller errors are corrected
 _NORMAL_EDGE = 0.1  # [1] largest relative difference of depth between these neighbours. More: normals are computed over edges
 
 
@@ -32,11 +36,30 @@ class FrameFeatures:
     points: Tensor  # (h, w, 3) in the camera's frame [m]; z = 0: no depth
     camera: Camera  # of the (h, w) image
     source: Camera  # of the recording's image
+    grey: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.uint8))  # (H, W) brightness, finer than h x w; on the CPU
+
+    @property
+    def grey_camera(self) -> Camera:
+        """The camera of `grey`; that of the recording if there is no such image."""
+        return self.source.resized(self.grey.shape[1], self.grey.shape[0]) if self.grey.numel() else self.source
 
     @property
     def valid(self) -> Tensor:
         """(h, w) bool: pixels with depth."""
         return self.points[..., 2] > 0
+
+    @cached_property
+    def pyramid(self) -> list[Tensor]:
+        """`grey` and its halves, down to about the features' resolution: pixel (u, v) of one is pixel (u, v) / 2 of the next."""
+        levels: list[NDArray[np.uint8]] = [self.grey.numpy()]
+        while levels[-1].shape[0] >= 2 * _COARSEST_ROWS:
+            levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8, copy=False))
+        return [torch.from_numpy(level) for level in levels]
+
+    @cached_property
+    def patches(self) -> Patches:
+        """Patches of `grey` that other frames are compared with."""
+        return chosen_patches(self.grey, self.points.cpu(), self.normals.cpu(), self.grey_camera)
 
     @cached_property
     def normals(self) -> Tensor:
@@ -48,10 +71,10 @@ class FrameFeatures:
         camera, source, device = self.camera, self.source, self.points.device
 
         def unpacked(tensors: Sequence[Tensor]) -> FrameFeatures:
-            trunk, colour, points = (tensor.to(device) for tensor in tensors)
-            return FrameFeatures(trunk.permute(2, 0, 1), colour.permute(2, 0, 1), points, camera, source)
+            trunk, colour, points = (tensor.to(device) for tensor in tensors[:3])
+            return FrameFeatures(trunk.permute(2, 0, 1), colour.permute(2, 0, 1), points, camera, source, tensors[3])
 
-        return [self.trunk.permute(1, 2, 0), self.colour.permute(1, 2, 0), self.points], unpacked
+        return [self.trunk.permute(1, 2, 0), self.colour.permute(1, 2, 0), self.points, self.grey], unpacked
 
 
 def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32], Camera]:
@@ -60,6 +83,16 @@ def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.
     w = round(frame.camera.width * h / frame.camera.height)
     colour = cv2.resize(frame.colour, (w, h), interpolation=cv2.INTER_AREA)
     return colour.astype(np.float32, copy=False), averaged_depth(frame.depth, h, w), frame.camera.resized(w, h)
+
+
+def brightness(frame: Frame) -> NDArray[np.uint8]:
+    """The brightness (H, W) of a frame's colour image, of at most `_IMAGE_ROWS` rows."""
+    rows = frame.camera.height
+    colour: NDArray[Any] = frame.colour
+    if rows > _IMAGE_ROWS:
+        colour = cv2.resize(colour, (round(frame.camera.width * _IMAGE_ROWS / rows), _IMAGE_ROWS), interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(colour.astype(np.float32, copy=False), cv2.COLOR_RGB2GRAY)
+    return cv2.convertScaleAbs(grey, alpha=255.0).astype(np.uint8, copy=False)
 
 
 def averaged_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
