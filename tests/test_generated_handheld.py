@@ -106,7 +106,7 @@ def test_names_of_recordings() -> None:
     assert [generated.kind_of(name) for name in ("synthetic:handheldx", "synthetic:kinect:handheld")] == [None] * 2
     opened = open_recording("synthetic:0:handheld-shutter=0.5+time", frames=3)
     assert (opened.name, len(opened), opened.camera.width) == ("synthetic-0-handheld-shutter=0.5+time", 3, 640)
-    assert recording("ideal").name == "synthetic-0-handheld-ideal"
+    assert [recording(name).name for name in ("ideal", "")] == ["synthetic-0-handheld-ideal", "synthetic-0-handheld"]
 
 
 # ----- motion

@@ -56,7 +56,7 @@ class HandheldRecording:
         faults: Faults,
         known: SensorTiming = UNKNOWN,
     ) -> None:
-        self.name, self.faults = f"{name}-handheld-{faults}", faults
+        self.name, self.faults = f"{name}-handheld" + ("" if faults == Faults.named(None) else f"-{faults}"), faults
         self._scene, self._seed = scene, seed
         self.motion = HandheldMotion(walk, seed)
         """The true motion, at any time."""
