@@ -42,7 +42,7 @@ def test_a_doubtful_passage(turn: float, motion: str) -> None:
 
 
 def test_one_frame_and_no_covariance() -> None:
-    line = "Frame 10: the images did not agree with the map; the poses may be off; it was not mapped."
+    line = "Frame 10: the images did not agree with the map; the pose may be off; it was not mapped."
     assert told(span(10, 10, Status.DOUBTFUL), known=False) == [line]
 
 

@@ -38,24 +38,25 @@ def _place(lines: Sequence[FrameLine]) -> str:
 
 
 def _sentence(lines: Sequence[FrameLine], poses: NDArray[np.float64]) -> str:
-    fate = "" if any(line.keyframe for line in lines) else "; they were not mapped" if len(lines) > 1 else "; it was not mapped"
+    pose, was = ("the pose", "was") if len(lines) == 1 else ("the poses", "were")
+    fate = "" if any(line.keyframe for line in lines) else f"; {'it' if len(lines) == 1 else 'they'} {was} not mapped"
     if lines[0].status is Status.DOUBTFUL:
-        return f"the images did not agree with the map{_motion(lines, poses)}; {_expected(lines)}{fate}"
+        return f"the images did not agree with the map{_motion(lines, poses)}; {pose} may be off{_expected(lines)}{fate}"
     if lines[0].status is Status.INTERPOLATED:
-        return f"the camera was lost and found again; the poses were put between the known ones before and after{fate}"
+        return f"the camera was lost and found again; {pose} {was} put between the known ones before and after{fate}"
     if lines[0].index == 0:
-        return f"no image gave a pose yet; the poses are those of the start{fate}"
-    return f"no image confirmed a pose; the last motion was carried on, so the poses may be far off{fate}"
+        return f"no image gave a pose yet; {pose} {'is that' if len(lines) == 1 else 'are those'} of the start{fate}"
+    return f"no image confirmed a pose; the last motion was carried on, so {pose} may be far off{fate}"
 
 
 def _expected(lines: Sequence[FrameLine]) -> str:
-    """How far the poses may be off: the largest expected errors."""
+    """By how much the poses may be off, if that is known: the largest expected errors."""
     sigmas = [(line.sigma_position, line.sigma_rotation) for line in lines]
     known = [(position, rotation) for position, rotation in sigmas if position is not None and rotation is not None]
     if not known:
-        return "the poses may be off"
+        return ""
     position, rotation = (max(values) for values in zip(*known))
-    return f"the poses may be off by about {_rounded(position * 100)} cm and {_rounded(rotation)} degrees"
+    return f" by about {_rounded(position * 100)} cm and {_rounded(rotation)} degrees"
 
 
 def _motion(lines: Sequence[FrameLine], poses: NDArray[np.float64]) -> str:
