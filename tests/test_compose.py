@@ -24,6 +24,7 @@ from idfslam.slam.back_end import KeyframeMapping
 from idfslam.slam.finetuner import Finetuner, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, Registration
 from idfslam.slam.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
+from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.loop_closer import LoopCloser
 from idfslam.slam.polish import NoPolish, Polish
 from idfslam.slam.recovery import NoRecovery, Relocalisation
@@ -51,7 +52,7 @@ def test_the_parts_of_the_fast_preset() -> None:
         "polish": Polish,
         "finetuner": Finetuner,
         "updates": InBackground,
-        "hooks": [RelocalisationCheck, LoopCloser, SubmapMerger],
+        "hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger],
     }
 
 
@@ -75,12 +76,19 @@ def test_the_parts_of_the_paper_preset() -> None:
     [
         ({"refine": False}, {"polish": NoPolish, "refinement": KeyframeRefinement}),
         ({"finetune": replace(FAST.finetune, enabled=False)}, {"finetuner": NoFinetuning}),
-        ({"loops": replace(FAST.loops, enabled=False)}, {"hooks": [RelocalisationCheck], "recovery": Relocalisation}),
-        ({"loops": replace(FAST.loops, relocalise=False)}, {"hooks": [LoopCloser, SubmapMerger], "recovery": NoRecovery}),
+        ({"loops": replace(FAST.loops, enabled=False)}, {"hooks": [LightEstimation, RelocalisationCheck], "recovery": Relocalisation}),
+        ({"loops": replace(FAST.loops, relocalise=False)}, {"hooks": [LightEstimation, LoopCloser, SubmapMerger], "recovery": NoRecovery}),
+        ({"mapper": replace(FAST.mapper, light=False)}, {"hooks": [RelocalisationCheck, LoopCloser, SubmapMerger]}),
         ({"mapper": replace(FAST.mapper, background=False)}, {"updates": InTurns}),
         (
             {"front_end": "registration"},
-            {"recovery": NoRecovery, "hooks": [], "keyframe_pose": TrackedPose, "refinement": NoRefinement, "front_end": Registration},
+            {
+                "recovery": NoRecovery,
+                "hooks": [LightEstimation],
+                "keyframe_pose": TrackedPose,
+                "refinement": NoRefinement,
+                "front_end": Registration,
+            },
         ),
     ],
 )
@@ -172,7 +180,7 @@ def test_each_part_is_made_once_and_shared() -> None:
     system = System(FAST)
     assert system.relocaliser is system.recovery.relocaliser is system.keyframe_pose.relocaliser  # type: ignore[attr-defined]
     assert system.aligner is system.relocaliser.aligner is system.front_end.aligner  # type: ignore[attr-defined]
-    assert system.hooks[0] is system.recovery.check  # type: ignore[attr-defined]
+    assert system.hooks[1] is system.recovery.check  # type: ignore[attr-defined]
     assert system.back_end.mapper is system.mapper  # type: ignore[attr-defined]
 
 

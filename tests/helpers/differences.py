@@ -16,6 +16,7 @@ WORKED_OUT_AGAIN = {
     *("_images", "_images_at", "_features", "_features_at", "_archive", "archive", "farthest", "has_depth"),  # of a keyframe
     *("_appearances", "_landmarks"),  # of the aligner
     "_pixels",  # of the mapper
+    "_thumbnails",  # of the estimation of light
 }
 OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
 

@@ -31,6 +31,7 @@ PAPER = Config(
         every=0,
         background=False,
         redraw=1,
+        light=False,
         pose_optimisation=True,
         learning_rate=0.005,
         first_iterations=500,

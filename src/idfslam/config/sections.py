@@ -88,6 +88,9 @@ class MapperConfig:
     values are faster."""
     active_sampling: bool = True
     """Draw more pixels where the loss is high, by cells of the image (Sec. IV). When off, pixels are drawn uniformly."""
+    light: bool = True
+    """Bring each image to the exposure of the first keyframe, and take out the lens's vignetting, before the map learns its colours. Both
+    are estimated from places that several keyframes see. When off, the map learns colours as they were recorded, as in the paper."""
     cells: Count = 8
     """Cells of the image along each side for active sampling (Sec. IV: 8)."""
     learning_rate: float = 0.01

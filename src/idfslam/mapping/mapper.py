@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import torch
@@ -22,6 +24,7 @@ from idfslam.mapping.rendering import RayMarch, render, world_rays
 from idfslam.mapping.sampling import CellPixels, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 from idfslam.mapping.training_view import PosedFrame, TrainingView
 from idfslam.mapping.updates import MapUpdates
+from idfslam.sensing.light import Light
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, Stateful
 
@@ -49,6 +52,7 @@ class Mapper(Stateful):
         self.published = copy_of(self.field) if updates.in_background else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
+        self.light: Callable[[Any], Light | None] = lambda frame: None  # how a frame shows the scene's colours; None: as they are
         self._pixels: WeakKeyDictionary[Hashable, CellPixels] = WeakKeyDictionary()  # pixels with depth of each image in memory, by cell
         self._cell_losses: FrameMemory[Tensor] = FrameMemory()  # (cells, cells) of each frame, for active sampling
 
@@ -86,7 +90,7 @@ class Mapper(Stateful):
         double_tables: tables of the feature grid that have filled up are doubled first.
         """
         self.updates.wait()
-        losses = self._learn(_views(frames), iterations, double_tables=double_tables)
+        losses = self._learn(self._views(frames), iterations, double_tables=double_tables)
         self._publish()
         return losses
 
@@ -99,7 +103,7 @@ class Mapper(Stateful):
         update takes. anneal: factor on the learning rates.
         """
         self.updates.wait()
-        views = _views(frames)
+        views = self._views(frames)
 
         def learn() -> dict[str, float]:
             self.optimiser.anneal = anneal
@@ -135,11 +139,14 @@ class Mapper(Stateful):
                 steps = min(self.config.redraw, iterations - first)
                 each = self.config.step_pixels // len(views) if self.config.step_pixels else self.config.pixels
                 pixels = [self._draw(view, each * steps, invert=False) for view in views]
-                rays = join([cast(view, uv) for view, uv in zip(views, pixels)])
+                rays = join([_cast(view, uv) for view, uv in zip(views, pixels)])
                 losses = self._steps(rays, steps)
                 numbers = named(losses[-1], views[0].index)  # raises before losses that are not finite reach active sampling
                 self._remember(views, [[uv[step::steps] for uv in pixels] for step in range(steps)], losses)
         return numbers
+
+    def _views(self, frames: Sequence[PosedFrame]) -> list[TrainingView]:
+        return [TrainingView(frame, self.light(frame)) for frame in frames]
 
     def _steps(self, rays: Rays, steps: int) -> list[Losses]:
         """`steps` steps of Adam, step i on every `steps`-th ray from i on."""
@@ -160,7 +167,7 @@ class Mapper(Stateful):
         Returns T_wk (4, 4) and the losses of the last step.
         """
         self.updates.wait()
-        c, view = self.config, TrainingView(frame)
+        c, view = self.config, TrainingView(frame, self.light(frame))
         xi = torch.zeros(6, device=self.device, requires_grad=True)
         adam = torch.optim.Adam([xi], lr=c.pose_learning_rate)
         schedule = torch.optim.lr_scheduler.StepLR(adam, c.pose_decay_every, c.pose_decay)
@@ -169,7 +176,7 @@ class Mapper(Stateful):
         for _ in range(c.pose_iterations):
             adam.zero_grad()
             uv = self._draw(view, c.pixels, invert=True)
-            losses = self.objective(self.field, cast(view, uv, start @ se3.exp(xi)), self.generator)
+            losses = self.objective(self.field, _cast(view, uv, start @ se3.exp(xi)), self.generator)
             numbers = named(losses, view.index)
             self._remember([view], [[uv]], [losses])
             with repeatable(losses.total.device):
@@ -218,8 +225,10 @@ class Mapper(Stateful):
             self._cell_losses[view.frame] = update_cell_losses(before, torch.cat(uv), torch.cat(of_view), *view.depth.shape)
 
 
-def _views(frames: Sequence[PosedFrame]) -> list[TrainingView]:
-    return [TrainingView(frame) for frame in frames]
+def _cast(view: TrainingView, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
+    """`rays.cast` with the scene's colours."""
+    rays = cast(view, uv, T_wc)
+    return rays if view.light is None else replace(rays, colour=view.light.scene(rays.colour, uv, view.camera))
 
 
 def named(losses: Losses, keyframe: int) -> dict[str, float]:

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.light import Light
 
 
 class PosedImages(Hashable, Protocol):
@@ -39,7 +40,9 @@ class PosedFrame(Protocol):
 class TrainingView:
     """A snapshot of a frame. While the map learns in the background, its pose does not move, and its images stay in memory."""
 
-    def __init__(self, frame: PosedFrame) -> None:
+    def __init__(self, frame: PosedFrame, light: Light | None = None) -> None:
+        """light: how the frame shows the scene's colours, which the map learns. None: as they are."""
+        self.light = light
         self.frame, self.index, self.T_wk, self.camera = frame, frame.index, frame.T_wk, frame.camera
         self.images: PosedImages = frame.images
 

@@ -28,6 +28,7 @@ from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
+from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.loop_closer import LoopCloser
 from idfslam.slam.polish import NoPolish, Polish, Polishing
 from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
@@ -65,6 +66,8 @@ class System:
         self.frames, self.coverage = FramePoses(self.graph), Coverage(self.graph)
         self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
+        if self.config.mapper.light:
+            self.mapper.light = self.light.of
         self.front_end = self._make_front_end(self)
         self.back_end = self._make_back_end(self)
 
@@ -97,6 +100,10 @@ class System:
         return Registration(self.tracker, self.features, self.graph, self.timer)
 
     @cached_property
+    def light(self) -> LightEstimation:
+        return LightEstimation(self.graph)
+
+    @cached_property
     def relocaliser(self) -> Relocaliser:
         return Relocaliser(self.tracker, self.features, self.aligner, self.graph)
 
@@ -125,6 +132,8 @@ class System:
     @cached_property
     def hooks(self) -> list[KeyframeHook]:
         c, hooks = self.config.loops, list[KeyframeHook]()
+        if self.config.mapper.light:
+            hooks.append(self.light)
         if self.relocalises:
             hooks.append(self.relocalisation_check)
         if self.closes_loops:

@@ -1,0 +1,75 @@
+"""The same places in two images: what their colours say about the exposures of both and about the vignetting.
+
+The logarithm of a colour in image a minus that in image b is
+
+    log gain_a - log gain_b + (offset_a - offset_b) / colour + sum_k c_k (r_a^2k - r_b^2k),
+
+to first order in the offsets, which are in the scene's units. It is linear in all unknowns. The two images stand for each other (the colour
+is the mean of both), so noise does not draw the gain to one side as it does in a regression of the one on the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.sensing.vignette import TERMS
+
+Floats = NDArray[np.float64]
+
+UNKNOWNS = 2 + TERMS  # log gain of a over b, offset of a less that of b, coefficients of the vignette: a fact, not a choice
+DARKEST, BRIGHTEST = 0.06, 0.94  # [1] colours that count: black and white are clipped. Wider: more places, and clipped ones. By hand
+OFFSET = 0.005  # [1] standard deviation of an offset before anything is seen; more: noise of contrast counts as an offset. Chosen by hand
+_SCATTER = 2.0  # [1] width of the robust kernel, in standard deviations of the differences; more: reflections and errors count. By hand
+_ROUNDS = 3  # of reweighting; more: slower, and outliers leave more surely. Chosen by hand
+_LEAST_SCATTER = 0.01  # [1] of the logarithms; more: exact images count no more than others. Chosen by hand
+_INDEPENDENT = 400  # places that count as independent, since neighbours err together; more: the prior counts less. Chosen by hand
+LEAST_PLACES = 150  # [1] in each channel; more: fewer pairs of images are compared. Chosen by hand
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Normal equations of a pair of images for each channel. Unknowns: see `UNKNOWNS`."""
+
+    normal: Floats  # (3, UNKNOWNS, UNKNOWNS)
+    right: Floats  # (3, UNKNOWNS)
+
+
+def compare(a: Floats, b: Floats, powers_a: Floats, powers_b: Floats, noise: Floats) -> Comparison | None:
+    """Compares the colours a, b (N, 3) of N places in two images; None if too few are neither black nor white.
+
+    powers_a, powers_b (N, TERMS): the even powers of their radii. noise (N,): standard deviation of the difference of the colours.
+    """
+    middle = (a + b) / 2
+    usable = (np.minimum(a, b) > DARKEST) & (np.maximum(a, b) < BRIGHTEST)  # (N, 3)
+    if usable.sum(0).min() < LEAST_PLACES:
+        return None
+    normal, right = np.empty((3, UNKNOWNS, UNKNOWNS)), np.empty((3, UNKNOWNS))
+    for channel in range(3):
+        k = usable[:, channel]
+        colour = middle[k, channel]
+        J = np.column_stack([np.ones_like(colour), 1 / colour, powers_a[k] - powers_b[k]])
+        normal[channel], right[channel] = _robust(J, np.log(a[k, channel] / b[k, channel]), noise[k] / colour)
+    return Comparison(normal, right)
+
+
+def _robust(J: Floats, difference: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+    """Normal equations of J x = difference, with robust weights, for differences whose noise is in proportion to sigma (N,)."""
+    r = (difference - np.median(difference)) / sigma
+    weight = np.empty_like(r)
+    for _ in range(_ROUNDS):
+        scale = max(1.4826 * float(np.median(np.abs(r))), _LEAST_SCATTER / float(np.median(sigma)))
+        weight[:] = 1 / ((1 + (r / (_SCATTER * scale)) ** 2) ** 2 * (scale * sigma) ** 2)
+        JtW = (J * weight[:, None]).T
+        x = np.linalg.solve(JtW @ J + np.diag(prior()), JtW @ difference)
+        r = (difference - J @ x) / sigma
+    share = min(1.0, _INDEPENDENT / len(r))
+    return share * (JtW @ J), share * (JtW @ difference)
+
+
+def prior() -> Floats:
+    """The diagonal (UNKNOWNS,) of the information about the unknowns before anything is seen."""
+    return np.array([1e-6, OFFSET**-2, *[_VIGNETTE**-2] * TERMS])
+
+
+_VIGNETTE = 1.0  # [1] standard deviation of a coefficient of the vignette before anything is seen; more: none, noise counts. By hand

@@ -1,0 +1,165 @@
+"""Exposure of each keyframe and vignetting of the recording, estimated from the colours of places that several keyframes see.
+
+The map learns colours that are brought to one exposure. Otherwise it would learn a mean of all exposures in which a place was seen.
+"""
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.keyframe import Images, Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+from idfslam.sensing.light import Light
+from idfslam.sensing.light_comparison import Comparison, compare
+from idfslam.sensing.light_solution import exposure_changes, exposures, vignette
+from idfslam.sensing.vignette import Vignette, even_powers
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.storage.state import State
+
+# All of these were chosen by hand.
+_ROWS = 120  # of the images that are compared: means of pixels have little noise. More: slower, and exacter near edges
+_REFERENCES = 2  # the oldest and the newest so many covisible keyframes are compared with. More: slower, and surer
+_NOISE = 0.005  # [1] standard deviation of a colour in such an image. More: flat places count less against places with a slope
+_SLIP = 0.7  # [px] of such an image by which two views miss one another. More: places on slopes of brightness count less
+
+
+@dataclass(frozen=True)
+class _Thumbnail:
+    """A small image of a keyframe, and the points of its pixels."""
+
+    camera: Camera
+    colour: Tensor  # (3, h, w)
+    depth: Tensor  # (h, w) [m], 0: no reading
+    uncertainty: Tensor  # (h, w) standard deviation of the colour at a place that another image sees there
+
+
+class LightEstimation(KeyframeHook):
+    """Compares each new keyframe with covisible ones, and solves for all exposures and the vignetting."""
+
+    def __init__(self, graph: KeyframeGraph) -> None:
+        self.graph = graph
+        self._pairs: list[tuple[int, int]] = []  # stored keyframes that were compared, the newer one first
+        self._comparisons: list[Comparison] = []
+        self._vignette: Vignette | None = None
+        self._changes = False  # whether the exposure changes from image to image
+        self._exposures = np.zeros((0, 3, 2))  # log gain and offset of each channel of the stored keyframes
+        self._thumbnails: WeakKeyDictionary[Images, _Thumbnail] = WeakKeyDictionary()
+
+    def state(self) -> State:
+        """The comparisons. Exposures and vignetting follow from them."""
+        comparisons = [{"normal": torch.from_numpy(c.normal), "right": torch.from_numpy(c.right)} for c in self._comparisons]
+        return {"pairs": [list(pair) for pair in self._pairs], "comparisons": comparisons, "count": len(self._exposures)}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._pairs = [(a, b) for a, b in state["pairs"]]
+        self._comparisons = [Comparison(c["normal"].numpy(), c["right"].numpy()) for c in state["comparisons"]]
+        self._solve(state["count"])
+
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        """Compares a keyframe, if it was stored, with covisible ones."""
+        if self._is_stored(keyframe):
+            for i in self._references(keyframe):
+                if (comparison := self._compare(keyframe, self.graph.keyframes[i])) is not None:
+                    self._pairs.append((keyframe.host, i))
+                    self._comparisons.append(comparison)
+            self._solve(len(self.graph.keyframes))
+        return Moved()
+
+    def on_split(self) -> None:
+        """Forgets comparisons at poses that were wrong."""
+        kept = [k for k, (a, b) in enumerate(self._pairs) if b in self.graph.keyframes[a].edges]
+        self._pairs, self._comparisons = [self._pairs[k] for k in kept], [self._comparisons[k] for k in kept]
+        self._solve(len(self._exposures))
+
+    def of(self, view: Keyframe) -> Light | None:
+        """The light of a view; None if it is that of the first keyframe, without vignetting.
+
+        A view that is no stored keyframe is compared with covisible ones whose exposures stay as they are.
+        """
+        if not self._changes:
+            return None if self._vignette is None else Light(torch.ones(3), torch.zeros(3), self._vignette)
+        of_view = self._exposures[view.host] if self._is_stored(view) and view.host < len(self._exposures) else self._estimated(view)
+        return Light(torch.from_numpy(np.exp(of_view[:, 0])).float(), torch.from_numpy(of_view[:, 1]).float(), self._vignette)
+
+    @property
+    def vignette(self) -> Vignette | None:
+        """The vignetting of the recording; None if there is none, or none that is sure."""
+        return self._vignette
+
+    def _solve(self, count: int) -> None:
+        self._vignette = vignette(self._comparisons)
+        self._changes = exposure_changes(self._comparisons, self._vignette)
+        self._exposures = exposures(self._pairs, self._comparisons, count, self._vignette)
+
+    def _is_stored(self, view: Keyframe) -> bool:
+        return view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
+
+    def _references(self, view: Keyframe) -> list[int]:
+        """Stored keyframes with which a view is compared: the oldest and the newest of those covisible ones whose poses were measured."""
+        last = self.graph.last_keyframe
+        measured = view.edges or (set() if last is None else last.edges | {last.host})
+        known = sorted(i for i in view.covisible & measured if self.graph.keyframes[i] is not view)
+        return sorted({*known[:_REFERENCES], *known[-_REFERENCES:]})
+
+    def _estimated(self, view: Keyframe) -> np.ndarray:
+        """The log gain and offset (3, 2) of a view, from stored keyframes."""
+        references = [i for i in self._references(view) if i < len(self._exposures)]
+        found = [(i, c) for i in references if (c := self._compare(view, self.graph.keyframes[i])) is not None]
+        if not found:
+            return np.zeros((3, 2))
+        pairs = [(1, 0)] * len(found)
+        # Relative to each reference; those differ little among themselves.
+        return exposures(pairs, [c for _, c in found], 2, self._vignette)[1] + np.mean([self._exposures[i] for i, _ in found], 0)
+
+    def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
+        """Compares the places that keyframe a sees and keyframe b sees too."""
+        of_a, of_b = self._thumbnail(a), self._thumbnail(b)
+        v, u = torch.nonzero(of_a.depth > 0, as_tuple=True)
+        uv = torch.stack([u, v], -1).to(of_a.depth)
+        T_ba = (se3.inverse(b.T_wk) @ a.T_wk).to(of_a.depth)
+        points = se3.transform(T_ba, of_a.camera.rays(uv) * of_a.depth[v, u][:, None])
+        uv_b, z = of_b.camera.project(points)
+        u_b, v_b = (uv_b[:, axis].round().long().clamp(0, size - 1) for axis, size in ((0, of_b.camera.width), (1, of_b.camera.height)))
+        seen = of_b.camera.inside(uv_b, z) & ((of_b.depth[v_b, u_b] - z).abs() < EDGE + EDGE_SHARE * z)
+        noise = (of_a.uncertainty[v, u] ** 2 + of_b.uncertainty[v_b, u_b] ** 2).sqrt()
+        colour = of_a.colour[:, v, u].T, sampled(of_b.colour, uv_b)
+        powers = even_powers(uv, of_a.camera), even_powers(uv_b, of_b.camera)
+        return compare(*(column[seen].double().cpu().numpy() for column in (*colour, *powers, noise)))
+
+    def _thumbnail(self, keyframe: Keyframe) -> _Thumbnail:
+        images = keyframe.images
+        if images not in self._thumbnails:
+            self._thumbnails[images] = thumbnail(images.colour, images.depth, keyframe.camera)
+        return self._thumbnails[images]
+
+
+def thumbnail(colour: Tensor, depth: Tensor, camera: Camera) -> _Thumbnail:
+    """The small image of colour (H, W, 3) and depth (H, W) [m]."""
+    shrink = max(1, camera.height // _ROWS)
+    small = F.avg_pool2d(colour.permute(2, 0, 1)[None], shrink)[0]
+    height, width = small.shape[1:]
+    rows, columns = ((torch.arange(n, device=depth.device) * shrink + shrink // 2) for n in (height, width))
+    z = depth[rows[:, None], columns[None]]
+    luminance = small.mean(0)
+    slope = torch.zeros_like(luminance)
+    slope[:, 1:-1] = (luminance[:, 2:] - luminance[:, :-2]).abs() / 2
+    slope[1:-1] = torch.maximum(slope[1:-1], (luminance[2:] - luminance[:-2]).abs() / 2)
+    resized = Camera(
+        width, height, *(f / shrink for f in (camera.fx, camera.fy)), *((c + 0.5) / shrink - 0.5 for c in (camera.cx, camera.cy))
+    )
+    return _Thumbnail(resized, small, z, (_NOISE**2 + (_SLIP * slope) ** 2).sqrt())
+
+
+def sampled(image: Tensor, uv: Tensor) -> Tensor:
+    """An image (C, h, w) at pixels (N, 2), bilinear, (N, C)."""
+    size = uv.new_tensor([image.shape[2], image.shape[1]])
+    place = ((uv + 0.5) * (2 / size) - 1)[None, None]
+    return F.grid_sample(image[None], place, align_corners=False, padding_mode="border")[0, :, 0].T
