@@ -190,6 +190,12 @@ def test_a_recording_whose_depth_is_rare_opens(tmp_path: Path) -> None:
     assert summarise(open_recording(recording)).median_depth == 1.0  # type: ignore[union-attr]
 
 
+def test_depth_of_frames_whose_stamps_are_unusable(tmp_path: Path) -> None:
+    path = without("depth/000002.png", lambda path: write_folder(path, frames=4))(tmp_path / "room")
+    (path / "timestamps.txt").write_text("".join(f"{i} none\n" for i in range(4)))
+    assert has_depth(open_recording(path)) == [True, True, False, True]
+
+
 def test_the_first_frames_of_freiburg1_rpy() -> None:
     path = shared_recording("rgbd_dataset_freiburg1_rpy_first")
     colour = np.array([float(line.split()[0]) for line in (path / "rgb.txt").read_text().splitlines() if not line.startswith("#")])

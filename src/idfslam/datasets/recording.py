@@ -54,7 +54,10 @@ class FrameSource(Protocol):
 
 
 class Dataset(FrameSource, Protocol):
-    """N frames in the order of time; `dataset[i]` raises FrameError if this one frame cannot be read."""
+    """N frames in the order of time; `dataset[i]` raises FrameError if this one frame cannot be read.
+
+    It may say more with attributes: see `depth_timestamps`, `timing`, `reading_threads` and `provenance`.
+    """
 
     def __len__(self) -> int: ...
 
@@ -188,10 +191,14 @@ class Recording:
             raise RecordingError(f"{self.name}: no frames")
         first_error: FrameError | None = None
         two_sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
-        stamps = self.timestamps if self.depth_timestamps is None else self.depth_timestamps
-        places = np.flatnonzero(np.isfinite(stamps))  # of the frames that have a depth image
+        places = np.arange(len(self))
+        if self.depth_timestamps is not None and np.isfinite(self.depth_timestamps).any():
+            places = np.flatnonzero(np.isfinite(self.depth_timestamps))  # of the frames that have a depth image
+        tried: set[int] = set()
         for count in _PROBES:
-            for i in places[np.unique(np.linspace(0, len(places) - 1, count, dtype=int))].tolist():
+            chosen = set(places[np.linspace(0, len(places) - 1, count, dtype=int)].tolist()) - tried
+            tried |= chosen
+            for i in sorted(chosen):
                 try:
                     bgr, raw = self._with_depth(i)
                     colour, depth, self._probed = _size(bgr), _size(raw), (i, float(np.median(raw[readings(raw)])))
