@@ -40,7 +40,7 @@ PAPER = Config(
         gradient_clip=1.0,
         warm_up=20,
     ),
-    keyframes=KeyframeConfig(cull=0.5, cull_reach=0, covisible=0.3, replay=10, replay_connected=0),
+    keyframes=KeyframeConfig(least_sharpness=0, cull=0.5, cull_reach=0, covisible=0.3, replay=10, replay_connected=0),
     tracker=TrackerConfig(
         matches=200,
         grid=4,

@@ -140,6 +140,9 @@ class KeyframeConfig:
     in_view_every: int = 3
     """`in_view` adds a keyframe only if the last one is more than this many frames old. Without this, every frame in front of a bare wall
     would become a keyframe."""
+    least_sharpness: float = 0.75
+    """A frame that is less sharp than this share of the frames before it becomes no keyframe for up to 5 frames, unless less than `in_view`
+    of the landmarks is visible. Higher values put off more keyframes; 0, as in the paper, puts off none."""
     cull: float = 0.92
     """sigma_cull: a new keyframe is dropped if its covisibility with a stored one is higher. Lower values keep fewer keyframes; 1 keeps
     all (Sec. VI-A: 0.5). With 0.8 the noisy kitchen's accuracy is 1.31 cm instead of 0.84 (docs/diary.md)."""

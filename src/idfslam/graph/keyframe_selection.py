@@ -1,4 +1,7 @@
-"""Selection of keyframes (Sec. III): frames that moved or turned enough, and frames that see too little of their references."""
+"""Selection of keyframes (Sec. III): frames that moved or turned enough, and frames that see too little of their references.
+
+A blurred frame is passed over for a sharp one soon after it, as long as enough of the references is in view.
+"""
 
 import math
 
@@ -8,7 +11,10 @@ from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.sensing.sharpness import Sharpness
 from idfslam.storage.state import State, Stateful
+
+_PATIENCE = 5  # [frames] that a blurred keyframe is put off at most; more: keyframes are sharper and farther apart. Chosen by hand
 
 
 class KeyframeSelection(Stateful):
@@ -18,26 +24,41 @@ class KeyframeSelection(Stateful):
         """lost_frames: whether lost frames become keyframes (Sec. III). They do not if a lost camera is relocalised instead."""
         self.config, self.graph, self.frames, self.lost_frames = config, graph, frames, lost_frames
         self._last_at = 0  # number of frames at the last selection
+        self.sharpness = Sharpness()
+        self._put_off = 0  # number of blurred frames in a row that were passed over
 
     def state(self) -> State:
-        """The number of frames at the last selection."""
-        return {"last_at": self._last_at}
+        """The number of frames at the last selection, and of those passed over since."""
+        return {"last_at": self._last_at, "put_off": self._put_off}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._last_at = state["last_at"]
+        self._last_at, self._put_off = state["last_at"], state["put_off"]
 
     def selects(self, view: Keyframe, status: Status, in_view: float = 1.0) -> bool:
         """Whether the frame appended last becomes a keyframe. A frame without depth, or whose pose is in doubt, never does.
 
         in_view: the share of the references' landmarks that the frame sees.
         """
+        blurred = self._is_blurred(view)
         if not view.has_depth or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
-        selected = self._is_needed(view, status, in_view)
-        if selected:
-            self._last_at = len(self.frames)
-        return selected
+        if not self._is_needed(view, status, in_view):
+            return False
+        if blurred and self._can_wait(status, in_view):
+            self._put_off += 1
+            return False
+        self._last_at, self._put_off = len(self.frames), 0
+        return True
+
+    def _can_wait(self, status: Status, in_view: float) -> bool:
+        """Whether the next frames can be tracked without this keyframe."""
+        begins = self.graph.last_keyframe is None or self.graph.awaits_first_unverified
+        return status is Status.OK and not begins and in_view >= self.config.in_view and self._put_off < _PATIENCE
+
+    def _is_blurred(self, view: Keyframe) -> bool:
+        """Whether a frame is markedly less sharp than those before it."""
+        return self.config.least_sharpness > 0 and self.sharpness.of_next(view.frame.colour) < self.config.least_sharpness
 
     def _is_needed(self, view: Keyframe, status: Status, in_view: float) -> bool:
         last = self.graph.last_keyframe
