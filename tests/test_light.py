@@ -9,6 +9,7 @@ from torch import Tensor
 
 from helpers.differences import differences
 from helpers.flat_wall import at
+from idfslam.alignment.photometric import pyramid
 from idfslam.compute.backend import plain_torch
 from idfslam.config import FAST, PAPER
 from idfslam.frame import Frame
@@ -20,7 +21,7 @@ from idfslam.mapping.rays import cast
 from idfslam.mapping.training_view import TrainingView
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
-from idfslam.sensing.light_solution import exposure_changes, exposures, vignette
+from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
 from idfslam.slam.compose import System
@@ -207,3 +208,41 @@ def test_light_is_part_of_the_fast_system_alone() -> None:
     assert fast.mapper.light == fast.light.of
     assert not any(isinstance(hook, LightEstimation) for hook in paper.hooks)
     assert isinstance(Slam(FAST).state()["parts"]["back_end.hooks.0"], dict)
+
+
+def test_the_vignette_is_told_when_it_changes_noticeably_and_again_after_a_restore() -> None:
+    told = list[Vignette | None]()
+    light = LightEstimation(KeyframeGraph(replace(FAST.keyframes, cull=1.0)), told.append)
+    walk(light, GAINS, VIGNETTE)
+    assert 1 <= len(told) <= 4  # of eight keyframes
+    last = told[-1]
+    assert last is not None and light.vignette is not None and not differ(last, light.vignette)
+    again = list[Vignette | None]()
+    LightEstimation(light.graph, again.append).restore(light.state())
+    assert again == [last]
+
+
+def test_vignettes_differ_from_one_percent_on() -> None:
+    assert not differ(None, None)
+    assert not differ(Vignette((-0.009, 0.0)), None)
+    assert differ(Vignette((-0.011, 0.0)), None)
+    assert differ(Vignette((-0.1, 0.1)), None)  # the corner is as bright as the middle, what lies between is not
+
+
+def test_brightness_is_compared_without_the_vignetting() -> None:
+    bright, dim = (wall(1.0, 0.0, 0, lens) for lens in (None, VIGNETTE))
+    full, unchanged = (pyramid(view.colour, CAMERA, height=60, levels=2) for view in (bright, dim))
+    restored = pyramid(dim.colour, CAMERA, height=60, levels=2, vignette=VIGNETTE)
+    for i, level in enumerate(full):
+        torch.testing.assert_close(restored[i].luminance, level.luminance, rtol=0, atol=0.01)
+        assert float((unchanged[i].luminance - level.luminance).abs().max()) > 0.05
+
+
+def test_the_aligner_forgets_images_with_the_vignetting() -> None:
+    aligner = System(FAST).aligner
+    view = wall(1.0, 0.0, 0, VIGNETTE)
+    before, marks = aligner.appearance(view), aligner.landmarks(view)
+    aligner.take_out(VIGNETTE)
+    after = aligner.appearance(view)
+    assert float((after.levels[0].luminance / before.levels[0].luminance).max()) > 1.3
+    assert aligner.landmarks(view) is not marks

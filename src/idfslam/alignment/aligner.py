@@ -24,6 +24,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Images, Keyframe
 from idfslam.sensing.depth_noise import noise_ratio
+from idfslam.sensing.vignette import Vignette
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated rooms and redkitchen.
@@ -123,6 +124,7 @@ class MapAligner(Stateful):
         self.config, self.query, self.truncation, self._generator = config, query, truncation, generator
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
+        self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
         self._usual_error = 0.0
         self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
@@ -283,8 +285,9 @@ class MapAligner(Stateful):
         """A view's image pyramid, cached for as long as its images are in memory."""
         images = view.images
         if images not in self._appearances:
-            levels = pyramid(images.colour, view.camera, height=self.config.image_height, levels=self.config.image_levels)
-            self._appearances[images] = Appearance(levels, images.depth, view.camera)
+            height, levels = self.config.image_height, self.config.image_levels
+            of_view = pyramid(images.colour, view.camera, height=height, levels=levels, vignette=self.vignette)
+            self._appearances[images] = Appearance(of_view, images.depth, view.camera)
         return self._appearances[images]
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:
@@ -294,6 +297,12 @@ class MapAligner(Stateful):
             self._landmarks[keyframe] = landmarks(appearance.levels, keyframe.depth, count=self.config.landmarks)
             self.release(keyframe)
         return self._landmarks[keyframe]
+
+    def take_out(self, vignette: Vignette | None) -> None:
+        """Takes this vignetting out of all images from now on."""
+        self.vignette = vignette
+        self._appearances.clear()
+        self._landmarks.clear()
 
     def release(self, view: Keyframe) -> None:
         """Frees a view's image pyramid. It is computed again when it is needed again."""

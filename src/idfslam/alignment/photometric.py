@@ -17,6 +17,7 @@ from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+from idfslam.sensing.vignette import Vignette
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,14 @@ class Level:
         return F.grid_sample(channels[None], place, align_corners=False, padding_mode="border")[0, :, 0]
 
 
-def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int) -> list[Level]:
-    """The luminance pyramid of an image (H, W, 3), finest level first. That has at least `height` rows, each next one half as many."""
+def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int, vignette: Vignette | None = None) -> list[Level]:
+    """The luminance pyramid of an image (H, W, 3), finest level first. That has at least `height` rows, each next one half as many.
+
+    vignette: is taken out of the image.
+    """
     full = luminance(colour)
+    if vignette is not None:
+        full = full / vignette.image(camera).to(full)
     shrink = max(1, camera.height // height)
     out: list[Level] = []
     for _ in range(levels):

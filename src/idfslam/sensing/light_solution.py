@@ -38,9 +38,15 @@ def vignette(comparisons: Sequence[Comparison]) -> Vignette | None:
     covariance = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / (len(pulls) - TERMS)
     corner = float(covariance.sum()) ** 0.5  # of the logarithm of the light at radius 1, the sum of the coefficients
     size = float(coefficients @ np.linalg.solve(covariance, coefficients))
-    strongest = float(np.abs(_RADII @ coefficients).max())
-    sure = corner < _CORNER and size > _SIGNIFICANT and strongest > _SLIGHT
-    return Vignette(tuple(coefficients.tolist())) if sure else None
+    found = Vignette(tuple(coefficients.tolist()))
+    return found if corner < _CORNER and size > _SIGNIFICANT and differ(found, None) else None
+
+
+def differ(a: Vignette | None, b: Vignette | None) -> bool:
+    """Whether two vignettings (None: none) differ noticeably somewhere."""
+    none = Vignette()
+    change = np.subtract((a or none).coefficients, (b or none).coefficients)
+    return float(np.abs(_RADII @ change).max()) > _SLIGHT
 
 
 def _without_exposures(comparison: Comparison) -> tuple[Floats, Floats]:

@@ -5,6 +5,7 @@ order, is positive everywhere, and makes the unknowns linear in the logarithms o
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -24,14 +25,19 @@ class Vignette:
         """The share (N,) of the light that arrives at pixels (N, 2)."""
         return (even_powers(uv, camera) @ uv.new_tensor(self.coefficients)).exp()
 
-    def image(self, camera: Camera, device: torch.device | str = "cpu") -> Tensor:
-        """The share (H, W) float32 of the light that arrives at each pixel."""
-        return self.share(camera.pixels(device).flatten(0, 1), camera).view(camera.height, camera.width)
+    def image(self, camera: Camera) -> Tensor:
+        """The share (H, W) float32 of the light that arrives at each pixel, on the CPU. It is computed once, and not to be changed."""
+        return _image(self, camera)
 
     @property
     def corner(self) -> float:
         """The share of the light that arrives at radius 1."""
         return float(torch.tensor(self.coefficients).sum().exp())
+
+
+@lru_cache(maxsize=4)
+def _image(vignette: Vignette, camera: Camera) -> Tensor:
+    return vignette.share(camera.pixels().flatten(0, 1), camera).view(camera.height, camera.width)
 
 
 def even_powers(uv: Tensor, camera: Camera) -> Tensor:

@@ -101,7 +101,7 @@ class System:
 
     @cached_property
     def light(self) -> LightEstimation:
-        return LightEstimation(self.graph)
+        return LightEstimation(self.graph, self.aligner.take_out) if self.aligns else LightEstimation(self.graph)
 
     @cached_property
     def relocaliser(self) -> Relocaliser:

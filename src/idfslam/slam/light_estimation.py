@@ -3,6 +3,7 @@
 The map learns colours that are brought to one exposure. Otherwise it would learn a mean of all exposures in which a place was seen.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -18,7 +19,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
-from idfslam.sensing.light_solution import exposure_changes, exposures, vignette
+from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
@@ -43,24 +44,28 @@ class _Thumbnail:
 class LightEstimation(KeyframeHook):
     """Compares each new keyframe with covisible ones, and solves for all exposures and the vignetting."""
 
-    def __init__(self, graph: KeyframeGraph) -> None:
-        self.graph = graph
+    def __init__(self, graph: KeyframeGraph, take_out: Callable[[Vignette | None], None] = lambda vignette: None) -> None:
+        """take_out: is told the vignetting whenever it has changed noticeably."""
+        self.graph, self._take_out = graph, take_out
         self._pairs: list[tuple[int, int]] = []  # stored keyframes that were compared, the newer one first
         self._comparisons: list[Comparison] = []
         self._vignette: Vignette | None = None
         self._changes = False  # whether the exposure changes from image to image
+        self._told: Vignette | None = None  # the vignetting that `take_out` was last told
         self._exposures = np.zeros((0, 3, 2))  # log gain and offset of each channel of the stored keyframes
         self._thumbnails: WeakKeyDictionary[Images, _Thumbnail] = WeakKeyDictionary()
 
     def state(self) -> State:
-        """The comparisons. Exposures and vignetting follow from them."""
+        """The comparisons, from which exposures and vignetting follow, and the vignetting that was told last."""
         comparisons = [{"normal": torch.from_numpy(c.normal), "right": torch.from_numpy(c.right)} for c in self._comparisons]
-        return {"pairs": [list(pair) for pair in self._pairs], "comparisons": comparisons, "count": len(self._exposures)}
+        told = [] if self._told is None else list(self._told.coefficients)
+        return {"pairs": [list(pair) for pair in self._pairs], "comparisons": comparisons, "count": len(self._exposures), "told": told}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._pairs = [(a, b) for a, b in state["pairs"]]
         self._comparisons = [Comparison(c["normal"].numpy(), c["right"].numpy()) for c in state["comparisons"]]
+        self._tell(Vignette(tuple(state["told"])) if state["told"] else None)
         self._solve(state["count"])
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
@@ -97,7 +102,13 @@ class LightEstimation(KeyframeHook):
     def _solve(self, count: int) -> None:
         self._vignette = vignette(self._comparisons)
         self._changes = exposure_changes(self._comparisons, self._vignette)
+        if differ(self._told, self._vignette):
+            self._tell(self._vignette)
         self._exposures = exposures(self._pairs, self._comparisons, count, self._vignette)
+
+    def _tell(self, vignette: Vignette | None) -> None:
+        self._told = vignette
+        self._take_out(vignette)
 
     def _is_stored(self, view: Keyframe) -> bool:
         return view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
