@@ -22,6 +22,7 @@ from idfslam.mapping.training_view import TrainingView
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
 from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
+from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
 from idfslam.slam.compose import System
@@ -246,3 +247,13 @@ def test_the_aligner_forgets_images_with_the_vignetting() -> None:
     after = aligner.appearance(view)
     assert float((after.levels[0].luminance / before.levels[0].luminance).max()) > 1.3
     assert aligner.landmarks(view) is not marks
+
+
+def test_a_rendered_image_is_compared_at_the_exposure_of_the_recorded_one() -> None:
+    rendered = np.random.default_rng(0).uniform(0.2, 0.7, (20, 30, 3))
+    recorded = 1.2 * rendered + np.array([0.01, 0.0, -0.02])
+    counts = np.ones((20, 30), bool)
+    counts[:5] = False
+    recorded[:5] = 0
+    np.testing.assert_allclose(matched_exposure(rendered, recorded, counts)[5:], recorded[5:], atol=1e-6)
+    assert np.array_equal(matched_exposure(rendered, recorded, np.zeros((20, 30), bool)), rendered.astype(np.float32))

@@ -21,6 +21,7 @@ from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
 from idfslam.report.figures import Plan
+from idfslam.sensing.matched_exposure import matched_exposure
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -97,7 +98,7 @@ class Comparison:
 
     index: int
     pictures: dict[str, Image]  # (h, w, 3) by caption
-    psnr: float  # [dB] of the colour
+    psnr: float  # [dB] of the colour, at the exposure of the frame
     depth_error: float  # [m] median, where both have depth
 
 
@@ -117,15 +118,16 @@ def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | F
             continue
         colour, depth = saved.render(poses[i], small)
         size = (small.width, small.height)
-        seen = np.asarray(cv2.resize(frame.colour, size, interpolation=cv2.INTER_AREA))
+        seen = np.asarray(cv2.resize(frame.colour, size, interpolation=cv2.INTER_AREA), np.float32)
         measured = np.asarray(cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST))
         both = (measured > 0) & (depth > 0)
         error = np.where(both, np.abs(depth - measured), np.nan)
         far = float(np.percentile(measured[measured > 0], 99)) if (measured > 0).any() else 1.0
-        mse = float(((np.clip(colour, 0, 1) - seen)[depth > 0] ** 2).mean()) if (depth > 0).any() else 1.0
+        shown = matched_exposure(colour, seen, depth > 0)
+        mse = float(((shown - seen)[depth > 0] ** 2).mean()) if (depth > 0).any() else 1.0
         pictures = {
             "colour, recorded": _bytes(seen),
-            "colour, map": _bytes(colour),
+            "colour, map": _bytes(shown),
             "depth, recorded": _painted(np.where(measured > 0, measured, np.nan) / far, "viridis"),
             "depth, map": _painted(np.where(depth > 0, depth, np.nan) / far, "viridis"),
             "depth error": _painted(error / _MAX_ERROR, "magma"),

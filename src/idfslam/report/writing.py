@@ -226,7 +226,8 @@ def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> d
             gallery.picture(f"view_{n}_{caption.replace(', ', '_').replace(' ', '_')}", caption, image)
             for caption, image in comparison.pictures.items()
         ]
-        text = f"Frame {comparison.index}: PSNR {comparison.psnr:.1f} dB, median depth error {comparison.depth_error * 100:.1f} cm"
+        figures = f"PSNR {comparison.psnr:.1f} dB at its exposure, median depth error {comparison.depth_error * 100:.1f} cm"
+        text = f"Frame {comparison.index}: {figures}"
         rows.append((text, shown))
     return {"views": rows}
 
