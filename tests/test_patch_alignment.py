@@ -110,7 +110,8 @@ def test_the_compiled_projections_are_those_of_torch() -> None:
     points = torch.rand(40, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 1.5])
     root = torch.rand(40, 2, 2, generator=generator, dtype=torch.float64)
     uv = CAMERA.project(se3.transform(se3.inverse(T_KC), points))[0] + torch.randn(40, 2, generator=generator, dtype=torch.float64)
-    patches = AlignedPatches(points, uv, root @ root.mT + torch.eye(2), CAMERA)
+    depth = points[:, 2] + 0.05 * torch.randn(40, generator=generator, dtype=torch.float64)
+    patches = AlignedPatches(points, uv, root @ root.mT + torch.eye(2), depth, torch.linspace(0, 4e3, 40).double(), CAMERA)
     for a, b in zip(compiled_projection_system(patches, T_KC, 3.0), plain_projection_system(patches, T_KC, 3.0)):
         torch.testing.assert_close(a, b)
 
@@ -119,10 +120,11 @@ def test_the_gradient_of_the_projections_is_right() -> None:
     generator = torch.Generator().manual_seed(0)
     points = torch.rand(40, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 1.5])
     uv = CAMERA.project(se3.transform(se3.inverse(T_KC), points))[0] + torch.randn(40, 2, generator=generator, dtype=torch.float64)
-    patches = AlignedPatches(points, uv, torch.eye(2, dtype=torch.float64).expand(40, 2, 2), CAMERA)
+    depth, information = points[:, 2] + 0.05, torch.linspace(0, 4e3, 40).double()
+    patches = AlignedPatches(points, uv, torch.eye(2, dtype=torch.float64).expand(40, 2, 2), depth, information, CAMERA)
     delta = torch.zeros(6, dtype=torch.float64, requires_grad=True)
-    off = CAMERA.project(se3.transform(se3.inverse(se3.exp(delta) @ T_KC), points))[0] - uv
-    (off.square().sum() / 2).backward()
+    projected, z = CAMERA.project(se3.transform(se3.inverse(se3.exp(delta) @ T_KC), points))
+    (((projected - uv).square().sum() + (information * (z - depth).square()).sum()) / 2).backward()
     gradient = delta.grad
     assert gradient is not None
     torch.testing.assert_close(patches.system(T_KC, 1e9)[1], -gradient)
@@ -159,19 +161,19 @@ def test_image_and_depth_together(tracker: Tracker, keyframe: FrameFeatures) -> 
     assert 1e-5 < float(np.sqrt(result.covariance[:3, :3].trace())) < 0.005
 
 
-def test_the_image_decides_where_depth_was_taken_at_another_time(tracker: Tracker, keyframe: FrameFeatures) -> None:
-    # Depth is that of a camera 3 degrees and 6 cm farther on: ICP alone follows it. The pose is the colour image's.
-    later = T_KC @ se3.exp(torch.tensor([0.05, 0.0, 0.03, 0.02, 0.03, -0.04], dtype=torch.float64))
+def test_the_image_counts_more_where_depth_was_taken_at_another_time(tracker: Tracker, keyframe: FrameFeatures) -> None:
+    # Depth is that of a camera 6 degrees and 13 cm farther on: ICP alone follows it by 4.6 degrees. The pose is the colour image's.
+    later = T_KC @ se3.exp(torch.tensor([0.1, 0.05, 0.06, 0.04, 0.06, -0.08], dtype=torch.float64))
     late = tracker.extract_features(frame(T_KC, T_depth=later))
     result = tracker.track(late, keyframe)
     by_planes = Tracker(replace(TrackerConfig(), patches=False), NO_FINETUNING).track(late, keyframe)
-    assert error(torch.from_numpy(by_planes.T_kc))[1] > 2.0
+    assert error(torch.from_numpy(by_planes.T_kc))[1] > 4.0
     assert result.status is Status.OK
-    assert error(torch.from_numpy(result.T_kc))[1] < 0.5
+    assert error(torch.from_numpy(result.T_kc))[1] < 2.1
     ideal = tracker.track(tracker.extract_features(frame(T_KC)), keyframe)
     assert result.covariance is not None
     assert ideal.covariance is not None
-    assert float(result.covariance.trace()) > 10 * float(ideal.covariance.trace())  # it says that it is less sure
+    assert float(result.covariance.trace()) > 1000 * float(ideal.covariance.trace())  # it says that it is less sure
 
 
 def test_patches_belong_to_the_pose_that_is_asked(tracker: Tracker, keyframe: FrameFeatures) -> None:
@@ -181,3 +183,18 @@ def test_patches_belong_to_the_pose_that_is_asked(tracker: Tracker, keyframe: Fr
     wrong = replace(pose, T_ab=se3.exp(torch.tensor([0.0, 0.0, -0.2, 0.0, 0.0, 0.0], dtype=torch.float64)) @ pose.T_ab)
     assert tracker.is_consistent(pose, pairs, other, keyframe)
     assert not tracker.is_consistent(wrong, pairs, other, keyframe)
+
+
+def test_near_a_known_pose_no_features_are_needed(tracker: Tracker, keyframe: FrameFeatures) -> None:
+    images = tracker.images(frame(T_KC, gain=0.6))
+    assert images.trunk.numel() == 0
+    guess = se3.exp(torch.tensor([0.01, 0.0, -0.01, 0.005, 0.01, -0.01], dtype=torch.float64)) @ T_KC  # 0.9 degrees off
+    result = tracker.track_near(images, keyframe, guess.numpy())
+    assert result.status is Status.OK
+    assert (result.matches, result.inliers) == (0, 0)
+    centimetres, degrees = error(torch.from_numpy(result.T_kc))
+    assert centimetres < 0.1
+    assert degrees < 0.03
+    far = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.3, 0.0], dtype=torch.float64)) @ T_KC
+    assert tracker.track_near(images, keyframe, far.numpy()).status is Status.LOST
+    assert torch.equal(tracker.extract_features(images).trunk, tracker.extract_features(frame(T_KC, gain=0.6)).trunk)

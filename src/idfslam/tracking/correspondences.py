@@ -20,6 +20,12 @@ class Correspondences:
     keyframe: Tensor  # (M, 3) points in the keyframe's camera frame [m]
     weight: Tensor  # (M,) in [0, 1]
 
+    @staticmethod
+    def none(device: torch.device) -> "Correspondences":
+        """No points."""
+        uv, points = torch.zeros(0, 2, device=device), torch.zeros(0, 3, device=device)
+        return Correspondences(uv, uv, points, points, torch.zeros(0, device=device))
+
     def __len__(self) -> int:
         return len(self.weight)
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.depth_noise import difference_noise
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
 
@@ -27,6 +28,7 @@ _CONVERGED = 0.01  # [px] shift below which a patch has converged. More: quicker
 _MIN_CORRELATION = 0.8  # [1] least correlation of a patch with the image. More: fewer and surer patches
 _CORRELATED = 4.0  # [1] factor on the variance of a position, because the noise of neighbouring pixels is alike. More: patches count less
 _FLOOR = 0.5  # [px] least standard deviation of a position, for what no patch shows: distortion, points off their planes. More: less counts
+_DEPTH_NOISE = 0.015  # [m] least standard deviation of depth at a patch: warps, and edges. More: the image counts more
 _SCALES = (12.0, 4.0, 3.0)  # [standard deviations] scale of the robust weights, in each step. More: outliers count more
 _INLIER = 3.0  # [standard deviations] largest residual of an inlier. More: more inliers
 _STRETCH = 0.15, 6.0  # [1] least and largest ratio of a patch's areas in the two images. Wider: patches seen more sideways take part
@@ -43,6 +45,8 @@ class AlignedPatches:
     points: Tensor  # (N, 3) float64 in the keyframe's camera frame [m]
     uv: Tensor  # (N, 2) float64 in the frame's `grey` image [px]
     information: Tensor  # (N, 2, 2) float64, inverse covariance of uv [1/px^2]
+    depth: Tensor  # (N,) float64, the frame's depth there [m]
+    depth_information: Tensor  # (N,) float64 [1/m^2]; 0: no depth
     camera: Camera  # of the frame's `grey` image
 
     def __len__(self) -> int:
@@ -75,7 +79,8 @@ def compiled_projection_system(patches: AlignedPatches, T_kc: Tensor, scale: flo
     from idfslam.tracking.kernels import numba_patch_alignment
 
     H, b, c = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64), patches.camera
-    arrays = (tensor.contiguous().numpy() for tensor in (se3.inverse(T_kc), patches.points, patches.uv, patches.information))
+    seen = patches.points, patches.uv, patches.information, patches.depth, patches.depth_information
+    arrays = (tensor.contiguous().numpy() for tensor in (se3.inverse(T_kc), *seen))
     numba_patch_alignment.projection_system(*arrays, np.array([c.fx, c.fy, c.cx, c.cy]), scale, H.numpy(), b.numpy())
     return H, b
 
@@ -88,11 +93,13 @@ def plain_projection_system(patches: AlignedPatches, T_kc: Tensor, scale: float)
     off, (x, y) = uv - patches.uv, moved[:, :2].unbind(-1)
     zero = torch.zeros_like(z)
     J_uv = torch.stack([camera.fx / z, zero, -camera.fx * x / z**2, zero, camera.fy / z, -camera.fy * y / z**2], -1).view(-1, 2, 3)
-    J = J_uv @ T_ck[:3, :3] @ torch.cat([-torch.eye(3).to(T_kc).expand(len(z), 3, 3), se3.hat(patches.points)], -1)
+    J_point = T_ck[:3, :3] @ torch.cat([-torch.eye(3).to(T_kc).expand(len(z), 3, 3), se3.hat(patches.points)], -1)
+    J, J_z, off_z = J_uv @ J_point, J_point[:, 2], z - patches.depth
     square = torch.einsum("ni,nij,nj->n", off, patches.information, off)
     weight = (z > 0) / (1 + square / scale**2) ** 2
-    JtW = J.mT @ (patches.information * weight[:, None, None])
-    return (JtW @ J).sum(0), -(JtW @ off[..., None]).sum(0)[:, 0]
+    weight_z = (z > 0) * patches.depth_information / (1 + patches.depth_information * off_z**2 / scale**2) ** 2
+    JtW, J_zW = J.mT @ (patches.information * weight[:, None, None]), J_z.T * weight_z
+    return (JtW @ J).sum(0) + J_zW @ J_z, -(JtW @ off[..., None]).sum(0)[:, 0] - J_zW @ off_z
 
 
 @torch.no_grad()
@@ -121,7 +128,17 @@ def _aligned_on_level(T_kc: Tensor, patches: Patches, frame: FrameFeatures, keyf
     variance = _CORRELATED * 2 * (1 - correlation[good].double()) / (2 * _HALF + 1) ** 2
     floor = _FLOOR**2 * torch.eye(2, dtype=torch.float64)
     covariance = 4**level * (torch.linalg.inv(H[good].double()) * variance[:, None, None] + floor)
-    return AlignedPatches(patches.points[good], found[good].double() * 2**level, torch.linalg.inv(covariance), to_camera)
+    seen = found[good].double() * 2**level
+    return AlignedPatches(patches.points[good], seen, torch.linalg.inv(covariance), *_depth_at(seen, frame), to_camera)
+
+
+def _depth_at(uv: Tensor, frame: FrameFeatures) -> tuple[Tensor, Tensor]:
+    """The frame's depth (N,) at pixels `uv` (N, 2) of its `grey` image, and its information (N,)."""
+    depth = frame.points[..., 2].cpu().double()
+    scale = torch.tensor([depth.shape[1] / frame.grey_camera.width, depth.shape[0] / frame.grey_camera.height])
+    u, v = ((uv + 0.5) * scale - 0.5).round().long().clamp(min=0).minimum(torch.tensor([depth.shape[1] - 1, depth.shape[0] - 1])).unbind(-1)
+    z = depth[v, u]
+    return z, (z > 0) / (_DEPTH_NOISE + difference_noise(z)) ** 2
 
 
 def _warps(T_kc: Tensor, patches: Patches, camera: Camera, to_camera: Camera) -> tuple[Tensor, Tensor, Tensor]:

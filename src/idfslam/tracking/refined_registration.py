@@ -1,8 +1,8 @@
 """A registration refined by all that two frames show: the image by aligned patches, and depth by planes, weighed against each other.
 
 Each is exact where the sensor is ideal, and they agree there. On a real sensor both have systematic errors: depth is warped, or was taken
-at another time than the image, and lenses distort. The image decides then, because the pose is the colour camera's: the more depth
-contradicts it, the less depth counts, and the larger is the covariance.
+at another time than the image, lenses distort, and shutters roll. Where the two differ much and few patches of the image support the pose
+with depth, the image decides, because the pose is the colour camera's. The more they differ, the larger is the covariance.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from idfslam.geometry import se3
 from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patch_alignment import AlignedPatches, aligned_patches
-from idfslam.tracking.point_to_plane import plane_system
+from idfslam.tracking.point_to_plane import plane_system, point_to_plane
 from idfslam.tracking.procrustes import Registration, supported
 
 # All of these were chosen on generated pairs, photographs and a hand-held recording (docs/model-card.md).
@@ -24,7 +24,10 @@ _SCALE = 3.0  # [standard deviations] scale of the robust weights of patches. Mo
 # [1] Weight of a patch relative to a point of depth, because patches share their systematic errors. More: the image counts more.
 _PATCH_WEIGHT = 0.1
 _WEIGHTS = (1.0, 0.1, 0.01, 0.0)  # [1] weights of depth that are tried in turn. More of them: finer steps, slower where depth contradicts
-_SUPPORT = 0.8  # [1] least share of the image's inliers that depth must keep. More: depth counts less where it contradicts
+_SUPPORT = 0.5  # [1] least share of the image's inliers that depth must keep to count beyond that. More: the image counts more
+# [rad] Motion of the image by which the pose with depth may differ from the image's whatever the support, because lenses distort and
+# shutters roll. More: depth counts more.
+_CONTRADICTION = 0.006
 _PRIOR = 1.0  # [1/m^2, 1/rad^2] information at the present pose. It keeps the system solvable, and a point has about 10^4.
 #    More: shorter steps
 # [1], [1/rad^2], [rad] The covariance is the inverse information times the sum of the first and of the second times the squared
@@ -43,21 +46,23 @@ class RefinedRegistration(Registration):
 
 @torch.no_grad()
 def refined(
-    pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures, *, with_depth: bool, inlier_distance: float
+    pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures, *, plane_steps: int, inlier_distance: float
 ) -> RefinedRegistration | None:
     """The registration of a frame from one by matches; None if too few patches can be aligned.
 
-    with_depth: whether depth takes part, as far as the image keeps its support. inlier_distance: of the matches [m].
+    plane_steps: steps of point-to-plane ICP; with 0, depth does not take part. inlier_distance: of the matches [m].
     """
     by_image = aligned_patches(pose.T_ab, frame, keyframe)
     if by_image is None:
         return None
     T_kc, patches = by_image
     contradiction, support = 0.0, _SUPPORT * patches.inliers(T_kc)
-    for weight in _WEIGHTS if with_depth else _WEIGHTS[-1:]:
-        T, H = _together(T_kc, frame, keyframe, patches, weight)
+    T_start = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=plane_steps).cpu()
+    for weight in _WEIGHTS if plane_steps > 0 else _WEIGHTS[-1:]:
+        T, H = _together(T_start, frame, keyframe, patches, weight)
+        T_start = T_kc  # depth's own pose is left where the image contradicts it
         contradiction = max(contradiction, patches.distance(T_kc, T) / patches.camera.fx)
-        if patches.inliers(T) >= support:
+        if patches.inliers(T) >= support or contradiction < _CONTRADICTION:
             break
     inflation = _LEAST_VARIANCE + _VARIANCE * min(contradiction, _MOST) ** 2
     found = supported(se3.orthonormal(T).to(pose.T_ab), pairs.frame, pairs.keyframe, inlier_distance)

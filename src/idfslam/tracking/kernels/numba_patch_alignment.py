@@ -144,13 +144,13 @@ def align_patches(image, to_image, uv, warp, start, half, iterations, limits, fo
 
 
 @_compiled
-def projection_system(T_ck, points, uv, information, camera, scale, H, b):  # type: ignore[no-untyped-def]
-    """Adds to H (6, 6), b (6,) the differences between uv (N, 2) and the projections of the points (N, 3) at T_ck (4, 4).
+def projection_system(T_ck, points, uv, information, depth, depth_information, camera, scale, H, b):  # type: ignore[no-untyped-def]
+    """Adds to H (6, 6), b (6,) the differences of uv (N, 2) and depth (N,) to the projections of the points (N, 3) at T_ck (4, 4).
 
-    information (N, 2, 2) of uv. camera: fx, fy, cx, cy. scale: of the robust weights [standard deviations].
+    information (N, 2, 2) of uv, depth_information (N,). camera: fx, fy, cx, cy. scale: of the robust weights [standard deviations].
     """
     fx, fy, cx, cy = camera
-    J = np.empty((2, 6))
+    J = np.empty((3, 6))
     for n in range(len(points)):
         p = points[n]
         x = T_ck[0, 0] * p[0] + T_ck[0, 1] * p[1] + T_ck[0, 2] * p[2] + T_ck[0, 3]
@@ -166,14 +166,18 @@ def projection_system(T_ck, points, uv, information, camera, scale, H, b):  # ty
         for axis in range(3):
             J[0, axis] = -(fx / z * T_ck[0, axis] - fx * x / (z * z) * T_ck[2, axis])
             J[1, axis] = -(fy / z * T_ck[1, axis] - fy * y / (z * z) * T_ck[2, axis])
-        for row in range(2):  # the turn moves a point by omega x p
+            J[2, axis] = -T_ck[2, axis]
+        dz = z - depth[n]
+        root = 1 / (1 + depth_information[n] * dz * dz / (scale * scale))
+        weight_z = depth_information[n] * root * root
+        for row in range(3):  # the turn moves a point by omega x p
             v0, v1, v2 = J[row, 0], J[row, 1], J[row, 2]
             J[row, 3], J[row, 4], J[row, 5] = p[1] * v2 - p[2] * v1, p[2] * v0 - p[0] * v2, p[0] * v1 - p[1] * v0
         for i in range(6):
             u_i, v_i = a * J[0, i] + c * J[1, i], c * J[0, i] + d * J[1, i]
-            b[i] -= weight * (u_i * du + v_i * dv)
+            b[i] -= weight * (u_i * du + v_i * dv) + weight_z * J[2, i] * dz
             for j in range(i, 6):
-                H[i, j] += weight * (u_i * J[0, j] + v_i * J[1, j])
+                H[i, j] += weight * (u_i * J[0, j] + v_i * J[1, j]) + weight_z * J[2, i] * J[2, j]
     for i in range(6):
         for j in range(i):
             H[i, j] = H[j, i]
