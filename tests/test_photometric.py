@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import pytest
 import torch
 from torch import Tensor
@@ -192,6 +193,20 @@ def test_noise_is_that_of_the_images() -> None:
     noisy = photometric_term(appearance(T_wc, noise=0.03), marks, EYE, T_wc, 0, floor=0.001, widest=3.0)
     assert 0.015 < noisy.noise < 0.03
     assert photometric_term(appearance(T_wc), marks, EYE, T_wc, 0, floor=0.01, widest=3.0).noise == 0.01  # the floor
+
+
+@pytest.mark.parametrize("build", [photometric_term, plain_photometric_term])
+def test_a_blurred_image_counts_for_less(build) -> None:  # type: ignore[no-untyped-def]
+    colour = torch.rand(72, 96, 1, generator=torch.Generator().manual_seed(0)).repeat(1, 1, 3)
+    depth = torch.full((72, 96), 2.0)
+    marks = landmarks(pyramid(colour, CAMERA, height=72, levels=1), depth, count=400)
+    information = []
+    for width in (1, 3, 7):  # pixels of a sideways motion
+        blurred = torch.from_numpy(cv2.blur(colour.numpy(), (width, 1)))
+        frame = Appearance(pyramid(blurred, CAMERA, height=72, levels=1), depth, CAMERA)
+        information.append(float(build(frame, marks, EYE, EYE, 0, floor=0.02, widest=3.0).H.trace()))
+    assert information[1] < information[0] / 10
+    assert information[2] < information[1]
 
 
 @pytest.mark.parametrize("build", [photometric_term, plain_photometric_term])
