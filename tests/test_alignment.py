@@ -8,18 +8,15 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from helpers.three_walls import CAMERA, CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view, without_depth
-from idfslam.alignment.aligner import (
-    Alignment,
-    compiled_surface,
-    damped_step,
-    depth_system,
-    plain_damped_step,
-    plain_depth_system,
-    plain_surface,
-)
+from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.depth_term import depth_term, plain_depth_term
+from idfslam.alignment.gauss_newton import damped_step, plain_damped_step
 from idfslam.alignment.normals import plain_smoothed, smoothed_normals
+from idfslam.alignment.surface import compiled_surface, plain_surface
+from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Status
 from idfslam.geometry import se3
+from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 
 
@@ -64,8 +61,8 @@ def test_the_compiled_normal_equations_are_the_plain_ones() -> None:
     turned = 3 * torch.randn(500, 3, generator=generator)
     normal, slope = F.normalize(torch.randn(500, 3, generator=generator), dim=-1), 1.5 * torch.rand(500, generator=generator)
     distance, sigma = 0.05 * torch.randn(500, generator=generator), 1 + 5 * torch.rand(500, generator=generator)
-    found = depth_system(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
-    plain = plain_depth_system(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
+    found = depth_term(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
+    plain = plain_depth_term(turned, distance, normal, slope, sigma, 0.06, 0.01, 4.0)
     assert 0.3 < plain.overlap < 0.9
     for name in ("weight", "overlap", "rmse", "radius"):
         assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-4)
@@ -129,7 +126,7 @@ def test_normal_equations_of_one_point_by_hand() -> None:
     # At (1, 2, 3), 1 cm before a surface with normal (0, 0, 1): J = (0, 0, 1, 2, -1, 0), as (1, 2, 3) x (0, 0, 1) = (2, -1, 0).
     # Robust scale 0.01 * 2 = 0.02, so that the kernel is 1 + 1/4, and w = 1 / (1.25^2 * 2^2) = 0.16.
     one = torch.tensor
-    system = depth_system(one([[1.0, 2.0, 3.0]]), one([0.01]), one([[0.0, 0.0, 1.0]]), one([1.0]), one([2.0]), 0.06, 0.01, 4.0)
+    system = depth_term(one([[1.0, 2.0, 3.0]]), one([0.01]), one([[0.0, 0.0, 1.0]]), one([1.0]), one([2.0]), 0.06, 0.01, 4.0)
     J = torch.tensor([0, 0, 1, 2, -1, 0], dtype=torch.float64)
     torch.testing.assert_close(system.H, 0.16 * torch.outer(J, J), rtol=1e-5, atol=1e-7)
     torch.testing.assert_close(system.b, -0.16 * 0.01 * J, rtol=1e-5, atol=1e-7)
@@ -138,7 +135,7 @@ def test_normal_equations_of_one_point_by_hand() -> None:
 
 def test_unknown_space_counts_for_nothing() -> None:
     # Too far from the surface, and where the map has no slope.
-    system = depth_system(
+    system = depth_term(
         torch.ones(2, 3),
         torch.tensor([0.055, 0.0]),
         torch.tensor([[0, 0, 1.0], [0, 0, 1.0]]),
@@ -200,12 +197,48 @@ def test_in_a_corner_it_has_the_lesser_say(corner: Mapper) -> None:
     assert error(held.T_wc, EYE)[0] < 0.5 * error(off, EYE)[0]
 
 
-def test_without_depth_it_is_lost(corner: Mapper) -> None:
+def test_without_depth_and_references_it_is_lost(corner: Mapper) -> None:
     guess = pose(0.1, 0, 0, 0, 0, 0)
-    found = aligner(corner).align(without_depth(view(CORNER, EYE)), guess, [view(CORNER, EYE)])
+    found = aligner(corner).align(without_depth(view(CORNER, EYE)), guess, [])
     assert found.status is Status.LOST
     assert found.score == 0
     assert torch.equal(found.T_wc, guess)
+
+
+@pytest.fixture(scope="module")
+def room() -> SyntheticRoom:
+    return SyntheticRoom(frames=30, width=320, height=240)
+
+
+def seen(room: SyntheticRoom, i: int, *, depth: bool = True, colour: bool = True) -> Keyframe:
+    """A view of a furnished room at its true pose."""
+    frame = room[i]
+    images = torch.from_numpy(frame.depth * depth), torch.from_numpy(frame.colour * colour)
+    return Keyframe(frame, torch.from_numpy(room.ground_truth[i]), *images)
+
+
+def test_without_depth_the_images_give_the_pose(corner: Mapper, room: SyntheticRoom) -> None:
+    reference, blind = seen(room, 0), seen(room, 4, depth=False)
+    judge = aligner(corner)
+    judge.expect([0.02])
+    found = judge.align(blind, reference.T_wk, [reference])
+    off, turn = error(found.T_wc, blind.T_wk)
+    assert found.status is Status.DEGENERATE
+    assert off < 0.003 and turn < 0.1  # [m], [degrees]; the camera has moved by 5 cm and 4 degrees
+    assert error(reference.T_wk, blind.T_wk)[0] > 0.03
+
+
+def test_without_depth_a_black_image_is_lost(corner: Mapper, room: SyntheticRoom) -> None:
+    reference = seen(room, 0)
+    assert aligner(corner).align(seen(room, 0, depth=False, colour=False), reference.T_wk, [reference]).status is Status.LOST
+
+
+def test_the_covariance_grows_where_nothing_measures(corner: Mapper, wall: Mapper) -> None:
+    seen = aligner(corner).align(view(CORNER, EYE), EYE, []).covariance
+    bare = aligner(wall).align(view(WALL, EYE), EYE, []).covariance
+    assert seen is not None and bare is not None
+    assert float(torch.linalg.eigvalsh(seen)[-1]) ** 0.5 < 0.01  # [m]
+    assert float(torch.linalg.eigvalsh(bare)[-1]) > 10 * float(torch.linalg.eigvalsh(seen)[-1])
 
 
 def test_where_the_map_knows_no_surface_it_is_lost(corner: Mapper) -> None:
@@ -230,8 +263,9 @@ def test_doubt(corner: Mapper) -> None:
     assert judge.is_doubtful(replace(good, photometric_error=0.031))
     assert judge.is_doubtful(replace(good, overlap=0.5))
     assert judge.is_doubtful(replace(good, status=Status.LOST))
-    judge.accept(replace(good, photometric_error=0.04), EYE)  # the running mean takes a tenth: 0.022, so that 0.033 is the bound
-    assert not judge.is_doubtful(replace(good, photometric_error=0.032))
+    judge.accept(replace(good, photometric_error=0.04), EYE)  # counts as 0.03; the running mean takes a tenth: 0.021
+    assert not judge.is_doubtful(replace(good, photometric_error=0.0314))  # 1.5 * 0.021 = 0.0315
+    assert judge.is_doubtful(replace(good, photometric_error=0.032))
     judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
     assert judge.is_doubtful(replace(good, photometric_error=0.034))
 

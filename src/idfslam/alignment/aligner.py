@@ -6,24 +6,24 @@ direction open (a bare wall), the brightness of the keyframes' landmarks constra
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from idfslam.alignment.constants import LEAST_SLOPE, MAPPED, SLOPE_FLOOR
-from idfslam.alignment.motion import Information, change_between, moved
+from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
+from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
+from idfslam.alignment.motion import Information
 from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
-from idfslam.compute.backend import pick
+from idfslam.alignment.row_moments import RowMoments
+from idfslam.alignment.surface import Surface, surface_points
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Images, Keyframe
-from idfslam.sensing.depth_noise import noise_ratio
 from idfslam.sensing.vignette import Vignette
 from idfslam.storage.state import State, Stateful
 
@@ -32,10 +32,6 @@ from idfslam.storage.state import State, Stateful
 # [1] Bound on the prediction error: `_MARGIN` times the largest recent one, which decays by the factor `_DECAY` a frame.
 # More: coarser images are used more often, which is slower and safer.
 _MARGIN, _DECAY = 1.5, 0.95
-# [1] Photometric error of a landmark that shows another place. More: landmarks out of view count more against a pose.
-_WRONG_ERROR = 0.1
-# [1], [m] Added to the photometric error and to the RMSE in a score. More: small differences decide less.
-_ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003
 # [1] Rate of the running mean of the photometric error. More: the mean follows the last frames faster.
 _USUAL_RATE = 0.1
 # Every so many points one takes part in the coarse steps. More: faster, and noisier first steps.
@@ -45,69 +41,10 @@ _FIRST_SCALE = 4.0
 # [1] An alignment that moves by more than this many times the expected error of its guess has left the reach of its images.
 # More: fewer second tries.
 _OVERSHOOT = 2.0
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """The pose of a frame, and how well depth and images constrain and confirm it."""
-
-    T_wc: Tensor  # (4, 4) float64
-    status: Status
-    overlap: float  # share of the points that lie near a mapped surface
-    rmse: float  # [m] of the robustly weighted distances
-    min_eigenvalue: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
-    photometric_error: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
-    in_view: float  # share of the references' landmarks that are in view; 1 without landmarks
-    information: Information | None  # of depth and images together; None for a frame without depth
-    iterations: int
-    focal: float = 1.0  # focal length of the finest image [px]
-    radius: float = 1.0  # mean distance of the points [m]
-
-    @property
-    def least_information(self) -> float:
-        """Smallest eigenvalue of the information of depth and images, per unit weight [1]; 0 without information."""
-        return 0.0 if self.information is None else float(self.information.values[0])
-
-    @property
-    def score(self) -> float:
-        """Quality of an alignment, to compare several of one view: overlap over photometric error and RMSE; 0 if lost.
-
-        A landmark out of view counts as a wrong one. Otherwise a pose that looks away from all landmarks would score best.
-        """
-        agreement = self.in_view / (self.photometric_error + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
-        return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + _RMSE_FLOOR)
-
-    def distance(self, T_wc: Tensor) -> float:
-        """About how far the finest image moves between this pose and another one (4, 4) [px]."""
-        change = change_between(T_wc, self.T_wc)
-        return self.focal * float(change[3:].norm() + change[:3].norm() / max(self.radius, 0.1))
-
-
-@dataclass(frozen=True)
-class Surface:
-    """N points of a frame, in the camera's frame."""
-
-    points: Tensor  # (N, 3) [m]
-    sigma: Tensor  # (N,) noise of the depth, relative to the sensor's best [1]
-    patches: Tensor  # (rows, columns) int32: index of the point in each patch of the image, -1 for a patch without a point
-
-    def every(self, step: int) -> "Surface":
-        """Every `step`-th point."""
-        kept = (self.patches >= 0) & (self.patches % step == 0)
-        patches = torch.where(kept, self.patches // step, -1)
-        return Surface(self.points[::step].contiguous(), self.sigma[::step].contiguous(), patches)
-
-
-@dataclass(frozen=True)
-class _System:
-    """Normal equations H delta = b of a pose; delta is a shift and a turn about the camera's centre, both along world axes."""
-
-    H: Tensor  # (6, 6) float64
-    b: Tensor  # (6,)
-    weight: float  # sum of the robust weights
-    overlap: float  # share of the points that take part
-    rmse: float  # [m]
-    radius: float  # mean distance of the points [m], by which a turn is compared with a shift
+# [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
+_CONFIRMED = 0.3
+# [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
+_UNMEASURED = 0.1
 
 
 _Normals = tuple[Tensor, Tensor]  # unit normals (N, 3), and the slope (N,) of the distance along them
@@ -147,33 +84,46 @@ class MapAligner(Stateful):
         *,
         max_guess_error_px: float | None = None,
         registered: bool = False,
+        motion: MotionPrior | None = None,
     ) -> Alignment:
-        """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4); LOST if too few pixels have depth.
+        """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4).
 
+        A view without depth is aligned to the images alone. It is DEGENERATE, or LOST if they do not confirm its pose.
         max_guess_error_px: bound on the error of the guess, in pixels of the finest image. The steps on images too coarse for it are left
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
-        the directions that map and images constrain weakly.
+        the directions that map and images constrain weakly. motion: the velocity is estimated too, with this prior for pose and velocity.
         """
         prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         surface = self.surface(view)
-        if len(surface.points) < self.config.min_points:
+        has_depth = len(surface.points) >= self.config.min_points
+        if not has_depth and not any(len(self.landmarks(reference).points) for reference in references):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        T, change = T_guess.double().clone(), torch.zeros(6, dtype=torch.float64)
+        T, moments = T_guess.double().clone(), motion is not None and view.rectification is not None
+        solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
-        coarse, normals = surface.every(_COARSE_STRIDE), None
+        coarse, normals, depth = surface.every(_COARSE_STRIDE), None, self._absent_depth(references, moments=moments)
         for step in range(first, self.config.iterations):
-            if step < coarse_steps:
-                system, _ = self._depth_system(coarse, T, step, None)
-            else:  # the normals of the first fine step are used again: they hardly turn any more
-                system, normals = self._depth_system(surface, T, step, normals)
-            H, b, photometric_error, in_view = self._with_images(system, view, references, T, step)
-            largest = damped_step(H, b, system.weight, system.radius, prior_information, change, T)
+            if has_depth and step < coarse_steps:
+                depth, _ = self._depth_term(coarse, T, step, None, moments=moments)
+            elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
+                depth, normals = self._depth_term(surface, T, step, normals, moments=moments)
+            images = self._image_term(view, references, T, step, moments=moments)
+            largest = solver.step(depth, images)
             if step >= coarse_steps and largest < self.config.converged:
                 break
-        information = Information.of(H, system.weight, system.radius)
-        focal = self.appearance(view).levels[0].camera.fx
-        return self._judged(T, system, information, photometric_error, in_view, step + 1 - first, focal)
+        return self._judged(view, T, depth, images, step + 1 - first, solver.estimate(depth, images), has_depth=has_depth)
+
+    def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
+        """The term of a view without depth: nothing, at the landmarks' distance. With the weight of one point, the guess hardly counts."""
+        points = torch.cat([self.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
+        radius = float(points.norm(dim=-1).mean()) if len(points) else 1.0
+        return DepthTerm.absent(weight=1.0, radius=radius, moments=moments)
+
+    def _solver(self, view: Keyframe, T: Tensor, motion: MotionPrior | None, prior_information: float) -> Solver:
+        if motion is None or view.rectification is None:
+            return PoseSolver(T, prior_information)
+        return JointSolver(T, motion, view.rectification, self.config.depth_noise)
 
     def _first_step(self, max_guess_error_px: float | None) -> int:
         """The first step for a guess with this largest error: it is at most `level_reach` pixels of the coarsest level used."""
@@ -192,15 +142,22 @@ class MapAligner(Stateful):
         patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
-        return pick(view.depth, compiled=compiled_surface, plain=plain_surface)(view.depth, view.camera, jitter, patch)
+        return surface_points(view.depth, view.camera, jitter, patch)
+
+    def row_moments(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> tuple[RowMoments, RowMoments]:
+        """The sums of depth and of images at a pose (4, 4), with the moments of the rows, in units of information."""
+        scale = INDEPENDENT / self.config.depth_noise**2
+        system, _ = self._depth_term(self.surface(view), T_wc, self.config.iterations, None, moments=True)
+        images = self._image_term(view, references, T_wc, self.config.iterations, moments=True)
+        return system.sums.scaled(scale), images.sums.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess should be tried: the view is lost, overlaps little with the map, or has a large photometric error."""
-        return (
-            alignment.status is Status.LOST
-            or alignment.overlap < self.config.doubtful_overlap
-            or not self.photometric_error_within(alignment, self.config.doubtful_brightness)
-        )
+        return alignment.status is Status.LOST or alignment.overlap < self.config.doubtful_overlap or self.contradicts_images(alignment)
+
+    def contradicts_images(self, alignment: Alignment) -> bool:
+        """Whether the brightness differs by much more than it usually does: the pose is wrong, or the images are blurred."""
+        return not self.photometric_error_within(alignment, self.config.doubtful_brightness)
 
     def photometric_error_within(self, alignment: Alignment, ratio: float) -> bool:
         """Whether the photometric error is at most `ratio` times the usual one."""
@@ -231,9 +188,16 @@ class MapAligner(Stateful):
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
         if alignment.photometric_error > 0:
-            self._usual_error += (alignment.photometric_error - self._usual_error) * (_USUAL_RATE if self._usual_error else 1.0)
+            # An error above the doubtful one is counted as that: a wrong pose does not make its like usual.
+            error = min(alignment.photometric_error, self.doubtful_error) if self._usual_error else alignment.photometric_error
+            self._usual_error += (error - self._usual_error) * (_USUAL_RATE if self._usual_error else 1.0)
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
+
+    def is_far(self, alignment: Alignment, T_guess: Tensor) -> bool:
+        """Whether a pose is so far from its guess (4, 4) that a few more pixels would be too much for the coarsest images."""
+        reach = self.config.level_reach * 2 ** (self.config.image_levels - 1)
+        return alignment.distance(T_guess) > reach / 2
 
     def unexpected(self, alignment: Alignment, T_guess: Tensor, max_guess_error_px: float | None) -> bool:
         """Whether the pose moved farther from its guess than the images reach that were used for this largest error of the guess."""
@@ -241,7 +205,7 @@ class MapAligner(Stateful):
             max_guess_error_px, self.config.level_reach
         )
 
-    def _depth_system(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None) -> tuple[_System, _Normals]:
+    def _depth_term(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None, *, moments: bool) -> tuple[DepthTerm, _Normals]:
         """Normal equations of the points' distances to the map along its normals. The robust scale narrows over the first steps.
 
         normals: of an earlier step; None: they are computed at the points' present places. Returns the normals too.
@@ -251,29 +215,24 @@ class MapAligner(Stateful):
         distance, gradient = self.query(turned + T32[:3, 3])
         robust = self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
         normals = normals or smoothed_normals(turned, gradient, surface.patches)
-        return depth_system(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest), normals
+        rows = surface.rows if moments else None
+        return depth_term(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest, rows), normals
 
-    def _with_images(
-        self, system: _System, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int
-    ) -> tuple[Tensor, Tensor, float, float]:
-        """Adds to the normal equations the brightness of each reference's landmarks, on the level of the pyramid for this step.
-
-        Returns H (6, 6), b (6,), the scale of the brightness differences, and the share of the landmarks in view.
-        """
-        H, b, photometric_error, seen, in_view, count = system.H, system.b, 0.0, 0, 0, 0
+    def _image_term(self, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int, *, moments: bool) -> ImageTerm:
+        """The brightness of each reference's landmarks, on the level of the pyramid for this step."""
+        sums, photometric_error, seen, in_view, count = RowMoments.zeros(moments=moments), 0.0, 0, 0, 0
         frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
             noise, widest = self.config.colour_noise, self.config.colour_robust
-            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest)
+            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest, moments=moments)
             count, in_view = count + len(marks.points), in_view + term.seen
             if term.seen < self.config.min_landmarks:
                 continue
-            H = H + self.config.depth_noise**2 * term.H
-            b = b + self.config.depth_noise**2 * term.b
+            sums = sums + term.sums.scaled(self.config.depth_noise**2)
             photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
-        return H, b, photometric_error / max(seen, 1), in_view / count if count else 1.0
+        return ImageTerm(sums, photometric_error / max(seen, 1), in_view / count if count else 1.0)
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
@@ -304,115 +263,45 @@ class MapAligner(Stateful):
         self._appearances.clear()
         self._landmarks.clear()
 
+    def forget(self, keyframe: Keyframe) -> None:
+        """Forgets the landmarks of a keyframe whose images were replaced."""
+        self._landmarks.pop(keyframe, None)
+
     def release(self, view: Keyframe) -> None:
         """Frees a view's image pyramid. It is computed again when it is needed again."""
         self._appearances.pop(view.images, None)
 
     def _judged(
-        self, T: Tensor, system: _System, information: Information, photometric_error: float, in_view: float, iterations: int, focal: float
+        self,
+        view: Keyframe,
+        T: Tensor,
+        depth: DepthTerm,
+        images: ImageTerm,
+        iterations: int,
+        joint: JointEstimate | None,
+        *,
+        has_depth: bool,
     ) -> Alignment:
-        of_depth = Information.of(system.H, system.weight, system.radius)
+        of_depth = Information.of(depth.H, depth.weight, depth.radius)
+        contradicted = images.photometric_error > self.doubtful_error  # images that do not match say nothing about the motion
+        information = of_depth if contradicted else Information.of(depth.H + images.H, depth.weight, depth.radius)
         min_eigenvalue = float(of_depth.values[0])
-        status = Status.OK
-        if system.overlap < self.config.min_overlap or system.rmse > self.config.max_rmse:
-            status = Status.LOST
-        elif min_eigenvalue < self.config.min_eigenvalue:
-            status = Status.DEGENERATE
-        # Images that do not match say nothing about the motion.
-        trusted = of_depth if photometric_error > self.doubtful_error else information
-        evidence = system.overlap, system.rmse, min_eigenvalue, photometric_error, in_view, trusted
-        return Alignment(se3.orthonormal(T), status, *evidence, iterations, focal, system.radius)
+        if has_depth:
+            status = self._status(depth, min_eigenvalue)
+        else:
+            confirmed = images.in_view > _CONFIRMED and images.photometric_error > 0 and not contradicted
+            status = Status.DEGENERATE if confirmed else Status.LOST
+        evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
+        covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
+        focal = self.appearance(view).levels[0].camera.fx
+        return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius)
 
+    def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
+        if depth.overlap < self.config.min_overlap or depth.noise > self.config.max_rmse:
+            return Status.LOST
+        return Status.DEGENERATE if min_eigenvalue < self.config.min_eigenvalue else Status.OK
 
-def plain_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
-    """One pixel of each patch of a depth image (H, W) [m], if it has depth; in torch, on any device.
-
-    jitter (2, rows, columns): row and column of the pixel within its patch.
-    """
-    rows, columns = jitter.shape[1:]
-    v = (torch.arange(rows)[:, None] * patch + jitter[0]).flatten().to(depth.device)
-    u = (torch.arange(columns)[None] * patch + jitter[1]).flatten().to(depth.device)
-    z = depth[v, u]
-    keep = z > 0
-    patches = torch.where(keep, keep.cumsum(0) - 1, -1).int().view(rows, columns)
-    v, u, z = v[keep], u[keep], z[keep]
-    points = camera.rays(torch.stack([u, v], -1).to(z.dtype)) * z[:, None]
-    return Surface(points, noise_ratio(z), patches)
-
-
-def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
-    """`plain_surface` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    points, z = torch.empty(jitter[0].numel(), 3), torch.empty(jitter[0].numel())
-    patches = torch.empty(jitter.shape[1:], dtype=torch.int32)
-    intrinsics = [np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
-    outputs = points.numpy(), z.numpy(), patches.numpy()
-    count = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
-    return Surface(points[:count], noise_ratio(z[:count]), patches)
-
-
-def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior at the guess for directions with little information.
-
-    prior_information: information [1] below which the prior dominates (`Information.prior`). The step moves in place the pose T (4, 4) and
-    its change since the guess, change (6,). Returns the largest entry of the step. All tensors are on the host, wherever the points are.
-    """
-    return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, prior_information, change, T)
-
-
-def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
-    """`damped_step` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, prior_information, change.numpy(), T.numpy()))  # type: ignore[call-arg]
-
-
-def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
-    """`damped_step` in torch, on any device."""
-    P = Information.of(H, weight, radius).prior(prior_information)
-    delta = torch.linalg.solve(H + P, b - P @ change)
-    change += delta
-    T[:] = moved(T, delta)
-    return float(delta.abs().max())
-
-
-def depth_system(
-    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
-) -> _System:
-    """Normal equations of the distances (N,) [m] of points to the map, along its normals (N, 3).
-
-    turned (N, 3) [m]: the points from the camera's centre, along world axes. slope (N,): the length of the distance's gradient.
-    sigma (N,): the noise relative to the sensor's best. robust [m]: scale of the robust kernel. widest: the largest sigma that widens it.
-    """
-    build = pick(turned, compiled=compiled_depth_system, plain=plain_depth_system)
-    return build(turned, distance, normal, slope, sigma, truncation, robust, widest)
-
-
-def compiled_depth_system(
-    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
-) -> _System:
-    """`depth_system` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
-    arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma)]
-    sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, H.numpy(), b.numpy())  # type: ignore[call-arg]
-    weight, squares, count, radius = sums
-    return _System(H, b, weight, count / len(distance), (squares / max(weight, 1e-9)) ** 0.5, radius)
-
-
-def plain_depth_system(
-    turned: Tensor, distance: Tensor, normal: Tensor, slope: Tensor, sigma: Tensor, truncation: float, robust: float, widest: float
-) -> _System:
-    """`depth_system` in torch, on any device."""
-    mapped = (distance.abs() < MAPPED * truncation) & (slope > LEAST_SLOPE)
-    r = distance / slope.clamp(min=SLOPE_FLOOR)
-    J = torch.cat([normal, torch.linalg.cross(turned, normal)], -1)
-    scale = robust * sigma.clamp(max=widest)
-    w = mapped / ((1 + (r / scale) ** 2) ** 2 * sigma**2)  # Geman-McClure, divided by the sensor's variance
-    JtW = (J * w[:, None]).T
-    weight = float(w.sum())
-    rmse = (float((w * r * r).sum()) / max(weight, 1e-9)) ** 0.5
-    overlap = float(mapped.float().mean())
-    return _System((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), weight, overlap, rmse, float(turned.norm(dim=-1).mean()))
+    def _covariance(self, depth: DepthTerm, images: ImageTerm) -> Tensor:
+        """(6, 6) of the pose. A direction that nothing measures has the deviation of the prior."""
+        prior = torch.tensor([1 / _UNMEASURED**2] * 6, dtype=torch.float64)
+        return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H) + torch.diag(prior))

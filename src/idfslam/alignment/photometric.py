@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE
+from idfslam.alignment.row_moments import RowMoments
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
@@ -171,42 +172,55 @@ class Appearance:
 class Term:
     """The photometric part of the normal equations of a pose (shift, and turn about the camera, both along world axes)."""
 
-    H: Tensor  # (6, 6) float64
-    b: Tensor  # (6,) float64
+    sums: RowMoments
     seen: int  # landmarks in view
     noise: float  # scale of the brightness differences [1]
 
+    @property
+    def H(self) -> Tensor:
+        """(6, 6) float64."""
+        return self.sums.H[0]
 
-def photometric_term(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float) -> Term:
+    @property
+    def b(self) -> Tensor:
+        """(6,) float64."""
+        return self.sums.b[0]
+
+
+def photometric_term(
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
+) -> Term:
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, after exposure is compensated.
 
     Differences are divided by their own scale, so that sharp, well-registered images count more than blurred ones. The scale comes from
     their median and is at least `floor` [1]. The robust kernel has a width of `widest` scales. Poses are (4, 4) float64.
+    moments: whether the sums have the moments of the rows.
     """
     term = pick(marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
-    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest)
+    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest, moments=moments)
 
 
 def compiled_photometric_term(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
 ) -> Term:
     """`photometric_term` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import photometric_system
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
-    H, b = torch.zeros(6, 6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    sums = RowMoments.zeros(moments=moments)
     R_cw = T_wc[:3, :3].T.contiguous().numpy()
     shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
     seen, noise = photometric_system(
         marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift,
-        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest, H.numpy(), b.numpy(),
+        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest,
+        sums.H.numpy(), sums.b.numpy(),
     )  # fmt: skip
-    return Term(H, b, seen, noise)
+    return Term(sums, seen, noise)
 
 
 def plain_photometric_term(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float
+    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
 ) -> Term:
     """`photometric_term` in torch, on any device."""
     T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
@@ -229,8 +243,8 @@ def plain_photometric_term(
     a = torch.stack([slope_u * fx / z, slope_v * fy / z, -(slope_u * fx * x + slope_v * fy * y) / z**2], -1)
     n = -(a @ T_wc[:3, :3].T)
     J = torch.cat([n, torch.linalg.cross(d, n)], -1)
-    JtW = (J * w[:, None]).T
-    return Term((JtW @ J).double().cpu(), -(JtW @ r).double().cpu(), int(inside.sum()), float(scale))
+    rows = (uv[:, 1] + 0.5) / image.camera.height - 0.5 if moments else None
+    return Term(RowMoments.of(J, w, r, rows), int(inside.sum()), float(scale))
 
 
 def _median(values: Tensor) -> Tensor:

@@ -10,11 +10,13 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive, Stored
+from idfslam.sensing.rectification import Rectification, RowTimes, rectified
 from idfslam.storage.state import State
 
 _EIGHT_BITS = np.float32(1 / 255)  # step of a colour channel of 8 bits, as most cameras have it
@@ -55,6 +57,8 @@ class Keyframe:
         self.edges: set[int] = set()  # stored keyframes whose relative pose was measured: edges of the pose graph
         self.unverified: list[int] = []  # covisible keyframes without an edge, the most covisible first
         self.covisible_references: list[int] = []  # stored keyframes that see most of what it sees, the oldest first
+        self.velocity: NDArray[np.float64] | None = None  # (6,) along the camera's axes [m/s, rad/s]; None: not estimated
+        self.rectification: Rectification | None = None  # what its images are rectified with; None: they are as they were taken
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
         self._features: Any = None
@@ -77,6 +81,15 @@ class Keyframe:
         if self._archive is not None:
             self._archive.used(self.host, self)
         return images
+
+    def rectify(self, raw: Frame, rectification: Rectification) -> None:
+        """Replaces the images by those of its frame `raw`, rectified. What was computed from the former images is forgotten."""
+        self.rectification = rectification
+        frame = rectified(raw, rectification)
+        self._images = Images(frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device))
+        self._features = None
+        for name in ("farthest", "has_depth"):
+            self.__dict__.pop(name, None)
 
     @property
     def frame(self) -> Frame:
@@ -151,6 +164,8 @@ class Keyframe:
             "edges": sorted(self.edges),
             "unverified": self.unverified,
             "covisible_references": self.covisible_references,
+            "velocity": None if self.velocity is None else torch.from_numpy(self.velocity),
+            "rectification": _state_of(self.rectification),
         }
 
     def restore(self, state: State) -> None:
@@ -159,6 +174,22 @@ class Keyframe:
         self.host, self.submap = state["host"], state["submap"]
         self.covisible, self.edges = set(state["covisible"]), set(state["edges"])
         self.unverified, self.covisible_references = state["unverified"], state["covisible_references"]
+        self.velocity = None if state["velocity"] is None else state["velocity"].numpy().copy()
+
+    def rectify_again(self, state: State) -> None:
+        """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""
+        if (kept := state["rectification"]) is not None:
+            self.rectify(self.frame, Rectification(RowTimes(*kept["times"]), kept["velocity"].numpy().copy()))
+
+
+def _state_of(rectification: Rectification | None) -> State | None:
+    if rectification is None:
+        return None
+    times = rectification.times
+    return {
+        "times": [times.readout, times.depth_readout, times.depth_delay],
+        "velocity": torch.from_numpy(rectification.velocity),
+    }
 
 
 def _reduced_to_bytes(frame: Frame) -> tuple[Tensor, Tensor]:

@@ -44,6 +44,9 @@ class BackEnd(Stateful, ABC):
         """Called after a frame that is no keyframe; returns losses by name."""
         return {}
 
+    def learn_again(self, keyframe: Keyframe) -> None:
+        """Called when the images of the first keyframe were replaced, before another one is added."""
+
     def finish(self) -> None:
         """Called after the last frame."""
 
@@ -126,6 +129,9 @@ class KeyframeMapping(BackEnd):
         self.graph.connect_like_last(view)
         self.coverage.add(view)
         return self._update_map(view, at_once=False)
+
+    def learn_again(self, keyframe: Keyframe) -> None:
+        self._initialise(keyframe)
 
     def finish(self) -> None:
         with self.timer.stage("finish"):

@@ -167,7 +167,8 @@ def _neural_field(system: System) -> Mapper:
 
 
 def _alignment(system: System) -> FrontEnd:
-    return AlignmentToMap(system.aligner, system.registration, system.graph, system.frames, system.timer)
+    s = system
+    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, lambda keyframe: s.back_end.learn_again(keyframe))
 
 
 def _registration(system: System) -> FrontEnd:

@@ -5,18 +5,23 @@ doubtful.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from idfslam.alignment.aligner import Alignment, MapAligner
+from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.motion_compensation import MotionCompensation
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State, Stateful
@@ -45,6 +50,10 @@ class FrontEnd(Stateful, ABC):
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         """Learns from the final result for a view, after recovery. The view still has its predicted pose."""
 
+    def figures(self) -> dict[str, Any]:
+        """What metrics.json reports of it."""
+        return {}
+
 
 class Registration(FrontEnd):
     """The neural tracker against the last keyframe (Sec. V)."""
@@ -62,12 +71,20 @@ class Registration(FrontEnd):
 
 
 class AlignmentToMap(FrontEnd):
-    """Alignment to the map from the predicted pose. If the result is doubtful, the registered pose and the last pose are tried too."""
+    """Alignment to the map from the predicted pose. In doubt and far from the prediction the registered pose is tried too."""
 
     def __init__(
-        self, aligner: MapAligner, registration: Registration, graph: KeyframeGraph, frames: FramePoses, timer: StageTimer
+        self,
+        aligner: MapAligner,
+        registration: Registration,
+        graph: KeyframeGraph,
+        frames: FramePoses,
+        timer: StageTimer,
+        learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
     ) -> None:
+        """learn_again: has the map learn the first keyframe again, whose images were rectified."""
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
+        self.compensation, self._learn_again = MotionCompensation(aligner), learn_again
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -79,22 +96,39 @@ class AlignmentToMap(FrontEnd):
         self.evidence = Evidence(**state["evidence"])
 
     def track(self, view: Keyframe) -> Tracked:
-        aligned, registered = self._best_alignment(view)
+        motion = self._begin(view)
+        aligned, registered = self._best_alignment(view, motion)
+        aligned = self.compensation.refine(view, aligned, lambda T_wc, error_px: self._align(view, T_wc, error_px, motion))
         if aligned.status is not Status.LOST:
-            return Tracked.aligned(aligned)
+            return Tracked.aligned(aligned, doubtful=self.aligner.contradicts_images(aligned))
         evidence = replace(self.evidence, least_information=0.0)
-        if registered is not None:
-            return replace(registered, evidence=evidence, confident=False)  # the view does not match the map there
+        if registered is not None:  # the view does not match the map there
+            return replace(registered, status=Status.DOUBTFUL, evidence=evidence, confident=False)
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
+        self.compensation.accept(view, tracked, self._references())
 
-    def _best_alignment(self, view: Keyframe) -> tuple[Alignment, Tracked | None]:
+    def figures(self) -> dict[str, Any]:
+        return {"sensor_timing": self.compensation.figures()}
+
+    def _begin(self, view: Keyframe) -> MotionPrior | None:
+        """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""
+        motion = self.compensation.begin(view)
+        first = self.graph.keyframes[0]
+        if motion is None or len(self.frames) != first.index + 1:
+            return motion
+        registered = self.registration.track(view)
+        if registered.is_lost or not self.compensation.rectify_first(first, view, registered.T_wc):
+            return motion
+        self._learn_again(first)
+        return self.compensation.begin_again(view)
+
+    def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, Tracked | None]:
         """The best alignment among the guesses, tried until one is not doubtful; and the registered pose if it was computed."""
-        references = self.graph.references(self.aligner.config.references)
         best: Alignment | None = None
         registered: Tracked | None = None
         for guess, max_guess_error_px in self._guesses():
@@ -104,20 +138,28 @@ class AlignmentToMap(FrontEnd):
                 if answer.is_lost:
                     continue
                 registered, T_guess = answer, answer.T_wc
-            with self.timer.stage("align"):
-                aligned = self.aligner.align(view, T_guess, references, max_guess_error_px=max_guess_error_px)
+            aligned = self._align(view, T_guess, max_guess_error_px, motion)
             if best is None or aligned.score > _BETTER * best.score:
                 best = aligned
+            if guess is _Guess.PREDICTED and self.aligner.is_far(aligned, T_guess):
+                continue  # the tracker is asked in any case
             if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, max_guess_error_px):
                 break
         assert best is not None
         return best, registered
+
+    def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
+        with self.timer.stage("align"):
+            return self.aligner.align(view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion)
 
     def _guesses(self) -> list[tuple[_Guess, float | None]]:
         """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""
         expected = self.aligner.expected
         nearby = [] if expected is None else [(_Guess.PREDICTED, expected)]
         return [*nearby, (_Guess.PREDICTED, None), (_Guess.REGISTERED, None), (_Guess.LAST, None)]
+
+    def _references(self) -> Sequence[Keyframe]:
+        return self.graph.references(self.aligner.config.references)
 
     def _last_pose(self, view: Keyframe) -> Tensor:
         return self.frames.T_wc(-1) if len(self.frames) else view.T_wk

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from idfslam.alignment.aligner import Alignment, MapAligner
+from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe

@@ -27,7 +27,13 @@ from idfslam.storage.state import State, parts_of
 
 log = logging.getLogger(__name__)
 
-_FIGURES = {"loops": [], "loops_refused": 0, "submaps_merged": 0, "relocalisations_refuted": 0}  # defaults for a system without these parts
+_FIGURES = {  # defaults for a system without these parts
+    "loops": [],
+    "loops_refused": 0,
+    "submaps_merged": 0,
+    "relocalisations_refuted": 0,
+    "sensor_timing": None,
+}
 
 
 class Slam:
@@ -163,7 +169,14 @@ class Slam:
         """What metrics.json reports of the graph: edges and loops (pairs of frames), relocalisations, submaps, finetuning undone."""
         edges = sum(len(keyframe.edges) for keyframe in self.graph.keyframes) // 2
         submaps = len({keyframe.submap for keyframe in self.graph.keyframes})
-        return {"edges": edges, **_FIGURES, "submaps": submaps, **self.recovery.figures(), **self.back_end.figures()}
+        return {
+            "edges": edges,
+            **_FIGURES,
+            "submaps": submaps,
+            **self.recovery.figures(),
+            **self.front_end.figures(),
+            **self.back_end.figures(),
+        }
 
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""
@@ -187,6 +200,7 @@ class Slam:
 
         def revive(kept: State) -> Keyframe:
             keyframe = self._view(frame(kept["index"]), kept["T_wk"])
+            keyframe.rectify_again(kept)
             if keyframe.frame.checksum() != kept["images"]:
                 raise RecordingError(f"frame {keyframe.index} has other images than in the run to resume; expected the same recording")
             keyframe.restore(kept)

@@ -5,7 +5,7 @@ from enum import Enum
 
 from torch import Tensor
 
-from idfslam.alignment.aligner import Alignment
+from idfslam.alignment.alignment import Alignment
 from idfslam.frame import Status
 from idfslam.storage.state import State
 
@@ -50,10 +50,11 @@ class Tracked:
         return cls(T_wc, Status.OK if has_depth else Status.LOST, Source.FIRST)
 
     @classmethod
-    def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED) -> "Tracked":
-        """The result of an alignment that is not lost."""
+    def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED, *, doubtful: bool = False) -> "Tracked":
+        """The result of an alignment that is not lost. doubtful: its pose is not to be trusted."""
         evidence = Evidence(alignment.in_view, alignment.overlap, alignment.least_information)
-        return cls(alignment.T_wc, alignment.status, source, evidence, alignment)
+        status = Status.DOUBTFUL if doubtful else alignment.status
+        return cls(alignment.T_wc, status, source, evidence, alignment, covariance=alignment.covariance)
 
     def lost(self, T_predicted: Tensor) -> "Tracked":
         """The same frame as lost, at its predicted pose (4, 4)."""

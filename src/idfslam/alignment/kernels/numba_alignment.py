@@ -32,20 +32,28 @@ _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy",
 
 
 @_inlined
-def _add(H, b, J, w, r) -> None:  # type: ignore[no-untyped-def]
-    """H += w J J^T (upper triangle), b -= w r J."""
+def _add(H, b, J, w, r, row) -> None:  # type: ignore[no-untyped-def]
+    """H[0] += w J J^T (upper triangle), b[0] -= w r J; with moments H[1] and b[1] the same times `row`, and H[2] times its square."""
     for i in range(6):
         scaled = w * J[i]
-        b[i] -= scaled * r
+        b[0, i] -= scaled * r
         for j in range(i, 6):
-            H[i, j] += scaled * J[j]
+            H[0, i, j] += scaled * J[j]
+    if len(H) > 1:
+        for i in range(6):
+            scaled = w * row * J[i]
+            b[1, i] -= scaled * r
+            for j in range(i, 6):
+                H[1, i, j] += scaled * J[j]
+                H[2, i, j] += scaled * row * J[j]
 
 
 @_inlined
 def _mirror(H) -> None:  # type: ignore[no-untyped-def]
-    for i in range(6):
-        for j in range(i):
-            H[i, j] = H[j, i]
+    for k in range(len(H)):
+        for i in range(6):
+            for j in range(i):
+                H[k, i, j] = H[k, j, i]
 
 
 @_compiled
@@ -80,14 +88,14 @@ def smoothed_normals(points, gradient, patches, reach, alike, coplanar, normal, 
 
 
 @_compiled
-def depth_system(turned, distance, normal, slope, sigma, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
-    """Fills the normal equations H (6, 6), b (6,) of the points' distances to the map.
+def depth_system(turned, distance, normal, slope, sigma, rows, truncation, robust, widest, H, b):  # type: ignore[no-untyped-def]
+    """Fills the normal equations H (K, 6, 6), b (K', 6) of the points' distances to the map: their sums, and with K > 1 the moments too.
 
-    Returns the sum of the weights, the sum of the weighted squares [m^2], the number of points near a mapped surface, and the mean distance
-    of all points from the camera [m].
+    Returns the sum of the weights, the sum of the weighted squares [m^2], the sum of the weights of the robust kernel alone, the number of
+    points near a mapped surface, and the mean distance of all points from the camera [m].
     """
     J = np.empty(6)
-    total, squares, known, radius = 0.0, 0.0, 0, 0.0
+    total, squares, robustly, known, radius = 0.0, 0.0, 0.0, 0, 0.0
     for n in range(len(distance)):
         radius += np.sqrt(turned[n, 0] ** 2 + turned[n, 1] ** 2 + turned[n, 2] ** 2)
         if abs(distance[n]) >= MAPPED * truncation or slope[n] <= LEAST_SLOPE:
@@ -101,16 +109,17 @@ def depth_system(turned, distance, normal, slope, sigma, truncation, robust, wid
         w = 1 / (kernel * kernel * sigma[n] * sigma[n])
         J[0], J[1], J[2] = nx, ny, nz
         J[3], J[4], J[5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-        _add(H, b, J, w, r)
+        _add(H, b, J, w, r, rows[n])
         total += w
         squares += w * r * r
+        robustly += 1 / (kernel * kernel)
     _mirror(H)
-    return total, squares, known, radius / len(distance)
+    return total, squares, robustly, known, radius / len(distance)
 
 
 @_compiled
-def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, patches) -> int:  # type: ignore[no-untyped-def]
-    """Fills points (N, 3) [m], z (N,) and patches (rows, columns) with one pixel of each patch, if it has depth; returns N.
+def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, row_of, patches) -> int:  # type: ignore[no-untyped-def]
+    """Fills points (N, 3) [m], z (N,), row_of (N,) and patches (rows, columns) with one pixel of each patch, if it has depth; returns N.
 
     jitter (2, rows, columns): row and column of the pixel within its patch.
     """
@@ -123,6 +132,7 @@ def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, patches) -> in
             if d > 0:
                 points[found, 0], points[found, 1], points[found, 2] = (np.float32(u) - cx) / fx * d, (np.float32(v) - cy) / fy * d, d
                 z[found] = d
+                row_of[found] = (np.float32(v) + np.float32(0.5)) / np.float32(len(depth)) - np.float32(0.5)
                 patches[i, j] = found
                 found += 1
             else:
@@ -188,9 +198,10 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 @_compiled
 def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
-    """Fills the normal equations H (6, 6), b (6,) of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
+    """Fills the normal equations of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
 
-    Returns the number of landmarks in view and the scale of the differences: `photometric.photometric_term`.
+    H (K, 6, 6), b (K', 6): sums, and with K > 1 moments of the rows too. Returns the number of landmarks in view and the scale of the
+    differences: `photometric.photometric_term`.
 
     d = R_wk p + shift are the landmarks from the frame's centre along world axes, and R_cw d along the frame's axes. `depth` (H, W) [m]
     is the frame's. It has `ratio` times as many pixels along each axis as the image.
@@ -248,7 +259,7 @@ def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy,
         for a in range(3):
             J[a] = -(R_cw[0, a] * su + R_cw[1, a] * sv + R_cw[2, a] * sz)
         J[3], J[4], J[5] = d[i, 1] * J[2] - d[i, 2] * J[1], d[i, 2] * J[0] - d[i, 0] * J[2], d[i, 0] * J[1] - d[i, 1] * J[0]
-        _add(H, b, J, 1 / (kernel * kernel * scale * scale), r)
+        _add(H, b, J, 1 / (kernel * kernel * scale * scale), r, (y / z * fy + cy + 0.5) / height - 0.5)
     _mirror(H)
     return n, scale
 

@@ -1,0 +1,53 @@
+"""The result of aligning a frame: its pose, and how well depth and images constrain and confirm it."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from idfslam.alignment.continuous_motion import JointEstimate
+from idfslam.alignment.motion import Information, change_between
+from idfslam.frame import Status
+
+# All of these were chosen by hand.
+# [1] Photometric error of a landmark that shows another place. More: landmarks out of view count more against a pose.
+_WRONG_ERROR = 0.1
+# [1], [m] Added to the photometric error and to the RMSE in a score. More: small differences decide less.
+_ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The pose of a frame, and how well depth and images constrain and confirm it."""
+
+    T_wc: Tensor  # (4, 4) float64
+    status: Status
+    overlap: float  # share of the points that lie near a mapped surface; 1 without depth
+    rmse: float  # [m] of the robustly weighted distances
+    min_eigenvalue: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
+    photometric_error: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
+    in_view: float  # share of the references' landmarks that are in view; 1 without landmarks
+    information: Information | None  # of depth and images together; None for a frame without depth
+    iterations: int
+    covariance: Tensor | None = None  # (6, 6) of the pose's shift [m] and turn [rad] along world axes; None if lost
+    joint: JointEstimate | None = None  # the velocity, if it was estimated with the pose
+    focal: float = 1.0  # focal length of the finest image [px]
+    radius: float = 1.0  # mean distance of the points [m]
+
+    @property
+    def least_information(self) -> float:
+        """Smallest eigenvalue of the information of depth and images, per unit weight [1]; 0 without information."""
+        return 0.0 if self.information is None else float(self.information.values[0])
+
+    @property
+    def score(self) -> float:
+        """Quality of an alignment, to compare several of one view: overlap over photometric error and RMSE; 0 if lost.
+
+        A landmark out of view counts as a wrong one. Otherwise a pose that looks away from all landmarks would score best.
+        """
+        agreement = self.in_view / (self.photometric_error + _ERROR_FLOOR) + (1 - self.in_view) / (_WRONG_ERROR + _ERROR_FLOOR)
+        return 0.0 if self.status is Status.LOST else self.overlap * agreement / (self.rmse + _RMSE_FLOOR)
+
+    def distance(self, T_wc: Tensor) -> float:
+        """About how far the finest image moves between this pose and another one (4, 4) [px]."""
+        change = change_between(T_wc, self.T_wc)
+        return self.focal * float(change[3:].norm() + change[:3].norm() / max(self.radius, 0.1))

@@ -1,0 +1,161 @@
+"""Continuous-time motion: a frame has a pose and a velocity, which are estimated together.
+
+The velocity changes from frame to frame as a random walk: white noise on acceleration (Barfoot, Tong and Särkkä, "Batch
+continuous-time trajectory estimation as exactly sparse Gaussian process regression", RSS 2014). Within a frame it is constant. Rows of a
+rolling shutter and depth of another moment measure the pose at their own times, and so also the velocity.
+
+A velocity is a 6-vector of shift [m/s] and turn [rad/s], both along world axes, so that a pose s seconds later is `moved(T, s velocity)`.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.alignment.motion import change_between, moved
+from idfslam.alignment.row_moments import RowMoments
+from idfslam.frame import FPS
+from idfslam.sensing.rectification import RowTimes
+from idfslam.storage.state import State, Stateful
+
+Array = NDArray[np.float64]
+
+_INTERVALS = 31  # [frames] whose stamps give the usual interval, by their median: stamps jitter. More: changes are followed more slowly
+# [m], [rad] Least deviation from constant velocity in a frame that is expected. More: velocities of a slow camera are noisier.
+_LEAST_DEVIATION = 5e-4, 5e-4
+# [m], [rad] Deviation that is expected at first, and after frames without a pose: a hand that begins to shake. More: the first velocities
+# are noisier.
+_FIRST_DEVIATION = 1e-2, 2e-2
+# [1] Decay a frame of the largest recent deviation. More: a shaking hand is expected to shake for longer.
+_DECAY = 0.9
+# [m], [rad] Standard deviation of a pose in the map around it. More: velocities are smoother and lag behind.
+_POSE_ERROR = 2e-3, 2e-3
+# [m/s], [rad/s] Standard deviation of a hand's velocity, whatever came before. More: wrong velocities of blurred frames last longer.
+_SPEED = 0.5, 1.5
+
+
+# [m/s], [rad/s] Standard deviation of the velocities with which the references were rectified, of blurred images too. A frame's distortion
+# is measured against theirs. More: the velocity follows the change of the pose more, and the distortion less. With (0.1, 0.2), (0.3, 0.6)
+# and (1, 2) generated rooms have about the same error; blurred real frames need the larger values (docs/findings.md).
+REFERENCE_ERROR = 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """A Gaussian prior of a frame's pose and velocity, from the frames before it."""
+
+    T_wc: Tensor  # (4, 4) float64
+    velocity: Array  # (6,)
+    information: Array  # (12, 12) of the change of the pose and of the velocity
+
+    @property
+    def with_reference_error(self) -> Array:
+        """(18, 18) the information, and that of the references' error of velocity."""
+        out = np.zeros((18, 18))
+        out[:12, :12] = self.information
+        out[12:, 12:] = np.diag(np.repeat(np.array(REFERENCE_ERROR) ** -2.0, 3))
+        return out
+
+
+@dataclass(frozen=True)
+class JointEstimate:
+    """A velocity estimated with a pose, and what it was estimated from."""
+
+    velocity: Array  # (6,)
+    covariance: Array  # (12, 12) of pose and velocity
+    depth: RowMoments  # of depth and of images, at the estimate; in units of information
+    images: RowMoments
+
+
+def distorted(H: Array, b: Array) -> tuple[Array, Array]:
+    """The normal equations (18, 18), (18,) of pose, velocity and the references' error of velocity, which distorts as the velocity does."""
+    both = [*range(6), *range(6, 12), *range(6, 12)]
+    return H[np.ix_(both, both)], b[both]
+
+
+def joint_system(depth: RowMoments, images: RowMoments, times: RowTimes) -> tuple[Array, Array]:
+    """The normal equations H (12, 12), b (12,) of pose and velocity: a residual at time s has the Jacobian (J, s J)."""
+    D, C, d, i = depth.H.numpy(), images.H.numpy(), depth.b.numpy(), images.b.numpy()
+    a, r, c = times.depth_delay, times.depth_readout, times.readout
+    cross = a * D[0] + r * D[1] + c * C[1]
+    square = a * a * D[0] + 2 * a * r * D[1] + r * r * D[2] + c * c * C[2]
+    H = np.block([[D[0] + C[0], cross], [cross, square]])
+    return H, np.concatenate([d[0] + i[0], a * d[0] + r * d[1] + c * i[1]])
+
+
+class ContinuousMotion(Stateful):
+    """Predicts pose and velocity of each frame, and learns from the estimates how much the velocity changes."""
+
+    def __init__(self) -> None:
+        self.velocity: Array = np.zeros(6)
+        self._last: tuple[float, Tensor] | None = None  # stamp and pose of the last frame, if it is trusted
+        self._covariance: Array = np.zeros((12, 12))  # of its pose and velocity
+        self._deviation: Array = np.array(_FIRST_DEVIATION)
+        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self.stop()
+
+    def state(self) -> State:
+        """Velocity, last pose, their covariance, the expected deviation and the intervals."""
+        last = None if self._last is None else {"timestamp": self._last[0], "T_wc": self._last[1]}
+        arrays = {"velocity": self.velocity, "covariance": self._covariance, "deviation": self._deviation}
+        return {**{k: torch.from_numpy(v.copy()) for k, v in arrays.items()}, "last": last, "intervals": list(self._intervals)}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self.velocity, self._covariance, self._deviation = (state[k].numpy().copy() for k in ("velocity", "covariance", "deviation"))
+        self._last = None if state["last"] is None else (state["last"]["timestamp"], state["last"]["T_wc"])
+        self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
+
+    def predict(self, timestamp: float, T_predicted: Tensor) -> MotionPrior:
+        """The prior of the frame at `timestamp` [s]. T_predicted (4, 4): its pose if no frame before it has one."""
+        if self._last is None:
+            return MotionPrior(T_predicted, self.velocity, _inverse(self._covariance))
+        dt = self._elapsed(timestamp)
+        F = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
+        density = np.repeat(3 * self._deviation**2 / dt**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
+        Q = np.block([[np.diag(density * dt**3 / 3), np.diag(density * dt**2 / 2)], [np.diag(density * dt**2 / 2), np.diag(density * dt)]])
+        information = _inverse(F @ self._covariance @ F.T + Q)
+        mean = np.concatenate([dt * self.velocity, self.velocity])  # since the last pose; drawn to no velocity
+        bounded = information.copy()
+        bounded[6:, 6:] += np.diag(np.repeat(np.array(_SPEED) ** -2.0, 3))
+        mean = np.linalg.solve(bounded, information @ mean)
+        return MotionPrior(moved(self._last[1], torch.from_numpy(mean[:6])), mean[6:], bounded)
+
+    def accept_pose(self, timestamp: float, T_wc: Tensor, prior: MotionPrior) -> None:
+        """Takes over a pose (4, 4) that was estimated without a velocity, of the frame at `timestamp` [s]."""
+        measured = prior.information.copy()
+        measured[:6, :6] += np.diag(np.repeat(np.array(_POSE_ERROR) ** -2.0, 3))
+        covariance = _inverse(measured)
+        change = change_between(prior.T_wc, T_wc).numpy()
+        velocity = prior.velocity + (covariance @ np.concatenate([np.repeat(np.array(_POSE_ERROR) ** -2.0, 3) * change, np.zeros(6)]))[6:]
+        self.accept(timestamp, T_wc, velocity, covariance, prior)
+
+    def accept(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array, prior: MotionPrior) -> None:
+        """Takes over the pose (4, 4) and the velocity (6,) of the frame at `timestamp` [s], with their covariance (12, 12)."""
+        if self._last is not None:
+            change = change_between(prior.T_wc, T_wc).numpy()
+            deviation = np.array([np.sqrt((change[:3] ** 2).mean()), np.sqrt((change[3:] ** 2).mean())])
+            self._deviation = np.maximum(np.maximum(deviation, _DECAY * self._deviation), _LEAST_DEVIATION)
+            if timestamp > self._last[0]:
+                self._intervals.append(timestamp - self._last[0])
+        self.velocity, self._covariance = velocity, covariance
+        self._last = (timestamp, T_wc.clone())
+
+    def stop(self) -> None:
+        """Forgets the motion, after a frame whose pose is not trusted."""
+        self._last, self.velocity = None, np.zeros(6)
+        self._deviation = np.array(_FIRST_DEVIATION)
+        self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *_SPEED]) ** 2, 3))
+
+    def _elapsed(self, timestamp: float) -> float:
+        """[s] since the last frame, in whole frames: the stamps' jitter is that of their transport, not of the exposures."""
+        assert self._last is not None
+        interval = float(np.median(self._intervals)) if self._intervals else 1 / FPS
+        return max(round((timestamp - self._last[0]) / interval), 1) * interval
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), np.float64)

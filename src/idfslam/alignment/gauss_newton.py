@@ -1,0 +1,113 @@
+"""Gauss-Newton steps of the alignment: of a pose alone, or of a pose and a velocity together."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, distorted, joint_system
+from idfslam.alignment.depth_term import DepthTerm
+from idfslam.alignment.motion import Information, change_between, moved
+from idfslam.alignment.row_moments import RowMoments
+from idfslam.compute.backend import pick
+from idfslam.sensing.rectification import Rectification, along_world
+
+# [1] Share of the points and landmarks that err independently: neighbours share the errors of the map. More: velocities follow the
+# images more, and the prior of the motion less. Chosen by hand on generated hand-held recordings.
+INDEPENDENT = 0.02
+
+
+@dataclass(frozen=True)
+class ImageTerm:
+    """The photometric part of the normal equations, in units of the depth's."""
+
+    sums: RowMoments
+    photometric_error: float  # scale of the brightness differences [1]
+    in_view: float  # share of the references' landmarks that are in view
+
+    @property
+    def H(self) -> Tensor:
+        """(6, 6) float64."""
+        return self.sums.H[0]
+
+
+class Solver(Protocol):
+    """Takes steps from the terms at the present pose."""
+
+    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
+        """Moves the pose; returns the largest entry of its change."""
+        ...
+
+    def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate | None:
+        """The velocity, if it is estimated too."""
+        ...
+
+
+class PoseSolver:
+    """Gauss-Newton steps of a pose T (4, 4), which is moved in place. Directions with little information keep the guess."""
+
+    def __init__(self, T: Tensor, prior_information: float) -> None:
+        self.T, self.prior_information, self.change = T, prior_information, torch.zeros(6, dtype=torch.float64)
+
+    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
+        sums = depth.sums + images.sums
+        return damped_step(sums.H[0], sums.b[0], depth.weight, depth.radius, self.prior_information, self.change, self.T)
+
+    def estimate(self, depth: DepthTerm, images: ImageTerm) -> None:
+        """None: the velocity is not estimated."""
+
+
+class JointSolver:
+    """Gauss-Newton steps of a pose T (4, 4), moved in place, and of the velocity, with a prior for both."""
+
+    def __init__(self, T: Tensor, prior: MotionPrior, rectification: Rectification, depth_noise: float) -> None:
+        self.T, self.prior, self.times = T, prior, rectification.times
+        self.rectified_at = along_world(T, rectification.velocity)
+        self.velocity, self.reference_error = prior.velocity.copy(), np.zeros(6)
+        self.scale = INDEPENDENT / depth_noise**2
+
+    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
+        H, b = distorted(*joint_system(depth.sums, images.sums, self.times))
+        prior = self.prior.with_reference_error
+        since_rectified = np.concatenate([self.velocity - self.rectified_at, self.reference_error])
+        from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
+        b = self.scale * (b - H[:, 6:] @ since_rectified) - prior @ np.concatenate(from_prior)
+        delta = np.linalg.solve(self.scale * H + prior, b)
+        self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))
+        self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]
+        return float(np.abs(delta[:6]).max())
+
+    def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
+        """The velocity and its information."""
+        H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
+        covariance = np.linalg.inv(self.scale * H + self.prior.with_reference_error)[:12, :12]
+        return JointEstimate(
+            self.velocity, np.asarray(covariance, np.float64), depth.sums.scaled(self.scale), images.sums.scaled(self.scale)
+        )
+
+
+def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,), with a prior at the guess for directions with little information.
+
+    prior_information: information [1] below which the prior dominates (`Information.prior`). The step moves in place the pose T (4, 4) and
+    its change since the guess, change (6,). Returns the largest entry of the step. All tensors are on the host, wherever the points are.
+    """
+    return pick(H, compiled=compiled_damped_step, plain=plain_damped_step)(H, b, weight, radius, prior_information, change, T)
+
+
+def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
+    """`damped_step` by Numba, on the CPU."""
+    from idfslam.alignment.kernels import numba_alignment
+
+    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, prior_information, change.numpy(), T.numpy()))  # type: ignore[call-arg]
+
+
+def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
+    """`damped_step` in torch, on any device."""
+    P = Information.of(H, weight, radius).prior(prior_information)
+    delta = torch.linalg.solve(H + P, b - P @ change)
+    change += delta
+    T[:] = moved(T, delta)
+    return float(delta.abs().max())

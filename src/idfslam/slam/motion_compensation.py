@@ -1,0 +1,153 @@
+"""Motion compensation: frames of a moving camera are rectified with the velocity that is estimated with their pose.
+
+A rolling shutter and depth of another moment distort a frame by its velocity. Kerl, Stückler and Cremers, "Dense continuous-time tracking
+and mapping with rolling shutter RGB-D cameras" (ICCV 2015) model the same by splines.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
+from idfslam.alignment.motion import change_between
+from idfslam.alignment.timing_estimation import TimingEstimator
+from idfslam.frame import Frame, Status
+from idfslam.geometry.sensor_timing import SYNCHRONISED, UNKNOWN
+from idfslam.graph.keyframe import Keyframe
+from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import Stateful
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+# All of these were chosen by hand.
+# [px] Change of the displacement within a frame by a better velocity, above which the frame is rectified and aligned again. More: faster,
+# with a little distortion.
+_NOTICEABLE = 0.5
+_ROUNDS = 3  # [1] largest number of times that a frame is rectified again. More: nothing, the velocity has converged
+# [px] Least displacement in `_TYPICAL` of the difference of a frame's velocity to its references', for the frame to tell about the sensor's
+# times. More: fewer frames are used, and slow recordings take less time.
+_TELLING = 1.0
+_TYPICAL = 0.01  # [s] half of a usual read-out time. More: slower motion tells about the times
+_NAMES = "readout", "depth_readout", "depth_delay"
+
+
+class MotionCompensation(Stateful):
+    """Rectifies the frames of a front end, and estimates the sensor's unknown times. Synchronised global shutters pass unchanged."""
+
+    def __init__(self, aligner: MapAligner) -> None:
+        self.aligner = aligner
+        self.motion, self.timing = ContinuousMotion(), TimingEstimator()
+        self._raw: Frame | None = None  # the present frame as it was taken, and the prior of its motion; None: it passes unchanged
+        self._prior: MotionPrior | None = None
+
+    def begin(self, view: Keyframe) -> MotionPrior | None:
+        """Rectifies a view by its predicted velocity, and sets its predicted pose. Returns the prior of its motion, if it is rectified."""
+        self._raw, self._prior = None, None
+        if view.frame.timing == SYNCHRONISED and view.frame.depth_lag == 0:
+            return None
+        self._raw = view.frame
+        return self.begin_again(view)
+
+    def begin_again(self, view: Keyframe) -> MotionPrior | None:
+        """Begins with the present view anew, after the motion has become known."""
+        assert self._raw is not None
+        self._prior, times = self.motion.predict(view.timestamp, view.T_wk), self.times(self._raw)
+        if times.synchronised:
+            return None
+        view.T_wk = self._prior.T_wc
+        self._rectify(view, times, self._prior.velocity, view.T_wk)
+        return self._prior
+
+    def refine(self, view: Keyframe, alignment: Alignment, again: Callable[[Tensor, float], Alignment]) -> Alignment:
+        """Rectifies a view by its estimated velocity and aligns it again, until the velocity no longer changes noticeably.
+
+        again: aligns the view from a pose (4, 4) with a largest error [px].
+        """
+        for _ in range(_ROUNDS):
+            if alignment.joint is None or alignment.status is Status.LOST or view.rectification is None or self._raw is None:
+                break
+            times, used = view.rectification.times, along_world(alignment.T_wc, view.rectification.velocity)
+            moved_px = displacement(self._raw, alignment.joint.velocity - used, times.longest)
+            if moved_px < _NOTICEABLE:
+                break
+            former = view.rectification
+            self._rectify(view, times, alignment.joint.velocity, alignment.T_wc)
+            better = again(alignment.T_wc, moved_px)
+            if better.score < alignment.score:  # the velocity was wrong
+                view.rectify(self._raw, former)
+                break
+            alignment = better
+        return alignment
+
+    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> None:
+        """Learns from the final result for a view: its velocity, and the sensor's times."""
+        if self._raw is not None and self._prior is not None:
+            self._accept(view, tracked, references, self._prior)
+        self._raw, self._prior = None, None
+
+    def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
+        assert self._raw is not None
+        if tracked.is_lost or not tracked.continues_motion:
+            self.motion.stop()
+            return
+        joint = None if tracked.alignment is None else tracked.alignment.joint
+        if joint is not None:
+            self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
+        else:
+            self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
+        view.velocity = along_camera(tracked.T_wc, self.motion.velocity)
+        if tracked.alignment is not None and tracked.status is Status.OK and None in vars(self._raw.timing).values():
+            self._learn_times(view, tracked.T_wc, references)
+
+    def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:
+        """Rectifies the first keyframe, whose velocity is not known before the second frame, at `T_wc` (4, 4), is registered with it.
+
+        Returns whether it was rectified: the map has to learn it again.
+        """
+        elapsed, times = view.timestamp - first.timestamp, self.times(first.frame)
+        if first.rectification is not None or elapsed <= 0 or times.synchronised:
+            return False
+        self.motion.velocity = change_between(first.T_wk, T_wc).numpy() / elapsed
+        first.velocity = along_camera(first.T_wk, self.motion.velocity)
+        first.rectify(first.frame, Rectification(times, first.velocity))
+        self.aligner.forget(first)
+        return True
+
+    def times(self, frame: Frame) -> RowTimes:
+        """The times of a frame's rows: stated, estimated, or zero."""
+        return self.timing.of(frame.timing, frame.depth_lag)
+
+    def _rectify(self, view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
+        assert self._raw is not None
+        view.rectify(self._raw, Rectification(times, along_camera(T_wc, velocity)))
+
+    def _learn_times(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
+        """Learns the unknown times from a view, if it moves enough against its references."""
+        assert self._raw is not None and self._prior is not None
+        velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
+        if not velocities:
+            return
+        since_references = self.motion.velocity - np.mean(velocities, 0)
+        if displacement(self._raw, since_references, _TYPICAL) < _TELLING:
+            return
+        times = RowTimes() if view.rectification is None else view.rectification.times
+        lag = 0.0 if view.rectification is None else self._raw.depth_lag
+        known = self.figures()
+        self.timing.add(*self.aligner.row_moments(view, T_wc, references), times, lag, since_references, self._prior)
+        if known is None and (found := self.figures()) is not None:
+            log.info(
+                "frame %d: the sensor's times are estimated: %s", view.index, ", ".join(f"{k} {1000 * v:.0f} ms" for k, v in found.items())
+            )
+
+    def figures(self) -> dict[str, float] | None:
+        """The estimated times [s], rounded to a tenth of a millisecond, by name; None where none is significant."""
+        found = dict(zip(_NAMES, self.timing.timing(UNKNOWN)))
+        return {name: round(value, 4) for name, value in found.items()} if any(found.values()) else None

@@ -1,0 +1,101 @@
+"""Pose and velocity of a moving camera: the prior from frame to frame, and normal equations of rows with times of their own."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from idfslam.alignment.continuous_motion import ContinuousMotion, joint_system
+from idfslam.alignment.depth_term import DepthTerm
+from idfslam.alignment.gauss_newton import ImageTerm, JointSolver
+from idfslam.alignment.motion import change_between, moved
+from idfslam.alignment.row_moments import RowMoments
+from idfslam.sensing.rectification import Rectification, RowTimes
+
+EYE = torch.eye(4, dtype=torch.float64)
+VELOCITY = np.array([0.3, -0.1, 0.2, 0.5, 1.0, -0.4])
+
+
+def walked(motion: ContinuousMotion, velocity: np.ndarray, frames: int, start: Tensor = EYE) -> Tensor:
+    """Feeds a motion with poses of constant velocity at 30 Hz; returns the last pose."""
+    T = start
+    for i in range(frames):
+        T = moved(start, torch.from_numpy(velocity * i / 30))
+        motion.accept_pose(i / 30, T, motion.predict(i / 30, T))
+    return T
+
+
+def test_a_steady_motion_is_learnt_and_predicted() -> None:
+    motion = ContinuousMotion()
+    T = walked(motion, VELOCITY, 30)
+    np.testing.assert_allclose(motion.velocity, VELOCITY, rtol=0.02, atol=0.01)
+    prior = motion.predict(30 / 30, EYE)
+    ahead = change_between(T, prior.T_wc).numpy()
+    np.testing.assert_allclose(ahead, VELOCITY / 30, rtol=0.03, atol=3e-4)
+
+
+def test_a_missing_frame_takes_two_intervals() -> None:
+    motion = ContinuousMotion()
+    T = walked(motion, VELOCITY, 30)
+    ahead = change_between(T, motion.predict(31 / 30, EYE).T_wc).numpy()
+    np.testing.assert_allclose(ahead, 2 * VELOCITY / 30, rtol=0.05, atol=1e-3)
+
+
+def test_jitter_of_the_stamps_is_not_motion() -> None:
+    motion = ContinuousMotion()
+    T = walked(motion, VELOCITY, 30)
+    ahead = change_between(T, motion.predict(30 / 30 + 0.006, EYE).T_wc).numpy()
+    np.testing.assert_allclose(ahead, VELOCITY / 30, rtol=0.03, atol=3e-4)
+
+
+def test_stopping_forgets_the_motion() -> None:
+    motion = ContinuousMotion()
+    walked(motion, VELOCITY, 10)
+    motion.stop()
+    assert not motion.velocity.any()
+    assert torch.equal(motion.predict(1.0, EYE).T_wc, EYE)
+
+
+def test_state_and_restore() -> None:
+    motion, again = ContinuousMotion(), ContinuousMotion()
+    walked(motion, VELOCITY, 10)
+    again.restore(motion.state())
+    one, other = (m.predict(10 / 30, EYE) for m in (motion, again))
+    assert torch.equal(one.T_wc, other.T_wc)
+    assert np.array_equal(one.velocity, other.velocity) and np.array_equal(one.information, other.information)
+
+
+def rows_of(J: Tensor, rows: Tensor, change: np.ndarray, velocity: np.ndarray, times: Tensor) -> RowMoments:
+    """The sums of residuals that a pose off by `change` and a velocity off by `velocity` have, at times (N,) [s]."""
+    r = J @ torch.from_numpy(change) + times * (J @ torch.from_numpy(velocity))
+    return RowMoments.of(J, torch.ones(len(J), dtype=torch.float64), r, rows)
+
+
+@pytest.fixture
+def jacobians() -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return torch.randn(400, 6, generator=generator, dtype=torch.float64), torch.rand(400, generator=generator, dtype=torch.float64) - 0.5
+
+
+def test_rows_tell_pose_and_velocity(jacobians: tuple[Tensor, Tensor]) -> None:
+    J, rows = jacobians
+    times, change = RowTimes(0.026, 0.03, -0.012), np.array([0.01, -0.02, 0.005, 0.01, 0.02, -0.01])
+    depth = rows_of(J[:200], rows[:200], change, VELOCITY, -0.012 + 0.03 * rows[:200])
+    images = rows_of(J[200:], rows[200:], change, VELOCITY, 0.026 * rows[200:])
+    H, b = joint_system(depth, images, times)
+    found = np.linalg.solve(H, -b)
+    np.testing.assert_allclose(found[:6], change, atol=1e-9)
+    np.testing.assert_allclose(found[6:], VELOCITY, atol=1e-7)
+
+
+def test_a_step_follows_the_rows_where_the_prior_is_weak(jacobians: tuple[Tensor, Tensor]) -> None:
+    J, rows = jacobians
+    times = RowTimes(0.026)
+    images = rows_of(J, rows, np.zeros(6), -VELOCITY, 0.026 * rows)
+    T = EYE.clone()
+    solver = JointSolver(T, ContinuousMotion().predict(0.0, EYE), Rectification(times, np.zeros(6)), depth_noise=1e-4)
+    solver.step(DepthTerm.absent(weight=1.0, radius=1.0, moments=True), ImageTerm(images, 0.01, 1.0))
+    estimate = solver.estimate(DepthTerm.absent(weight=1.0, radius=1.0, moments=True), ImageTerm(images, 0.01, 1.0))
+    assert np.abs(change_between(EYE, T).numpy()).max() < 2e-3
+    assert np.dot(estimate.velocity, VELOCITY) > 0.05 * np.dot(VELOCITY, VELOCITY)
+    assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()

@@ -1,0 +1,66 @@
+"""Motion compensation in whole runs: a rolling shutter's times are found, poses are better for it, and resumed runs are the same."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from idfslam.config import FAST
+from idfslam.datasets.generated.faults import Faults
+from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room
+from idfslam.datasets.recording import Selection
+from idfslam.geometry.sensor_timing import SYNCHRONISED
+from idfslam.geometry.trajectory import align
+from idfslam.slam import Slam
+
+FAST_PART = 60  # frame at which the camera of seed 1 begins to shake
+CONFIG = replace(FAST, refine=False, finetune=replace(FAST.finetune, enabled=False))
+
+
+@pytest.fixture(scope="module")
+def shaken() -> HandheldRecording:
+    return handheld_room(Faults.named("shutter=1.5+time"), seed=1, frames=150, width=160, height=120)
+
+
+def ate(slam: Slam, truth: np.ndarray) -> float:
+    """[m]"""
+    positions = slam.trajectory()[:, :3, 3]
+    T = align(positions, truth[:, :3, 3])
+    return float(np.sqrt(((positions @ T[:3, :3].T + T[:3, 3] - truth[:, :3, 3]) ** 2).sum(1).mean()))
+
+
+@pytest.mark.slow
+def test_times_are_estimated_and_poses_are_better_for_it(shaken: HandheldRecording) -> None:
+    aware, unaware = Slam(CONFIG), Slam(CONFIG)
+    for i in range(len(shaken)):
+        frame = shaken[i]
+        aware.process(frame)
+        unaware.process(replace(frame, timing=SYNCHRONISED, depth_timestamp=None))
+    found, true = aware.figures()["sensor_timing"], shaken.true_timing
+    assert unaware.figures()["sensor_timing"] is None
+    assert found["readout"] == pytest.approx(true.readout, abs=0.008)
+    assert found["depth_readout"] == pytest.approx(true.depth_readout, abs=0.012)
+    assert ate(aware, shaken.ground_truth) < 0.6 * ate(unaware, shaken.ground_truth)
+
+
+@pytest.mark.slow
+def test_a_resumed_run_is_the_same_to_the_bit(shaken: HandheldRecording) -> None:
+    frames = Selection(shaken, start=FAST_PART, frames=30)
+    unbroken, again = Slam(CONFIG), Slam(CONFIG)
+    for i in range(20):
+        unbroken.process(frames[i])
+    again.restore(deepcopy(unbroken.state()), lambda index: frames[index])
+    assert unbroken.graph.keyframes[0].rectification is not None or unbroken.figures()["sensor_timing"] is None
+    for i in range(20, 30):
+        one, other = unbroken.process(frames[i]), again.process(frames[i])
+        assert np.array_equal(one.T_wc, other.T_wc) and one.status is other.status
+
+
+def test_a_synchronised_recording_passes_unchanged() -> None:
+    ideal = handheld_room(Faults.named("ideal"), seed=1, frames=4, width=160, height=120)
+    slam = Slam(CONFIG)
+    for i in range(4):
+        slam.process(ideal[i])
+    assert slam.graph.keyframes[0].rectification is None
+    assert slam.figures()["sensor_timing"] is None
