@@ -34,7 +34,7 @@ class Frame:
     depth: NDArray[np.float32]  # (H, W) z-depth [m], 0 = no reading
     camera: Camera
     depth_timestamp: float | None = None  # [s] None: `timestamp`
-    timing: SensorTiming = SYNCHRONISED
+    timing: SensorTiming = SYNCHRONISED  # read-out times of the two images, and delay of depth
 
     def __post_init__(self) -> None:
         _check_camera(self.camera)
@@ -87,7 +87,7 @@ class Frame:
 
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
-        """A frame in place of one that could not be read: black, without depth. SLAM treats it as lost."""
+        """A frame in place of one that could not be read: black, without depth. SLAM loses it, as nothing in it confirms a pose."""
         shape = (camera.height, camera.width)
         return Frame(index, timestamp, np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), camera)
 
@@ -126,7 +126,7 @@ class Status(str, Enum):
     """How a frame's pose was found."""
 
     OK = "ok"
-    DEGENERATE = "degenerate"  # depth does not constrain all directions (a bare wall); tracker and colour decided the rest
+    DEGENERATE = "degenerate"  # depth does not constrain all directions (a bare wall, no depth); images, tracker or the last motion did
     DOUBTFUL = "doubtful"  # the images gave a pose, but the evidence for it is weak: the frame is not mapped
     LOST = "lost"  # no pose was confirmed: the last motion was extrapolated
     INTERPOLATED = "interpolated"  # was lost; after relocalisation the pose was interpolated between the confirmed ones before and after

@@ -46,7 +46,6 @@ _CONFIRMED = 0.3
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
 _UNMEASURED = 0.1
 
-
 _Normals = tuple[Tensor, Tensor]  # unit normals (N, 3), and the slope (N,) of the distance along them
 
 MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
@@ -88,7 +87,8 @@ class MapAligner(Stateful):
     ) -> Alignment:
         """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4).
 
-        A view without depth is aligned to the images alone. It is DEGENERATE, or LOST if they do not confirm its pose.
+        A view with fewer points of depth than `config.min_points` is aligned to the images alone. It is DEGENERATE, or LOST if they do not
+        confirm its pose.
         max_guess_error_px: bound on the error of the guess, in pixels of the finest image. The steps on images too coarse for it are left
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
         the directions that map and images constrain weakly. motion: the velocity is estimated too, with this prior for pose and velocity.
@@ -115,7 +115,7 @@ class MapAligner(Stateful):
         return self._judged(view, T, depth, images, step + 1 - first, solver.estimate(depth, images), has_depth=has_depth)
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
-        """The term of a view without depth: nothing, at the landmarks' distance. With the weight of one point, the guess hardly counts."""
+        """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
         points = torch.cat([self.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
         radius = float(points.norm(dim=-1).mean()) if len(points) else 1.0
         return DepthTerm.absent(weight=1.0, radius=radius, moments=moments)
@@ -156,7 +156,7 @@ class MapAligner(Stateful):
         return alignment.status is Status.LOST or alignment.overlap < self.config.doubtful_overlap or self.contradicts_images(alignment)
 
     def contradicts_images(self, alignment: Alignment) -> bool:
-        """Whether the brightness differs by much more than it usually does: the pose is wrong, or the images are blurred."""
+        """Whether brightness differs by much more than usual (`doubtful_brightness`): the pose is wrong, or the images are blurred."""
         return not self.photometric_error_within(alignment, self.config.doubtful_brightness)
 
     def photometric_error_within(self, alignment: Alignment, ratio: float) -> bool:
@@ -195,7 +195,7 @@ class MapAligner(Stateful):
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
     def is_far(self, alignment: Alignment, T_guess: Tensor) -> bool:
-        """Whether a pose is so far from its guess (4, 4) that a few more pixels would be too much for the coarsest images."""
+        """Whether a pose is farther from its guess (4, 4) than half of the error that the coarsest images correct."""
         reach = self.config.level_reach * 2 ** (self.config.image_levels - 1)
         return alignment.distance(T_guess) > reach / 2
 
@@ -302,6 +302,6 @@ class MapAligner(Stateful):
         return Status.DEGENERATE if min_eigenvalue < self.config.min_eigenvalue else Status.OK
 
     def _covariance(self, depth: DepthTerm, images: ImageTerm) -> Tensor:
-        """(6, 6) of the pose. A direction that nothing measures has the deviation of the prior."""
+        """(6, 6) of the pose. A direction that nothing measures has the deviation `_UNMEASURED`."""
         prior = torch.tensor([1 / _UNMEASURED**2] * 6, dtype=torch.float64)
         return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H) + torch.diag(prior))

@@ -21,17 +21,17 @@ class Alignment:
 
     T_wc: Tensor  # (4, 4) float64
     status: Status
-    overlap: float  # share of the points that lie near a mapped surface; 1 without depth
+    overlap: float  # share of the points that lie near a mapped surface; 1 for a frame without depth
     rmse: float  # [m] of the robustly weighted distances
     min_eigenvalue: float  # smallest eigenvalue of the information of depth, per unit weight [1]; small: degenerate
     photometric_error: float  # scale of the brightness differences to the references' landmarks in view [1]; 0 without landmarks
     in_view: float  # share of the references' landmarks that are in view; 1 without landmarks
-    information: Information | None  # of depth and images together; None for a frame without depth
+    information: Information | None  # of depth and images together, of depth alone if the images contradict it; None: neither
     iterations: int
-    covariance: Tensor | None = None  # (6, 6) of the pose's shift [m] and turn [rad] along world axes; None if lost
-    joint: JointEstimate | None = None  # the velocity, if it was estimated with the pose
+    covariance: Tensor | None = None  # (6, 6) of shift [m] and turn [rad] along world axes; None: neither depth nor landmarks
+    joint: JointEstimate | None = None  # velocity, and covariance with the pose; None: the pose was estimated alone
     focal: float = 1.0  # focal length of the finest image [px]
-    radius: float = 1.0  # mean distance of the points [m]
+    radius: float = 1.0  # mean distance of the points, or without depth of the landmarks [m]
 
     @property
     def least_information(self) -> float:

@@ -35,8 +35,6 @@ _DECAY = 0.9
 _POSE_ERROR = 2e-3, 2e-3
 # [m/s], [rad/s] Standard deviation of a hand's velocity, whatever came before. More: wrong velocities of blurred frames last longer.
 _SPEED = 0.5, 1.5
-
-
 # [m/s], [rad/s] Standard deviation of the velocities with which the references were rectified, of blurred images too. A frame's distortion
 # is measured against theirs. More: the velocity follows the change of the pose more, and the distortion less. With (0.1, 0.2), (0.3, 0.6)
 # and (1, 2) generated rooms have about the same error; blurred real frames need the larger values (docs/findings.md).
@@ -62,12 +60,10 @@ class MotionPrior:
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """A velocity estimated with a pose, and what it was estimated from."""
+    """A velocity estimated with a pose, and the covariance of both."""
 
     velocity: Array  # (6,)
     covariance: Array  # (12, 12) of pose and velocity
-    depth: RowMoments  # of depth and of images, at the estimate; in units of information
-    images: RowMoments
 
 
 def distorted(H: Array, b: Array) -> tuple[Array, Array]:
@@ -91,7 +87,7 @@ class ContinuousMotion(Stateful):
 
     def __init__(self) -> None:
         self.velocity: Array = np.zeros(6)
-        self._last: tuple[float, Tensor] | None = None  # stamp and pose of the last frame, if it is trusted
+        self._last: tuple[float, Tensor] | None = None  # stamp and pose of the last frame; None: they are not known
         self._covariance: Array = np.zeros((12, 12))  # of its pose and velocity
         self._deviation: Array = np.array(_FIRST_DEVIATION)
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
@@ -118,9 +114,9 @@ class ContinuousMotion(Stateful):
         density = np.repeat(3 * self._deviation**2 / dt**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
         Q = np.block([[np.diag(density * dt**3 / 3), np.diag(density * dt**2 / 2)], [np.diag(density * dt**2 / 2), np.diag(density * dt)]])
         information = _inverse(F @ self._covariance @ F.T + Q)
-        mean = np.concatenate([dt * self.velocity, self.velocity])  # since the last pose; drawn to no velocity
+        mean = np.concatenate([dt * self.velocity, self.velocity])  # change since the last pose, and velocity
         bounded = information.copy()
-        bounded[6:, 6:] += np.diag(np.repeat(np.array(_SPEED) ** -2.0, 3))
+        bounded[6:, 6:] += np.diag(np.repeat(np.array(_SPEED) ** -2.0, 3))  # a hand is seldom faster
         mean = np.linalg.solve(bounded, information @ mean)
         return MotionPrior(moved(self._last[1], torch.from_numpy(mean[:6])), mean[6:], bounded)
 
@@ -145,7 +141,7 @@ class ContinuousMotion(Stateful):
         self._last = (timestamp, T_wc.clone())
 
     def stop(self) -> None:
-        """Forgets the motion, after a frame whose pose is not trusted."""
+        """Forgets the motion, after a frame that is lost or whose pose is no continuation of the one before."""
         self._last, self.velocity = None, np.zeros(6)
         self._deviation = np.array(_FIRST_DEVIATION)
         self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *_SPEED]) ** 2, 3))

@@ -41,7 +41,7 @@ class Solver(Protocol):
         ...
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate | None:
-        """The velocity, if it is estimated too."""
+        """The velocity at the present pose, if it is estimated too."""
         ...
 
 
@@ -80,12 +80,10 @@ class JointSolver:
         return float(np.abs(delta[:6]).max())
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
-        """The velocity and its information."""
+        """The velocity, and the covariance of pose and velocity."""
         H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
         covariance = np.linalg.inv(self.scale * H + self.prior.with_reference_error)[:12, :12]
-        return JointEstimate(
-            self.velocity, np.asarray(covariance, np.float64), depth.sums.scaled(self.scale), images.sums.scaled(self.scale)
-        )
+        return JointEstimate(self.velocity, np.asarray(covariance, np.float64))
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:

@@ -1,9 +1,9 @@
 """The read-out times of rolling shutters and the delay of depth, estimated from the distortions of moving frames.
 
-A row f of an image, exposed s seconds after the frame's time stamp, sees the camera displaced by s times its velocity. So the residuals
-of a frame that is aligned with a wrong readout grow with f, in proportion to the velocity. References are distorted by their own velocity,
-so the difference of the two velocities counts. Each frame gives normal equations for the three times, from which its pose and its velocity
-are eliminated; they are summed over the frames.
+A row f of an image (-0.5 at its top, 0.5 at its bottom), exposed s seconds after the frame's time stamp, sees the camera displaced by s
+times its velocity. So the residuals of a frame that is aligned with a wrong readout grow with f, in proportion to the velocity. References
+are distorted by their own velocity, so the difference of the two velocities counts. Each frame gives normal equations for the three times,
+from which its pose and its velocity are eliminated; they are summed over the frames.
 """
 
 from collections.abc import Sequence

@@ -357,16 +357,17 @@ class AlignmentConfig:
     converged: float = 3e-4
     """Gauss-Newton ends when a step is shorter than this [m, rad]. Smaller values take more steps."""
     min_points: int = 100
-    """Frames with fewer depth points are lost."""
+    """Frames with fewer depth points are aligned to keyframe images alone. They are lost if these do not confirm the pose."""
     min_overlap: float = 0.3
     """Alignments are lost if a smaller share of the points falls where the map has a surface."""
     max_rmse: float = 0.02
-    """Alignments with a larger RMS distance to the map [m] are lost. Space that was never mapped can seem mapped where entries of a hash
-    table are shared."""
+    """Alignments with a larger RMS distance to the map [m] are lost. Each distance is divided by its reading's noise, relative to that at
+    the sensor's best range. Space that was never mapped can seem mapped where entries of a hash table are shared."""
     doubtful_overlap: float = 0.6
-    """Alignments with a smaller overlap are doubtful: the tracker's pose and the last pose are tried as well."""
+    """Alignments with a smaller overlap are doubted: the tracker's pose and the last pose are tried as well."""
     doubtful_brightness: float = 1.5
-    """Alignments are also doubtful if brightness differs this many times as much as in recent frames."""
+    """Alignments are also doubted if brightness differs this many times as much as in recent frames. A frame for which no other pose is
+    better has the status `doubtful`, and is not mapped."""
     min_eigenvalue: float = 1e-3
     """Least eigenvalue of the information matrix of depth, per unit weight. Frames below it are marked as degenerate."""
 

@@ -1,7 +1,7 @@
 """The front end: it computes a frame's pose from the keyframes and the map. Each front end is one class; `compose.py` names them.
 
-`Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map, and uses the neural tracker only if the result is
-doubtful.
+`Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map and to keyframe images. It asks the neural tracker if
+the result is in doubt or far from the predicted pose.
 """
 
 from abc import ABC, abstractmethod
@@ -71,7 +71,7 @@ class Registration(FrontEnd):
 
 
 class AlignmentToMap(FrontEnd):
-    """Alignment to the map from the predicted pose. In doubt and far from the prediction the registered pose is tried too."""
+    """Alignment to the map from the predicted pose. In doubt, and far from the prediction, the registered pose is tried too."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class AlignmentToMap(FrontEnd):
         timer: StageTimer,
         learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
     ) -> None:
-        """learn_again: has the map learn the first keyframe again, whose images were rectified."""
+        """learn_again: has the map learn the first keyframe again, after its images were rectified."""
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again = MotionCompensation(aligner), learn_again
         self.evidence = Evidence()  # evidence for the last frame's pose
@@ -102,7 +102,7 @@ class AlignmentToMap(FrontEnd):
         if aligned.status is not Status.LOST:
             return Tracked.aligned(aligned, doubtful=self.aligner.contradicts_images(aligned))
         evidence = replace(self.evidence, least_information=0.0)
-        if registered is not None:  # the view does not match the map there
+        if registered is not None:  # the tracker has a pose, but the view does not match the map there
             return replace(registered, status=Status.DOUBTFUL, evidence=evidence, confident=False)
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
 
@@ -128,7 +128,7 @@ class AlignmentToMap(FrontEnd):
         return self.compensation.begin_again(view)
 
     def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, Tracked | None]:
-        """The best alignment among the guesses, tried until one is not doubtful; and the registered pose if it was computed."""
+        """The best alignment, of guesses that are tried until one convinces; and the registered pose if the tracker gave one."""
         best: Alignment | None = None
         registered: Tracked | None = None
         for guess, max_guess_error_px in self._guesses():

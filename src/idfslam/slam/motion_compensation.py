@@ -40,16 +40,19 @@ _NAMES = "readout", "depth_readout", "depth_delay"
 
 
 class MotionCompensation(Stateful):
-    """Rectifies the frames of a front end, and estimates the sensor's unknown times. Synchronised global shutters pass unchanged."""
+    """Rectifies the frames of a front end, and estimates the sensor's unknown times. A synchronised global shutter passes unchanged."""
 
     def __init__(self, aligner: MapAligner) -> None:
         self.aligner = aligner
         self.motion, self.timing = ContinuousMotion(), TimingEstimator()
-        self._raw: Frame | None = None  # the present frame as it was taken, and the prior of its motion; None: it passes unchanged
-        self._prior: MotionPrior | None = None
+        self._raw: Frame | None = None  # the present frame as it was taken; None: its sensor is stated to be synchronised
+        self._prior: MotionPrior | None = None  # of the present frame's motion
 
     def begin(self, view: Keyframe) -> MotionPrior | None:
-        """Rectifies a view by its predicted velocity, and sets its predicted pose. Returns the prior of its motion, if it is rectified."""
+        """Rectifies a view by its predicted velocity, and sets its predicted pose.
+
+        Returns the prior of its motion. None: all its rows have one time, as far as is known, and the view is unchanged.
+        """
         self._raw, self._prior = None, None
         if view.frame.timing == SYNCHRONISED and view.frame.depth_lag == 0:
             return None
@@ -57,7 +60,7 @@ class MotionCompensation(Stateful):
         return self.begin_again(view)
 
     def begin_again(self, view: Keyframe) -> MotionPrior | None:
-        """Begins with the present view anew, after the motion has become known."""
+        """The same with the present view, after the motion has become known."""
         assert self._raw is not None
         self._prior, times = self.motion.predict(view.timestamp, view.T_wk), self.times(self._raw)
         if times.synchronised:
@@ -108,9 +111,9 @@ class MotionCompensation(Stateful):
             self._learn_times(view, tracked.T_wc, references)
 
     def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:
-        """Rectifies the first keyframe, whose velocity is not known before the second frame, at `T_wc` (4, 4), is registered with it.
+        """Rectifies the first keyframe by the motion to the second frame, `view`, which was registered with it at `T_wc` (4, 4).
 
-        Returns whether it was rectified: the map has to learn it again.
+        Returns whether it was rectified. Then the map has to learn it again.
         """
         elapsed, times = view.timestamp - first.timestamp, self.times(first.frame)
         if first.rectification is not None or elapsed <= 0 or times.synchronised:
@@ -122,7 +125,7 @@ class MotionCompensation(Stateful):
         return True
 
     def times(self, frame: Frame) -> RowTimes:
-        """The times of a frame's rows: stated, estimated, or zero."""
+        """The times of the rows of a frame, as it was taken: stated, estimated, or zero."""
         return self.timing.of(frame.timing, frame.depth_lag)
 
     def _rectify(self, view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
@@ -148,6 +151,6 @@ class MotionCompensation(Stateful):
             )
 
     def figures(self) -> dict[str, float] | None:
-        """The estimated times [s], rounded to a tenth of a millisecond, by name; None where none is significant."""
+        """The estimates of all times [s] by name, rounded to a tenth of a millisecond, 0 where not significant; None if none is."""
         found = dict(zip(_NAMES, self.timing.timing(UNKNOWN)))
         return {name: round(value, 4) for name, value in found.items()} if any(found.values()) else None
