@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idfslam.errors import CameraError, FrameError
 from idfslam.frame import Frame
-from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.geometry.sensor_timing import UNKNOWN, SensorTiming
 from idfslam.live.depth_camera import Capture, DepthCamera
 
 log = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ class LiveStream:
 
 def timing_of(device: DepthCamera) -> SensorTiming:
     """What a camera says about its sensor's times: its attribute `timing`; without it nothing is known."""
-    found: SensorTiming = getattr(device, "timing", SensorTiming(None, None, None))
+    found: SensorTiming = getattr(device, "timing", UNKNOWN)
     return found
 
 

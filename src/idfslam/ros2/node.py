@@ -228,7 +228,7 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float,
     from idfslam.datasets.images.decoding import Undistortion, metres, rgb
     from idfslam.frame import Frame
     from idfslam.geometry.camera import Camera
-    from idfslam.geometry.sensor_timing import SensorTiming
+    from idfslam.geometry.sensor_timing import UNKNOWN
 
     bgr, raw = colour_of(colour), depth_of(depth, depth_scale)
     camera = Camera(info.width, info.height, info.k[0], info.k[4], info.k[2], info.k[5])
@@ -240,7 +240,7 @@ def frame_of(index: int, colour: Any, depth: Any, info: Any, depth_scale: float,
         undistort = Undistortion(camera, tuple(info.d))
         bgr, undistorted = undistort.colour(bgr), undistort.depth(raw)
     stamp, depth_stamp = (message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in (colour, depth))
-    times = SensorTiming(None, None, None) if timing is None else timing
+    times = UNKNOWN if timing is None else timing
     return Frame(index, stamp, rgb(bgr), metres(undistorted, depth_scale), camera, depth_stamp, times)
 
 

@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 UNKNOWNS = 2 + TERMS  # log gain of a over b, offset of a less that of b, coefficients of the vignette: a fact, not a choice
 DARKEST, BRIGHTEST = 0.06, 0.94  # [1] colours that count: black and white are clipped. Wider: more places, and clipped ones. By hand
 OFFSET = 0.005  # [1] standard deviation of an offset before anything is seen; more: noise of contrast counts as an offset. Chosen by hand
+_VIGNETTE = 1.0  # [1] standard deviation of a coefficient of the vignette before anything is seen; more: none, noise counts. By hand
 _SCATTER = 2.0  # [1] width of the robust kernel, in standard deviations of the differences; more: reflections and errors count. By hand
 _ROUNDS = 3  # of reweighting; more: slower, and outliers leave more surely. Chosen by hand
 _LEAST_SCATTER = 0.01  # [1] of the logarithms; more: exact images count no more than others. Chosen by hand
@@ -70,6 +71,3 @@ def _robust(J: Floats, difference: Floats, sigma: Floats) -> tuple[Floats, Float
 def prior() -> Floats:
     """The diagonal (UNKNOWNS,) of the information about the unknowns before anything is seen."""
     return np.array([1e-6, OFFSET**-2, *[_VIGNETTE**-2] * TERMS])
-
-
-_VIGNETTE = 1.0  # [1] standard deviation of a coefficient of the vignette before anything is seen; more: none, noise counts. By hand

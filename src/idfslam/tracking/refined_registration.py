@@ -41,7 +41,6 @@ class RefinedRegistration(Registration):
 
     covariance: Tensor  # (6, 6) float64 of delta, where exp(delta) T_ab is the true pose [m, rad]
     patches: AlignedPatches
-    contradiction: float  # [rad] median motion of the image between the poses by image and by depth
 
 
 @torch.no_grad()
@@ -56,7 +55,7 @@ def refined(
     if by_image is None:
         return None
     T_kc, patches = by_image
-    contradiction, support = 0.0, _SUPPORT * patches.inliers(T_kc)
+    contradiction, support = 0.0, _SUPPORT * patches.inliers(T_kc)  # [rad] median motion of the image between the poses by image and depth
     T_start = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=plane_steps).cpu()
     for weight in _WEIGHTS if plane_steps > 0 else _WEIGHTS[-1:]:
         T, H = _together(T_start, frame, keyframe, patches, weight)
@@ -66,7 +65,7 @@ def refined(
             break
     inflation = _LEAST_VARIANCE + _VARIANCE * min(contradiction, _MOST) ** 2
     found = supported(se3.orthonormal(T).to(pose.T_ab), pairs.frame, pairs.keyframe, inlier_distance)
-    return RefinedRegistration(found.T_ab, found.inliers, found.rmse, inflation * torch.linalg.inv(H), patches, contradiction)
+    return RefinedRegistration(found.T_ab, found.inliers, found.rmse, inflation * torch.linalg.inv(H), patches)
 
 
 def _together(T_kc: Tensor, frame: FrameFeatures, keyframe: FrameFeatures, patches: AlignedPatches, weight: float) -> tuple[Tensor, Tensor]:

@@ -29,14 +29,14 @@ from idfslam.tracking.refined_registration import RefinedRegistration, refined
 # [px] Strides of query and target pixels in validation. More: faster, and noisier scores. With these a pair takes a few ms. Chosen by hand.
 _QUERY_STRIDE, _TARGET_STRIDE = 8, 2
 
-
 # [1] Share of inliers among the matches below which more pixels are searched. More: more frequent second searches, at four times the time
 _FEW = 0.3
-_DENSER = 4  # queries and matches of the second search, relative to the first. More: more views from odd angles are matched, slower
+_DENSER = 4  # [1] queries and matches of the second search, relative to the first. More: more views from odd angles are matched, slower
 # [1] Patches that convince by themselves: the first, and the second times the share of the depth pixels that disagrees. On 217 pairs of
 # different places at most 28 patches agreed, where 91 % of depth disagreed. More: fewer and safer registrations.
 _CONVINCING, _CONTRADICTED = 20, 60
-_CONFIRMING = 12  # least patches for a pose of the second search, which finds more accidental matches. More: fewer and safer registrations
+# [1] Least patches for a pose of the second search, which finds more accidental matches. More: fewer and safer registrations
+_CONFIRMING = 12
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from idfslam.datasets.cameras.calibration import TIMES, Calibration, DepthCamera
 from idfslam.datasets.cameras.camera_text import DEPTH_SCALES, checked_distortion, from_matrix, parse_camera, units_per_metre
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
-from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.geometry.sensor_timing import UNKNOWN, SensorTiming
 from idfslam.storage.json_file import read_json
 from idfslam.storage.text_file import read_text
 
@@ -138,7 +138,7 @@ def _camera_of(values: Mapping[str, Any], key: str, path: Path) -> Calibration:
     try:
         values = values[key]
         times = _times(values, path)
-        if times != SensorTiming(None, None, None) and not any(name in values for name in ("fx", "fy", "cx", "cy")):
+        if times != UNKNOWN and not any(name in values for name in ("fx", "fy", "cx", "cy")):
             return Calibration(source=str(path)).with_times(times)  # another source states the camera
         fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
         width, height = (int(values[key]) if key in values else None for key in ("w", "h"))
