@@ -51,8 +51,8 @@ class CameraFlags:
     depth_scale: float | None = None
     """Units of the depth images per metre; 1000 for millimetres."""
     readout: float | None = None
-    """Read-out time of the colour images, from their first row to their last [s]; 0 for a global shutter. Default: the recording's,
-    else unknown."""
+    """Read-out time of the colour images, from their first row to their last [s]; 0 for a global shutter. Default of the three times: the
+    recording's, else they are unknown and estimated while it runs (front end `alignment`)."""
     depth_readout: float | None = None
     """The same of the depth images [s]."""
     depth_delay: float | None = None
