@@ -263,9 +263,9 @@ def test_doubt(corner: Mapper) -> None:
     assert judge.is_doubtful(replace(good, photometric_error=0.031))
     assert judge.is_doubtful(replace(good, overlap=0.5))
     assert judge.is_doubtful(replace(good, status=Status.LOST))
-    judge.accept(replace(good, photometric_error=0.04), EYE)  # counts as 0.03; the running mean takes a tenth: 0.021
-    assert not judge.is_doubtful(replace(good, photometric_error=0.0314))  # 1.5 * 0.021 = 0.0315
-    assert judge.is_doubtful(replace(good, photometric_error=0.032))
+    judge.accept(replace(good, photometric_error=0.04), EYE)  # counts as 0.03, at a lower rate: the usual error is 0.0203
+    assert not judge.is_doubtful(replace(good, photometric_error=0.0304))  # 1.5 * 0.0203 = 0.03045
+    assert judge.is_doubtful(replace(good, photometric_error=0.0306))
     judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
     assert judge.is_doubtful(replace(good, photometric_error=0.034))
 

@@ -48,6 +48,18 @@ def test_jitter_of_the_stamps_is_not_motion() -> None:
     np.testing.assert_allclose(ahead, VELOCITY / 30, rtol=0.03, atol=3e-4)
 
 
+def test_a_moved_graph_moves_the_motion() -> None:
+    motion = ContinuousMotion()
+    T = walked(motion, VELOCITY, 30)
+    turned = torch.eye(4, dtype=torch.float64)
+    turned[:3, :3] = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # a quarter turn about z
+    turned[:3, 3] = torch.tensor([1.0, 2, 3])
+    before, velocity = motion.predict(1.0, EYE).T_wc, motion.velocity
+    motion.follow(turned @ T)
+    torch.testing.assert_close(motion.predict(1.0, EYE).T_wc, turned @ before)
+    assert motion.velocity.tolist() == pytest.approx([-velocity[1], velocity[0], velocity[2], -velocity[4], velocity[3], velocity[5]])
+
+
 def test_stopping_forgets_the_motion() -> None:
     motion = ContinuousMotion()
     walked(motion, VELOCITY, 10)

@@ -64,3 +64,18 @@ def test_a_synchronised_recording_passes_unchanged() -> None:
         slam.process(ideal[i])
     assert slam.graph.keyframes[0].rectification is None
     assert slam.figures()["sensor_timing"] is None
+
+
+def test_frames_without_depth_are_tracked_and_never_mapped() -> None:
+    ideal = handheld_room(Faults.named("ideal"), seed=1, frames=12, width=160, height=120)
+    slam = Slam(replace(CONFIG, refine=True, mapper=replace(CONFIG.mapper, every=1)))
+    mapped: list[bool] = []
+    add = slam.coverage.add
+    slam.coverage.add = lambda view: (mapped.append(view.has_depth), add(view))[1]  # type: ignore[method-assign,assignment]
+    for i in range(12):
+        frame = ideal[i]
+        result = slam.process(frame if i < 8 else replace(frame, depth=np.zeros_like(frame.depth)))
+        assert result.status.value == ("ok" if i < 8 else "degenerate")
+    slam.finish()
+    assert all(mapped) and len(mapped) >= 8
+    assert ate(slam, ideal.ground_truth) < 0.005

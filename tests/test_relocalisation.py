@@ -29,7 +29,7 @@ def room() -> Selection:
 def shown(room: Selection, index: int) -> Frame:
     """The frame of the walk with that index."""
     frame = Frame.blank(0, 0.0, room.camera) if ORDER[index] < 0 else room[ORDER[index]]
-    return replace(frame, index=index, timestamp=index / 30)
+    return replace(frame, index=index, timestamp=index / 30, depth_timestamp=None)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_where_it_was_found_is_no_motion(room: Selection) -> None:
     slam = Slam(FAST)
     blank = Frame.blank(0, 0.0, room.camera)
     for i, j in enumerate((0, 1, 2, 30, -1, 1)):
-        result = slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30))
+        result = slam.process(replace(blank if j < 0 else room[j], index=i, timestamp=i / 30, depth_timestamp=None))
     assert result.status is Status.OK
     torch.testing.assert_close(slam.motion.T_step, torch.eye(4, dtype=torch.float64))
     np.testing.assert_array_equal(slam._predicted_pose().numpy(), result.T_wc)
@@ -92,7 +92,7 @@ def test_a_view_is_found_by_its_looks_alone(another: Slam, room: Selection) -> N
 def elsewhere(first: int, count: int) -> Iterator[Frame]:
     other = SyntheticRoom(seed=5, frames=240, width=320, height=240)
     for i in range(count):
-        yield replace(other[10 * i], index=first + i, timestamp=(first + i) / 30)
+        yield replace(other[10 * i], index=first + i, timestamp=(first + i) / 30, depth_timestamp=None)
 
 
 def test_a_place_never_seen_is_not_taken_for_one_that_was(room: Selection) -> None:

@@ -43,3 +43,8 @@ def test_wrong_times_of_a_frame_are_refused() -> None:
         Frame(0, 0.0, *IMAGES, CAMERA, depth_timestamp=float("nan"))
     with pytest.raises(FrameError, match="timing is float, expected a SensorTiming"):
         Frame(0, 0.0, *IMAGES, CAMERA, timing=0.026)  # type: ignore[arg-type]
+
+
+def test_stamps_of_different_clocks_are_no_lag() -> None:
+    assert Frame(0, 1.5, *IMAGES, CAMERA, depth_timestamp=7.0).depth_lag == 0.0
+    assert Frame(0, 1.5, *IMAGES, CAMERA, depth_timestamp=1.42).depth_lag == pytest.approx(-0.08)

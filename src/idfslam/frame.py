@@ -16,6 +16,7 @@ from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 
 FPS = 30.0  # [Hz] assumed where there are no time stamps
 
+_ONE_SHOT = 0.1  # [s] largest difference of the stamps of colour and depth that is one. More: stamps of different clocks pass for a lag
 _CHECKED_ROWS = 8  # every eighth row of an image enters its checksum; raised, checksums are faster and miss more. Chosen by hand
 
 
@@ -82,8 +83,9 @@ class Frame:
 
     @property
     def depth_lag(self) -> float:
-        """[s] by which depth's time stamp is later than colour's."""
-        return 0.0 if self.depth_timestamp is None else self.depth_timestamp - self.timestamp
+        """[s] by which depth's time stamp is later than colour's; 0 where they are so far apart that their clocks differ."""
+        lag = 0.0 if self.depth_timestamp is None else self.depth_timestamp - self.timestamp
+        return lag if abs(lag) <= _ONE_SHOT else 0.0
 
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":

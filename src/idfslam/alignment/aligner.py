@@ -34,6 +34,8 @@ from idfslam.storage.state import State, Stateful
 _MARGIN, _DECAY = 1.5, 0.95
 # [1] Rate of the running mean of the photometric error. More: the mean follows the last frames faster.
 _USUAL_RATE = 0.1
+# [1] The same for a doubtful frame. More: a long passage that contradicts the images is sooner taken for usual.
+_DOUBTFUL_RATE = 0.03
 # Every so many points one takes part in the coarse steps. More: faster, and noisier first steps.
 _COARSE_STRIDE = 3
 # [1] Factor on `robust` in the first step, halved with each step. More: worse guesses are corrected, and more outliers count.
@@ -41,6 +43,9 @@ _FIRST_SCALE = 4.0
 # [1] An alignment that moves by more than this many times the expected error of its guess has left the reach of its images.
 # More: fewer second tries.
 _OVERSHOOT = 2.0
+# [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost. More: wrong poses at the end of the
+# sensor's range are accepted. Right ones have about 1 there.
+_NOISE_MARGIN = 1.2
 # [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
 _CONFIRMED = 0.3
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
@@ -188,9 +193,10 @@ class MapAligner(Stateful):
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
         if alignment.photometric_error > 0:
-            # An error above the doubtful one is counted as that: a wrong pose does not make its like usual.
+            # An error above the doubtful one counts as that, and at a lower rate: a wrong pose does not soon make its like usual.
+            rate = 1.0 if not self._usual_error else _DOUBTFUL_RATE if self.contradicts_images(alignment) else _USUAL_RATE
             error = min(alignment.photometric_error, self.doubtful_error) if self._usual_error else alignment.photometric_error
-            self._usual_error += (error - self._usual_error) * (_USUAL_RATE if self._usual_error else 1.0)
+            self._usual_error += (error - self._usual_error) * rate
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
@@ -297,7 +303,8 @@ class MapAligner(Stateful):
         return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius)
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
-        if depth.overlap < self.config.min_overlap or depth.noise > self.config.max_rmse:
+        largest = max(self.config.max_rmse, _NOISE_MARGIN * self.config.depth_noise * depth.noise)
+        if depth.overlap < self.config.min_overlap or depth.rmse > largest:
             return Status.LOST
         return Status.DEGENERATE if min_eigenvalue < self.config.min_eigenvalue else Status.OK
 

@@ -105,6 +105,14 @@ class ContinuousMotion(Stateful):
         self._last = None if state["last"] is None else (state["last"]["timestamp"], state["last"]["T_wc"])
         self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
 
+    def follow(self, T_last: Tensor) -> None:
+        """Moves the last pose to where the graph has it by now, (4, 4): loops and refined keyframes move it. The velocity turns with it."""
+        if self._last is None:
+            return
+        R = (T_last[:3, :3] @ self._last[1][:3, :3].T).numpy()
+        self.velocity = np.concatenate([R @ self.velocity[:3], R @ self.velocity[3:]])
+        self._last = (self._last[0], T_last.clone())
+
     def predict(self, timestamp: float, T_predicted: Tensor) -> MotionPrior:
         """The prior of the frame at `timestamp` [s]. T_predicted (4, 4): its pose if no frame before it has one."""
         if self._last is None:

@@ -18,7 +18,7 @@ class DepthTerm:
     weight: float  # sum of the robust weights
     overlap: float  # share of the points that take part
     rmse: float  # [m] of the distances, weighted by their noise
-    noise: float  # [m] RMS of the distances over their noise relative to the sensor's best: far readings may be far off
+    noise: float  # RMS noise of the readings, weighted alike, relative to the sensor's best [1]
     radius: float  # mean distance of the points [m], by which a turn is compared with a shift
 
     @classmethod
@@ -76,7 +76,7 @@ def compiled_depth_term(
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma, sigma if rows is None else rows)]
     sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, out.H.numpy(), out.b.numpy())  # type: ignore[call-arg]
     weight, squares, robustly, count, radius = sums
-    rmse, noise = ((squares / max(total, 1e-9)) ** 0.5 for total in (weight, robustly))
+    rmse, noise = ((total / max(weight, 1e-9)) ** 0.5 for total in (squares, robustly))
     return DepthTerm(out, weight, count / len(distance), rmse, noise, radius)
 
 
@@ -99,6 +99,6 @@ def plain_depth_term(
     kernel = mapped / (1 + (r / scale) ** 2) ** 2  # Geman-McClure
     w = kernel / sigma**2  # divided by the sensor's variance
     weight, squares = float(w.sum()), float((w * r * r).sum())
-    rmse, noise = ((squares / max(total, 1e-9)) ** 0.5 for total in (weight, float(kernel.sum())))
+    rmse, noise = ((total / max(weight, 1e-9)) ** 0.5 for total in (squares, float(kernel.sum())))
     overlap = float(mapped.float().mean())
     return DepthTerm(RowMoments.of(J, w, r, rows), weight, overlap, rmse, noise, float(turned.norm(dim=-1).mean()))

@@ -361,8 +361,8 @@ class AlignmentConfig:
     min_overlap: float = 0.3
     """Alignments are lost if a smaller share of the points falls where the map has a surface."""
     max_rmse: float = 0.02
-    """Alignments with a larger RMS distance to the map [m] are lost. Each distance is divided by its reading's noise, relative to that at
-    the sensor's best range. Space that was never mapped can seem mapped where entries of a hash table are shared."""
+    """Alignments with a larger RMS distance to the map [m] are lost, unless the sensor's noise alone explains it: far readings err by more.
+    Space that was never mapped can seem mapped where entries of a hash table are shared."""
     doubtful_overlap: float = 0.6
     """Alignments with a smaller overlap are doubted: the tracker's pose and the last pose are tried as well."""
     doubtful_brightness: float = 1.5

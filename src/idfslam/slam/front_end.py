@@ -100,10 +100,11 @@ class AlignmentToMap(FrontEnd):
         aligned, registered = self._best_alignment(view, motion)
         aligned = self.compensation.refine(view, aligned, lambda T_wc, error_px: self._align(view, T_wc, error_px, motion))
         if aligned.status is not Status.LOST:
-            return Tracked.aligned(aligned, doubtful=self.aligner.contradicts_images(aligned))
+            doubtful = self.aligner.has_usual_error and self.aligner.contradicts_images(aligned)
+            return Tracked.aligned(aligned, doubtful=doubtful)
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:  # the tracker has a pose, but the view does not match the map there
-            return replace(registered, status=Status.DOUBTFUL, evidence=evidence, confident=False)
+            return replace(registered, evidence=evidence, confident=False)
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
@@ -117,9 +118,9 @@ class AlignmentToMap(FrontEnd):
 
     def _begin(self, view: Keyframe) -> MotionPrior | None:
         """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""
-        motion = self.compensation.begin(view)
+        motion = self.compensation.begin(view, self._last_pose(view))
         first = self.graph.keyframes[0]
-        if motion is None or len(self.frames) != first.index + 1:
+        if motion is None or len(self.graph.keyframes) > 1 or len(self.frames) != first.index + 1:
             return motion
         registered = self.registration.track(view)
         if registered.is_lost or not self.compensation.rectify_first(first, view, registered.T_wc):

@@ -17,11 +17,11 @@ from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
 from idfslam.alignment.motion import change_between
 from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.frame import Frame, Status
-from idfslam.geometry.sensor_timing import SYNCHRONISED, UNKNOWN
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement
 from idfslam.slam.tracked import Tracked
-from idfslam.storage.state import Stateful
+from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
 
@@ -47,16 +47,26 @@ class MotionCompensation(Stateful):
         self.motion, self.timing = ContinuousMotion(), TimingEstimator()
         self._raw: Frame | None = None  # the present frame as it was taken; None: its sensor is stated to be synchronised
         self._prior: MotionPrior | None = None  # of the present frame's motion
+        self._stated = SYNCHRONISED  # the times that the frames state
 
-    def begin(self, view: Keyframe) -> MotionPrior | None:
-        """Rectifies a view by its predicted velocity, and sets its predicted pose.
+    def state(self) -> State:
+        """The times that the last frame stated."""
+        return {"stated": list(vars(self._stated).values())}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._stated = SensorTiming(*state["stated"])
+
+    def begin(self, view: Keyframe, T_last: Tensor) -> MotionPrior | None:
+        """Rectifies a view by its predicted velocity, and sets its predicted pose. T_last (4, 4): of the frame before, as the graph has it.
 
         Returns the prior of its motion. None: all its rows have one time, as far as is known, and the view is unchanged.
         """
         self._raw, self._prior = None, None
         if view.frame.timing == SYNCHRONISED and view.frame.depth_lag == 0:
             return None
-        self._raw = view.frame
+        self._raw, self._stated = view.frame, view.frame.timing
+        self.motion.follow(T_last)
         return self.begin_again(view)
 
     def begin_again(self, view: Keyframe) -> MotionPrior | None:
@@ -151,6 +161,7 @@ class MotionCompensation(Stateful):
             )
 
     def figures(self) -> dict[str, float] | None:
-        """The estimates of all times [s] by name, rounded to a tenth of a millisecond, 0 where not significant; None if none is."""
-        found = dict(zip(_NAMES, self.timing.timing(UNKNOWN)))
-        return {name: round(value, 4) for name, value in found.items()} if any(found.values()) else None
+        """The estimates of the unknown times [s] by name, to a tenth of a millisecond, 0 where not significant; None if none is."""
+        found = dict(zip(_NAMES, self.timing.timing(self._stated)))
+        unknown = {name: round(found[name], 4) for name, stated in vars(self._stated).items() if stated is None}
+        return unknown if any(unknown.values()) else None

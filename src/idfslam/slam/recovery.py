@@ -19,6 +19,7 @@ from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
 
+_DOUBTED = 15  # doubtful frames in a row from which the camera is looked for elsewhere. More: wrong places are left later. Chosen by hand
 EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
@@ -84,14 +85,15 @@ class Relocalisation(Recovery):
         self.config, self.relocaliser, self.check, self.timer = config, relocaliser, check, timer
         self.relocalisations = 0
         self._searched = 0  # number of frames with depth since the camera was lost
+        self._doubted = 0  # number of doubtful frames in a row
 
     def state(self) -> State:
         """The counts."""
-        return {"relocalisations": self.relocalisations, "searched": self._searched}
+        return {"relocalisations": self.relocalisations, "searched": self._searched, "doubted": self._doubted}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self.relocalisations, self._searched = state["relocalisations"], state["searched"]
+        self.relocalisations, self._searched, self._doubted = state["relocalisations"], state["searched"], state["doubted"]
 
     def figures(self) -> dict[str, int]:
         return {"relocalisations": self.relocalisations}
@@ -100,6 +102,7 @@ class Relocalisation(Recovery):
         self.relocaliser.estimate_usual_error(keyframes)
 
     def recover(self, view: Keyframe, tracked: Tracked) -> Tracked:
+        self._doubted = self._doubted + 1 if tracked.status is Status.DOUBTFUL else 0
         if not self._trusts(tracked):
             lost = tracked if self.mode is Mode.TRACKING else tracked.lost(view.T_wk)
             tracked = self._relocalised(view) or lost
@@ -112,9 +115,12 @@ class Relocalisation(Recovery):
             log.info("found again at frame %d; %d frames before it are interpolated", index, self.frames.interpolate_gaps())
 
     def _trusts(self, tracked: Tracked) -> bool:
-        """Whether the front end's result is accepted. After a lost frame only a convincing alignment to the map is."""
+        """Whether the front end's result is accepted. After a lost frame only a convincing alignment to the map is.
+
+        A camera that has been in doubt for long is looked for too. If it is not found, the front end's result stands.
+        """
         if self.mode is Mode.TRACKING:
-            return not tracked.is_lost and tracked.confident
+            return not tracked.is_lost and tracked.confident and self._doubted < _DOUBTED
         return tracked.alignment is not None and self.relocaliser.convincing(tracked.alignment)
 
     def _relocalised(self, view: Keyframe) -> Tracked | None:

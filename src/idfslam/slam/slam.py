@@ -74,7 +74,7 @@ class Slam:
             self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
             self.recovery.close_gap(frame.index, mode)
             selected = self.keyframe_selection.selects(view, tracked.status, tracked.evidence.in_view)  # Sec. III
-            mappable = tracked.status.trusted and not selected
+            mappable = tracked.status.trusted and view.has_depth and not selected
             self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
             losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
             return self.history.report(frame, tracked, losses, keyframe=selected)
