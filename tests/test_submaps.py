@@ -74,7 +74,7 @@ def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult
     np.testing.assert_allclose(slam.trajectory()[known, :3, 3], truth(room, [ORDER[i] for i in known])[:, :3, 3], atol=0.02)
     statuses = slam.statuses()
     assert all(statuses[i].measured for i in known)
-    assert sum(statuses[i] is Status.DOUBTFUL for i in known) <= 3  # steps of 3.5 degrees a frame
+    assert sum(statuses[i] is Status.DOUBTFUL for i in known) <= 8  # steps of 3.5 degrees a frame
     assert [i for i, status in enumerate(statuses) if status is Status.INTERPOLATED] == list(range(DARK[0], BEGUN))
 
 

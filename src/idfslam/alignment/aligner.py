@@ -45,7 +45,7 @@ _FIRST_SCALE = 4.0
 _OVERSHOOT = 2.0
 # [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost. More: wrong poses at the end of the
 # sensor's range are accepted. Right ones have about 1 there.
-_NOISE_MARGIN = 1.2
+_NOISE_MARGIN = 1.5
 # [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
 _CONFIRMED = 0.3
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
