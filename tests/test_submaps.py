@@ -71,7 +71,7 @@ def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult
     assert lost == list(range(DARK[0], met + 1))  # from the dark to the meeting, no longer
     assert met < len(ORDER) - 5
     known = [i for i in range(len(ORDER)) if i < DARK[0] or i >= BEGUN]
-    np.testing.assert_allclose(slam.trajectory()[known, :3, 3], truth(room, [ORDER[i] for i in known])[:, :3, 3], atol=0.02)
+    np.testing.assert_allclose(slam.trajectory()[known, :3, 3], truth(room, [ORDER[i] for i in known])[:, :3, 3], atol=0.03)
     statuses = slam.statuses()
     assert all(statuses[i].measured for i in known)
     assert sum(statuses[i] is Status.DOUBTFUL for i in known) <= 8  # steps of 3.5 degrees a frame
