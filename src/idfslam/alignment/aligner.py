@@ -107,7 +107,9 @@ class MapAligner(Stateful):
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
-        coarse, normals, depth = surface.every(_COARSE_STRIDE), None, self._absent_depth(references, moments=moments)
+        coarse, normals = surface.every(_COARSE_STRIDE), None
+        if not has_depth:
+            depth = self._absent_depth(references, moments=moments)
         for step in range(first, self.config.iterations):
             if has_depth and step < coarse_steps:
                 depth, _ = self._depth_term(coarse, T, step, None, moments=moments)

@@ -84,9 +84,13 @@ class Keyframe:
 
     def rectify(self, raw: Frame, rectification: Rectification) -> None:
         """Replaces the images by those of its frame `raw`, rectified. What was computed from the former images is forgotten."""
-        self.rectification = rectification
         frame = rectified(raw, rectification)
-        self._images = Images(frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device))
+        images = Images(frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device))
+        self.show(images, rectification)
+
+    def show(self, images: Images, rectification: Rectification) -> None:
+        """Replaces the images by others of its frame, rectified with `rectification`."""
+        self._images, self.rectification = images, rectification
         self._features = None
         for name in ("farthest", "has_depth"):
             self.__dict__.pop(name, None)

@@ -170,11 +170,14 @@ def _rectified_colour(colour, depth, farthest, intrinsics, motions):  # type: ig
                 depth_then = max(M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3], np.float32(0.01))
                 raw_u = (M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]) / depth_then * fx + cx
                 raw_v = (M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]) / depth_then * fy + cy
-                row = min(max(int(raw_v + np.float32(0.5)), 0), height - 1)
+                seen_in = min(max(int(raw_v + np.float32(0.5)), 0), height - 1)
+                if seen_in == row:
+                    break
+                row = seen_in
             i, j = min(max(int(np.floor(raw_u)), 0), width - 2), min(max(int(np.floor(raw_v)), 0), height - 2)
             a, b = min(max(raw_u - i, np.float32(0)), np.float32(1)), min(max(raw_v - j, np.float32(0)), np.float32(1))
             for k in range(3):
                 upper = colour[j, i, k] * (1 - a) + colour[j, i + 1, k] * a
                 lower = colour[j + 1, i, k] * (1 - a) + colour[j + 1, i + 1, k] * a
-                out[v, u, k] = np.round((upper * (1 - b) + lower * b) * np.float32(255)) * np.float32(1 / 255)
+                out[v, u, k] = np.float32(int((upper * (1 - b) + lower * b) * np.float32(255) + np.float32(0.5))) * np.float32(1 / 255)
     return out

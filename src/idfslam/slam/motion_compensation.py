@@ -91,11 +91,11 @@ class MotionCompensation(Stateful):
             moved_px = displacement(self._raw, alignment.joint.velocity - used, times.longest)
             if moved_px < _NOTICEABLE:
                 break
-            former = view.rectification
+            former = view.images, view.rectification
             self._rectify(view, times, alignment.joint.velocity, alignment.T_wc)
             better = again(alignment.T_wc, moved_px)
             if better.score < alignment.score:  # the velocity was wrong
-                view.rectify(self._raw, former)
+                view.show(*former)
                 break
             alignment = better
         return alignment
