@@ -105,7 +105,8 @@ def test_smoothing_evens_a_wall_and_keeps_an_edge() -> None:
 
 
 def test_fewer_points_keep_their_patches(corner: Mapper) -> None:
-    surface = aligner(corner).surface(view(CORNER, EYE))
+    seen = view(CORNER, EYE)
+    surface = aligner(corner).surface(seen.images, seen.camera)
     third = surface.every(3)
     torch.testing.assert_close(third.points, surface.points[::3])
     known = third.patches >= 0
@@ -118,8 +119,8 @@ def test_little_depth_is_looked_at_closely(corner: Mapper) -> None:
     small = without_depth(whole)
     small.depth[40:60, 40:80] = whole.depth[40:60, 40:80]
     judge = aligner(corner, replace(CONFIG, points=800))
-    assert len(judge.surface(small).points) == 800  # every pixel of 20 x 40
-    assert 600 < len(judge.surface(whole).points) < 1000
+    assert len(judge.surface(small.images, small.camera).points) == 800  # every pixel of 20 x 40
+    assert 600 < len(judge.surface(whole.images, whole.camera).points) < 1000
 
 
 def test_normal_equations_of_one_point_by_hand() -> None:

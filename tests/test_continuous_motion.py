@@ -10,7 +10,7 @@ from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.gauss_newton import ImageTerm, JointSolver
 from idfslam.alignment.motion import change_between, moved
 from idfslam.alignment.row_moments import RowMoments
-from idfslam.sensing.rectification import Rectification, RowTimes
+from idfslam.sensing.rectification import RowTimes
 
 EYE = torch.eye(4, dtype=torch.float64)
 VELOCITY = np.array([0.3, -0.1, 0.2, 0.5, 1.0, -0.4])
@@ -105,7 +105,7 @@ def test_a_step_follows_the_rows_where_the_prior_is_weak(jacobians: tuple[Tensor
     times = RowTimes(0.026)
     images = rows_of(J, rows, np.zeros(6), -VELOCITY, 0.026 * rows)
     T = EYE.clone()
-    solver = JointSolver(T, ContinuousMotion().predict(0.0, EYE), Rectification(times, np.zeros(6)), depth_noise=1e-4)
+    solver = JointSolver(T, ContinuousMotion().predict(0.0, EYE), times, depth_noise=1e-4)
     solver.step(DepthTerm.absent(weight=1.0, radius=1.0, moments=True), ImageTerm(images, 0.01, 1.0))
     estimate = solver.estimate(DepthTerm.absent(weight=1.0, radius=1.0, moments=True), ImageTerm(images, 0.01, 1.0))
     assert np.abs(change_between(EYE, T).numpy()).max() < 2e-3

@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import cv2
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.photometric import (
     Appearance,
     Landmarks,
@@ -20,6 +22,7 @@ from idfslam.alignment.photometric import (
 )
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.rectification import RowTimes
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 EYE = torch.eye(4, dtype=torch.float64)
@@ -130,6 +133,21 @@ def test_the_compiled_term_is_the_plain_one(level: int, noise: float) -> None:
     torch.testing.assert_close(found.H, plain.H, rtol=0, atol=5e-3 * float(plain.H.abs().max()))
     torch.testing.assert_close(found.b, plain.b, rtol=0, atol=5e-3 * float(plain.b.abs().max()))
     torch.testing.assert_close(found.H, found.H.T)
+
+
+@pytest.mark.parametrize("level", [0, 2])
+def test_the_compiled_term_of_a_moving_frame_is_the_plain_one(level: int) -> None:
+    T_wk, T_wc = pose(0.1, 0.02, 0, 0.01, 0.05, 0), pose(0.13, 0, 0.04, 0.0, 0.03, 0.02)
+    marks, frame = marks_at(T_wk), appearance(pose(0.14, 0, 0.04, 0.0, 0.035, 0.02))
+    motion = FrameMotion(RowTimes(0.03, 0.02, -0.01), np.array([0.3, -0.2, 0.1, 0.8, -1.0, 1.5]))
+    found = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True, motion=motion)
+    plain = plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True, motion=motion)
+    still = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True)
+    assert found.seen == plain.seen
+    assert found.noise == pytest.approx(plain.noise, rel=2e-3)
+    for k in range(3):
+        torch.testing.assert_close(found.sums.H[k], plain.sums.H[k], rtol=0, atol=5e-3 * float(plain.sums.H[k].abs().max()))
+    assert not torch.allclose(found.b, still.b, rtol=0.05)  # the motion matters
 
 
 def moved(T: Tensor, delta: Tensor) -> Tensor:

@@ -14,6 +14,7 @@ from torch import Tensor
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
 from idfslam.alignment.motion import Information
 from idfslam.alignment.normals import smoothed_normals
@@ -23,6 +24,7 @@ from idfslam.alignment.surface import Surface, surface_points
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Images, Keyframe
 from idfslam.sensing.vignette import Vignette
 from idfslam.storage.state import State, Stateful
@@ -96,30 +98,35 @@ class MapAligner(Stateful):
         confirm its pose.
         max_guess_error_px: bound on the error of the guess, in pixels of the finest image. The steps on images too coarse for it are left
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
-        the directions that map and images constrain weakly. motion: the velocity is estimated too, with this prior for pose and velocity.
+        the directions that map and images constrain weakly. motion: of a view with a rectification, the images as they were taken are
+        used, each row at its own time, and the velocity is estimated too, with this prior for pose and velocity.
         """
         prior_information = self.config.registration_prior_information if registered else self.config.prior_information
-        surface = self.surface(view)
+        moves = motion is not None and view.rectification is not None
+        images = view.taken if moves else view.images
+        surface = self.surface(images, view.camera)
         has_depth = len(surface.points) >= self.config.min_points
         if not has_depth and not any(len(self.landmarks(reference).points) for reference in references):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        T, moments = T_guess.double().clone(), motion is not None and view.rectification is not None
+        appearance, T = self._appearance(images, view.camera), T_guess.double().clone()
+        prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
         coarse, normals = surface.every(_COARSE_STRIDE), None
         if not has_depth:
-            depth = self._absent_depth(references, moments=moments)
+            depth = self._absent_depth(references, moments=moves)
         for step in range(first, self.config.iterations):
             if has_depth and step < coarse_steps:
-                depth, _ = self._depth_term(coarse, T, step, None, moments=moments)
+                depth, _ = self._depth_term(coarse, T, step, None, solver.motion)
             elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
-                depth, normals = self._depth_term(surface, T, step, normals, moments=moments)
-            images = self._image_term(view, references, T, step, moments=moments)
-            largest = solver.step(depth, images)
+                depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
+            of_images = self._image_term(appearance, references, T, step, solver.motion)
+            largest = solver.step(depth, of_images)
             if step >= coarse_steps and largest < self.config.converged:
                 break
-        return self._judged(view, T, depth, images, step + 1 - first, solver.estimate(depth, images), has_depth=has_depth)
+        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
+        return self._judged(T, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
@@ -130,7 +137,7 @@ class MapAligner(Stateful):
     def _solver(self, view: Keyframe, T: Tensor, motion: MotionPrior | None, prior_information: float) -> Solver:
         if motion is None or view.rectification is None:
             return PoseSolver(T, prior_information)
-        return JointSolver(T, motion, view.rectification, self.config.depth_noise)
+        return JointSolver(T, motion, view.rectification.times, self.config.depth_noise)
 
     def _first_step(self, max_guess_error_px: float | None) -> int:
         """The first step for a guess with this largest error: it is at most `level_reach` pixels of the coarsest level used."""
@@ -140,23 +147,25 @@ class MapAligner(Stateful):
         level = math.ceil(math.log2(max(max_guess_error_px / self.config.level_reach, 1.0)))
         return max(0, levels - 1 - level) * self.config.steps_a_level
 
-    def surface(self, view: Keyframe) -> Surface:
-        """About `config.points` points of a view: a random pixel of each of equal patches, if it has depth.
+    def surface(self, images: Images, camera: Camera) -> Surface:
+        """About `config.points` points of a depth image: a random pixel of each of equal patches, if it has depth.
 
         Patches are smaller if few pixels have depth. A table near the end of the sensor's range may be all there is to align to.
         """
-        height, width = view.depth.shape
-        patch = max(1, round((int((view.depth > 0).sum()) / self.config.points) ** 0.5))
+        height, width = images.depth.shape
+        patch = max(1, round((int((images.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
-        return surface_points(view.depth, view.camera, jitter, patch)
+        return surface_points(images.depth, camera, jitter, patch)
 
-    def row_moments(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> tuple[RowMoments, RowMoments]:
-        """The sums of depth and of images at a pose (4, 4), with the moments of the rows, in units of information."""
-        scale = INDEPENDENT / self.config.depth_noise**2
-        system, _ = self._depth_term(self.surface(view), T_wc, self.config.iterations, None, moments=True)
-        images = self._image_term(view, references, T_wc, self.config.iterations, moments=True)
-        return system.sums.scaled(scale), images.sums.scaled(scale)
+    def row_moments(
+        self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion
+    ) -> tuple[RowMoments, RowMoments]:
+        """The sums of depth and of images at a pose (4, 4) and a motion, with the moments of the rows, in units of information."""
+        scale, step = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
+        depth, _ = self._depth_term(self.surface(view.taken, view.camera), T_wc, step, None, motion)
+        images = self._image_term(self._appearance(view.taken, view.camera), references, T_wc, step, motion)
+        return depth.sums.scaled(scale), images.sums.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess should be tried: the view is lost, overlaps little with the map, or has a large photometric error."""
@@ -213,28 +222,33 @@ class MapAligner(Stateful):
             max_guess_error_px, self.config.level_reach
         )
 
-    def _depth_term(self, surface: Surface, T: Tensor, step: int, normals: _Normals | None, *, moments: bool) -> tuple[DepthTerm, _Normals]:
+    def _depth_term(
+        self, surface: Surface, T: Tensor, step: int, normals: _Normals | None, motion: FrameMotion | None
+    ) -> tuple[DepthTerm, _Normals]:
         """Normal equations of the points' distances to the map along its normals. The robust scale narrows over the first steps.
 
-        normals: of an earlier step; None: they are computed at the points' present places. Returns the normals too.
+        normals: of an earlier step; None: they are computed at the points' present places. motion: within the frame; with it, the sums
+        have moments. Returns the normals too.
         """
         T32 = T.float().to(surface.points)
         turned = surface.points @ T32[:3, :3].T
+        if motion is not None:
+            turned = motion.depth_at_stamp(turned, surface.rows)
         distance, gradient = self.query(turned + T32[:3, 3])
         robust = self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
         normals = normals or smoothed_normals(turned, gradient, surface.patches)
-        rows = surface.rows if moments else None
+        rows = None if motion is None else surface.rows
         return depth_term(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest, rows), normals
 
-    def _image_term(self, view: Keyframe, references: Sequence[Keyframe], T: Tensor, step: int, *, moments: bool) -> ImageTerm:
-        """The brightness of each reference's landmarks, on the level of the pyramid for this step."""
+    def _image_term(self, frame: Appearance, references: Sequence[Keyframe], T: Tensor, step: int, motion: FrameMotion | None) -> ImageTerm:
+        """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
+        moments = motion is not None
         sums, photometric_error, seen, in_view, count = RowMoments.zeros(moments=moments), 0.0, 0, 0, 0
-        frame = self.appearance(view)
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
             noise, widest = self.config.colour_noise, self.config.colour_robust
-            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest, moments=moments)
+            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
             count, in_view = count + len(marks.points), in_view + term.seen
             if term.seen < self.config.min_landmarks:
                 continue
@@ -250,11 +264,13 @@ class MapAligner(Stateful):
 
     def appearance(self, view: Keyframe) -> Appearance:
         """A view's image pyramid, cached for as long as its images are in memory."""
-        images = view.images
+        return self._appearance(view.images, view.camera)
+
+    def _appearance(self, images: Images, camera: Camera) -> Appearance:
         if images not in self._appearances:
             height, levels = self.config.image_height, self.config.image_levels
-            of_view = pyramid(images.colour, view.camera, height=height, levels=levels, vignette=self.vignette)
-            self._appearances[images] = Appearance(of_view, images.depth, view.camera)
+            of_view = pyramid(images.colour, camera, height=height, levels=levels, vignette=self.vignette)
+            self._appearances[images] = Appearance(of_view, images.depth, camera)
         return self._appearances[images]
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:
@@ -281,12 +297,12 @@ class MapAligner(Stateful):
 
     def _judged(
         self,
-        view: Keyframe,
         T: Tensor,
         depth: DepthTerm,
         images: ImageTerm,
         iterations: int,
         joint: JointEstimate | None,
+        focal: float,
         *,
         has_depth: bool,
     ) -> Alignment:
@@ -301,7 +317,6 @@ class MapAligner(Stateful):
             status = Status.DEGENERATE if confirmed else Status.LOST
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
         covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
-        focal = self.appearance(view).levels[0].camera.fx
         return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius)
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:

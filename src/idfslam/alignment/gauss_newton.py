@@ -9,10 +9,11 @@ from torch import Tensor
 
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, distorted, joint_system
 from idfslam.alignment.depth_term import DepthTerm
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.compute.backend import pick
-from idfslam.sensing.rectification import Rectification, along_world
+from idfslam.sensing.rectification import RowTimes
 
 # [1] Share of the points and landmarks that err independently: neighbours share the errors of the map. More: velocities follow the
 # images more, and the prior of the motion less. Chosen by hand on generated hand-held recordings.
@@ -34,7 +35,12 @@ class ImageTerm:
 
 
 class Solver(Protocol):
-    """Takes steps from the terms at the present pose."""
+    """Takes steps from the terms at the present pose and velocity."""
+
+    @property
+    def motion(self) -> FrameMotion | None:
+        """The present motion within the frame; None: all its rows have one time."""
+        ...
 
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
         """Moves the pose; returns the largest entry of its change."""
@@ -51,6 +57,10 @@ class PoseSolver:
     def __init__(self, T: Tensor, prior_information: float) -> None:
         self.T, self.prior_information, self.change = T, prior_information, torch.zeros(6, dtype=torch.float64)
 
+    @property
+    def motion(self) -> None:
+        """None: all rows of the frame have one time."""
+
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
         sums = depth.sums + images.sums
         return damped_step(sums.H[0], sums.b[0], depth.weight, depth.radius, self.prior_information, self.change, self.T)
@@ -60,20 +70,26 @@ class PoseSolver:
 
 
 class JointSolver:
-    """Gauss-Newton steps of a pose T (4, 4), moved in place, and of the velocity, with a prior for both."""
+    """Gauss-Newton steps of a pose T (4, 4), moved in place, and of the velocity, with a prior for both.
 
-    def __init__(self, T: Tensor, prior: MotionPrior, rectification: Rectification, depth_noise: float) -> None:
-        self.T, self.prior, self.times = T, prior, rectification.times
-        self.rectified_at = along_world(T, rectification.velocity)
+    The error of the references' velocities is one more unknown. It acts on residuals as the velocity does.
+    """
+
+    def __init__(self, T: Tensor, prior: MotionPrior, times: RowTimes, depth_noise: float) -> None:
+        self.T, self.prior, self.times = T, prior, times
         self.velocity, self.reference_error = prior.velocity.copy(), np.zeros(6)
         self.scale = INDEPENDENT / depth_noise**2
+
+    @property
+    def motion(self) -> FrameMotion:
+        """The present velocity, and the rows' times."""
+        return FrameMotion(self.times, self.velocity)
 
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
         H, b = distorted(*joint_system(depth.sums, images.sums, self.times))
         prior = self.prior.with_reference_error
-        since_rectified = np.concatenate([self.velocity - self.rectified_at, self.reference_error])
         from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
-        b = self.scale * (b - H[:, 6:] @ since_rectified) - prior @ np.concatenate(from_prior)
+        b = self.scale * (b - H[:, 12:] @ self.reference_error) - prior @ np.concatenate(from_prior)
         delta = np.linalg.solve(self.scale * H + prior, b)
         self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))
         self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]

@@ -12,7 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE
+from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE, ROW_STEPS
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
@@ -188,20 +189,38 @@ class Term:
 
 
 def photometric_term(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
+    frame: Appearance,
+    marks: Landmarks,
+    T_wk: Tensor,
+    T_wc: Tensor,
+    level: int,
+    *,
+    floor: float,
+    widest: float,
+    moments: bool = False,
+    motion: FrameMotion | None = None,
 ) -> Term:
     """Normal equations of the brightness differences of a keyframe's landmarks in a frame at `T_wc`, after exposure is compensated.
 
     Differences are divided by their own scale, so that sharp, well-registered images count more than blurred ones. The scale comes from
     their median and is at least `floor` [1]. The robust kernel has a width of `widest` scales. Poses are (4, 4) float64.
-    moments: whether the sums have the moments of the rows.
+    moments: whether the sums have the moments of the rows. motion: of the camera within the frame, whose rows have times of their own.
     """
     term = pick(marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
-    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest, moments=moments)
+    return term(frame, marks, T_wk, T_wc, level, floor=floor, widest=widest, moments=moments, motion=motion)
 
 
 def compiled_photometric_term(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
+    frame: Appearance,
+    marks: Landmarks,
+    T_wk: Tensor,
+    T_wc: Tensor,
+    level: int,
+    *,
+    floor: float,
+    widest: float,
+    moments: bool = False,
+    motion: FrameMotion | None = None,
 ) -> Term:
     """`photometric_term` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import photometric_system
@@ -211,8 +230,9 @@ def compiled_photometric_term(
     R_cw = T_wc[:3, :3].T.contiguous().numpy()
     shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
+    times, velocity = (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
     seen, noise = photometric_system(
-        marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift,
+        marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift, times, velocity,
         image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest,
         sums.H.numpy(), sums.b.numpy(),
     )  # fmt: skip
@@ -220,18 +240,29 @@ def compiled_photometric_term(
 
 
 def plain_photometric_term(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, *, floor: float, widest: float, moments: bool = False
+    frame: Appearance,
+    marks: Landmarks,
+    T_wk: Tensor,
+    T_wc: Tensor,
+    level: int,
+    *,
+    floor: float,
+    widest: float,
+    moments: bool = False,
+    motion: FrameMotion | None = None,
 ) -> Term:
     """`photometric_term` in torch, on any device."""
     T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
     d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes
-    points_c = d @ T_wc[:3, :3]
     image = frame.levels[level]
+    d, depth_points = (d, d) if motion is None else _at_their_rows(d, motion, T_wc, image.camera)
+    points_c = d @ T_wc[:3, :3]
     uv, z = image.camera.project(points_c)
+    unoccluded = _unoccluded(frame, *image.camera.project(depth_points @ T_wc[:3, :3]), image.camera)
     value, slope_u, slope_v = image.at(uv)
     target = marks.luminance[level]
     size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & _unoccluded(frame, uv, z, image.camera)
+    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & unoccluded
     gain, offset = _exposure(target, value, inside)
     r = value - gain * target - offset
     scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
@@ -247,13 +278,26 @@ def plain_photometric_term(
     return Term(RowMoments.of(J, w, r, rows), int(inside.sum()), float(scale))
 
 
+def _at_their_rows(d: Tensor, motion: FrameMotion, T_wc: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Points (N, 3) from the camera's centre along world axes, as the rows of colour see them, and as those of depth do."""
+    seen = d
+    for _ in range(ROW_STEPS):
+        seen = motion.colour_at_rows(d, _rows(seen @ T_wc[:3, :3], camera))
+    return seen, motion.depth_at_rows(d, _rows(seen @ T_wc[:3, :3], camera))
+
+
+def _rows(points_c: Tensor, camera: Camera) -> Tensor:
+    """The rows (N,), from -0.5 to 0.5, in which points (N, 3) are seen."""
+    return ((camera.project(points_c)[0][:, 1] + 0.5) / camera.height - 0.5).clamp(-0.5, 0.5)
+
+
 def _median(values: Tensor) -> Tensor:
     """The median, as numpy computes it: the middle two are averaged. 0 for no values."""
     return values.quantile(0.5) if len(values) else values.new_zeros(())
 
 
 def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
-    """Whether a landmark's depth agrees with the frame's own depth at its pixel, or the frame has none there."""
+    """Whether a landmark's depth z agrees with the frame's own depth at its pixel, or the frame has none there."""
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
     depth = frame.depth[v, u]

@@ -61,6 +61,7 @@ class Keyframe:
         self.rectification: Rectification | None = None  # what its images are rectified with; None: they are as they were taken
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
+        self._taken: Images | None = None  # the images before rectification, until the archive gets the keyframe
         self._features: Any = None
         self._archive: Archive | None = None
         self._images_at: Stored | None = None
@@ -69,7 +70,10 @@ class Keyframe:
 
     @property
     def images(self) -> Images:
-        """The images; they are read from the archive if they are not in memory."""
+        """The images, rectified; they are read from the archive if they are not in memory."""
+        if self._images is None and self._taken is not None:
+            assert self.rectification is not None
+            self._images = self._rectified(self._taken, self.rectification)
         if self._images is None:
             assert self._archive is not None and self._images_at is not None
             colour, depth = self._archive.read(self._images_at)
@@ -82,18 +86,29 @@ class Keyframe:
             self._archive.used(self.host, self)
         return images
 
-    def rectify(self, raw: Frame, rectification: Rectification) -> None:
-        """Replaces the images by those of its frame `raw`, rectified. What was computed from the former images is forgotten."""
-        frame = rectified(raw, rectification)
-        images = Images(frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device))
-        self.show(images, rectification)
+    @property
+    def taken(self) -> Images:
+        """The images as they were taken, before rectification. A stored keyframe has the rectified ones alone."""
+        return self._taken or self.images
 
-    def show(self, images: Images, rectification: Rectification) -> None:
-        """Replaces the images by others of its frame, rectified with `rectification`."""
-        self._images, self.rectification = images, rectification
+    def rectify(self, rectification: Rectification) -> None:
+        """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
+        self._taken, self._images, self.rectification = self.taken, None, rectification
         self._features = None
         for name in ("farthest", "has_depth"):
             self.__dict__.pop(name, None)
+        if self._archive is not None:
+            self._keep_rectified()
+
+    def _rectified(self, taken: Images, rectification: Rectification) -> Images:
+        frame = rectified(taken.frame, rectification)
+        if frame is taken.frame:
+            return taken
+        return Images(frame, torch.from_numpy(frame.depth).to(self._device), torch.from_numpy(frame.colour).to(self._device))
+
+    def _keep_rectified(self) -> None:
+        """Forgets the images as they were taken, after rectification."""
+        self._images, self._taken = self.images, None
 
     @property
     def frame(self) -> Frame:
@@ -117,7 +132,7 @@ class Keyframe:
     @cached_property
     def has_depth(self) -> bool:
         """Whether any of its pixels has a reading."""
-        return bool((self.depth > 0).any())
+        return bool((self.taken.depth > 0).any())
 
     @property
     def features(self) -> Any:
@@ -136,6 +151,7 @@ class Keyframe:
 
     def keep_in(self, archive: Archive) -> None:
         """Hands the images and features to an archive, which decides how long they stay in memory."""
+        self._keep_rectified()
         self._archive = archive
         archive.used(self.host, self)
 
@@ -183,7 +199,7 @@ class Keyframe:
     def rectify_again(self, state: State) -> None:
         """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""
         if (kept := state["rectification"]) is not None:
-            self.rectify(self.frame, Rectification(RowTimes(*kept["times"]), kept["velocity"].numpy().copy()))
+            self.rectify(Rectification(RowTimes(*kept["times"]), kept["velocity"].numpy().copy()))
 
 
 def _state_of(rectification: Rectification | None) -> State | None:

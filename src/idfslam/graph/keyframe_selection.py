@@ -58,7 +58,7 @@ class KeyframeSelection(Stateful):
 
     def _is_blurred(self, view: Keyframe) -> bool:
         """Whether a frame is markedly less sharp than those before it."""
-        return self.config.least_sharpness > 0 and self.sharpness.of_next(view.frame.colour) < self.config.least_sharpness
+        return self.config.least_sharpness > 0 and self.sharpness.of_next(view.taken.frame.colour) < self.config.least_sharpness
 
     def _is_needed(self, view: Keyframe, status: Status, in_view: float) -> bool:
         last = self.graph.last_keyframe

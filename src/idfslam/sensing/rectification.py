@@ -43,6 +43,11 @@ class RowTimes:
     depth_delay: float = 0.0
 
     @property
+    def array(self) -> Array:
+        """(3,) [s] readout, depth readout and depth delay."""
+        return np.array([self.readout, self.depth_readout, self.depth_delay])
+
+    @property
     def synchronised(self) -> bool:
         """Whether all rows of both images are of one moment."""
         return self.readout == self.depth_readout == self.depth_delay == 0

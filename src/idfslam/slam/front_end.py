@@ -98,7 +98,7 @@ class AlignmentToMap(FrontEnd):
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
         aligned, registered = self._best_alignment(view, motion)
-        aligned = self.compensation.refine(view, aligned, lambda T_wc, error_px: self._align(view, T_wc, error_px, motion))
+        self.compensation.follow(view, aligned)
         if aligned.status is not Status.LOST:
             doubtful = self.aligner.has_usual_error and self.aligner.contradicts_images(aligned)
             return Tracked.aligned(aligned, doubtful=doubtful)

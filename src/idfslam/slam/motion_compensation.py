@@ -5,7 +5,7 @@ and mapping with rolling shutter RGB-D cameras" (ICCV 2015) model the same by sp
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from torch import Tensor
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import change_between
 from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.frame import Frame, Status
@@ -28,10 +29,6 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 # All of these were chosen by hand.
-# [px] Change of the displacement within a frame by a better velocity, above which the frame is rectified and aligned again. More: faster,
-# with a little distortion.
-_NOTICEABLE = 0.5
-_ROUNDS = 3  # [1] largest number of times that a frame is rectified again. More: nothing, the velocity has converged
 # [px] Least displacement in `_TYPICAL` of the difference of a frame's velocity to its references', for the frame to tell about the sensor's
 # times. More: fewer frames are used, and slow recordings take less time.
 _TELLING = 1.0
@@ -58,14 +55,14 @@ class MotionCompensation(Stateful):
         self._stated = SensorTiming(*state["stated"])
 
     def begin(self, view: Keyframe, T_last: Tensor) -> MotionPrior | None:
-        """Rectifies a view by its predicted velocity, and sets its predicted pose. T_last (4, 4): of the frame before, as the graph has it.
+        """Gives a view its predicted velocity and pose. T_last (4, 4): of the frame before, as the graph has it.
 
         Returns the prior of its motion. None: all its rows have one time, as far as is known, and the view is unchanged.
         """
         self._raw, self._prior = None, None
-        if view.frame.timing == SYNCHRONISED and view.frame.depth_lag == 0:
+        if view.taken.frame.timing == SYNCHRONISED and view.taken.frame.depth_lag == 0:
             return None
-        self._raw, self._stated = view.frame, view.frame.timing
+        self._raw, self._stated = view.taken.frame, view.taken.frame.timing
         self.motion.follow(T_last)
         return self.begin_again(view)
 
@@ -79,26 +76,10 @@ class MotionCompensation(Stateful):
         self._rectify(view, times, self._prior.velocity, view.T_wk)
         return self._prior
 
-    def refine(self, view: Keyframe, alignment: Alignment, again: Callable[[Tensor, float], Alignment]) -> Alignment:
-        """Rectifies a view by its estimated velocity and aligns it again, until the velocity no longer changes noticeably.
-
-        again: aligns the view from a pose (4, 4) with a largest error [px].
-        """
-        for _ in range(_ROUNDS):
-            if alignment.joint is None or alignment.status is Status.LOST or view.rectification is None or self._raw is None:
-                break
-            times, used = view.rectification.times, along_world(alignment.T_wc, view.rectification.velocity)
-            moved_px = displacement(self._raw, alignment.joint.velocity - used, times.longest)
-            if moved_px < _NOTICEABLE:
-                break
-            former = view.images, view.rectification
-            self._rectify(view, times, alignment.joint.velocity, alignment.T_wc)
-            better = again(alignment.T_wc, moved_px)
-            if better.score < alignment.score:  # the velocity was wrong
-                view.show(*former)
-                break
-            alignment = better
-        return alignment
+    def follow(self, view: Keyframe, alignment: Alignment) -> None:
+        """Rectifies a view by the velocity that was estimated with its pose."""
+        if alignment.joint is not None and view.rectification is not None and alignment.status is not Status.LOST:
+            self._rectify(view, view.rectification.times, alignment.joint.velocity, alignment.T_wc)
 
     def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> None:
         """Learns from the final result for a view: its velocity, and the sensor's times."""
@@ -130,7 +111,7 @@ class MotionCompensation(Stateful):
             return False
         self.motion.velocity = change_between(first.T_wk, T_wc).numpy() / elapsed
         first.velocity = along_camera(first.T_wk, self.motion.velocity)
-        first.rectify(first.frame, Rectification(times, first.velocity))
+        first.rectify(Rectification(times, first.velocity))
         self.aligner.forget(first)
         return True
 
@@ -138,9 +119,9 @@ class MotionCompensation(Stateful):
         """The times of the rows of a frame, as it was taken: stated, estimated, or zero."""
         return self.timing.of(frame.timing, frame.depth_lag)
 
-    def _rectify(self, view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
-        assert self._raw is not None
-        view.rectify(self._raw, Rectification(times, along_camera(T_wc, velocity)))
+    @staticmethod
+    def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
+        view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
     def _learn_times(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
         """Learns the unknown times from a view, if it moves enough against its references."""
@@ -154,7 +135,8 @@ class MotionCompensation(Stateful):
         times = RowTimes() if view.rectification is None else view.rectification.times
         lag = 0.0 if view.rectification is None else self._raw.depth_lag
         known = self.figures()
-        self.timing.add(*self.aligner.row_moments(view, T_wc, references), times, lag, since_references, self._prior)
+        sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, self.motion.velocity))
+        self.timing.add(*sums, times, lag, since_references, self._prior)
         if known is None and (found := self.figures()) is not None:
             log.info(
                 "frame %d: the sensor's times are estimated: %s", view.index, ", ".join(f"{k} {1000 * v:.0f} ms" for k, v in found.items())

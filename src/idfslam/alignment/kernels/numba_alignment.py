@@ -19,6 +19,7 @@ from idfslam.alignment.constants import (
     NEAREST,
     OCCLUSION,
     OCCLUSION_SHARE,
+    ROW_STEPS,
     SLOPE_FLOOR,
 )
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
@@ -196,15 +197,78 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
     return (image[y, x] * (1 - a) + image[y, x + 1] * a) * (1 - c) + (image[y + 1, x] * (1 - a) + image[y + 1, x + 1] * a) * c
 
 
+@_inlined
+def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
+    """A point carried by a velocity (6,) for s seconds: exp(s velocity) p to second order, as `frame_motion.plain_carried` has it."""
+    wx, wy, wz = velocity[3], velocity[4], velocity[5]
+    a, b, c = wy * z - wz * y + velocity[0], wz * x - wx * z + velocity[1], wx * y - wy * x + velocity[2]
+    half = s * s / 2
+    return x + s * a + half * (wy * c - wz * b), y + s * b + half * (wz * a - wx * c), z + s * c + half * (wx * b - wy * a)
+
+
 @_compiled
-def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b):  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
+def carry_points(points, seconds, velocity, out) -> None:  # type: ignore[no-untyped-def]
+    """Fills out (N, 3) with points (N, 3), each carried by the velocity (6,) for its seconds (N,)."""
+    for n in range(len(points)):
+        out[n, 0], out[n, 1], out[n, 2] = _carry(points[n, 0], points[n, 1], points[n, 2], seconds[n], velocity)
+
+
+@_inlined
+def _along_axes(R, x, y, z):  # type: ignore[no-untyped-def]
+    """R (3, 3) times a point."""
+    return R[0, 0] * x + R[0, 1] * y + R[0, 2] * z, R[1, 0] * x + R[1, 1] * y + R[1, 2] * z, R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+
+
+@_inlined
+def _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera):  # type: ignore[no-untyped-def]
+    """Fills d (M, 3), landmarks from the camera's centre along world axes, and camera (M, 3), the same along its own axes.
+
+    Both are as the rows of colour see them. Returns the landmarks as the rows of depth see them (M, 3): `photometric._at_their_rows`.
+    """
+    moves = times[0] != 0 or times[1] != 0 or times[2] != 0
+    of_depth = np.empty_like(camera) if moves else camera
+    for i in range(len(points)):
+        x, y, z = _along_axes(R_wk, points[i, 0], points[i, 1], points[i, 2])
+        X, Y, Z = x + shift[0], y + shift[1], z + shift[2]
+        d[i, 0], d[i, 1], d[i, 2] = X, Y, Z
+        camera[i, 0], camera[i, 1], camera[i, 2] = _along_axes(R_cw, X, Y, Z)
+        if moves:
+            for _ in range(ROW_STEPS):
+                row = _row(camera[i], fy, cy, height)
+                d[i, 0], d[i, 1], d[i, 2] = _carry(X, Y, Z, -times[0] * row, velocity)
+                camera[i, 0], camera[i, 1], camera[i, 2] = _along_axes(R_cw, d[i, 0], d[i, 1], d[i, 2])
+            x, y, z = _carry(X, Y, Z, -(times[2] + times[1] * _row(camera[i], fy, cy, height)), velocity)
+            of_depth[i, 0], of_depth[i, 1], of_depth[i, 2] = _along_axes(R_cw, x, y, z)
+    return of_depth
+
+
+@_inlined
+def _row(point, fy, cy, height):  # type: ignore[no-untyped-def]
+    """The row that sees a point (3,), from -0.5 at the top of the image to 0.5 at its bottom."""
+    return min(max((point[1] / max(point[2], NEAREST) * fy + cy + 0.5) / height, 0.0), 1.0) - 0.5
+
+
+@_inlined
+def _hidden(point, depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):  # type: ignore[no-untyped-def]
+    """Whether the frame's depth contradicts a point (3,): something is in front of it, or there is nothing."""
+    z = max(point[2], NEAREST)
+    u, v = min(max(point[0] / z * fx + cx, 0.0), width - 1.0), min(max(point[1] / z * fy + cy, 0.0), height - 1.0)
+    measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
+    return measured > 0 and abs(measured - z) >= OCCLUSION + OCCLUSION_SHARE * z
+
+
+@_compiled
+def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
+    points, target, R_cw, R_wk, shift, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
+):
     """Fills the normal equations of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
 
     H (K, 6, 6), b (K', 6): sums, and with K > 1 moments of the rows too. Returns the number of landmarks in view and the scale of the
     differences: `photometric.photometric_term`.
 
     d = R_wk p + shift are the landmarks from the frame's centre along world axes, and R_cw d along the frame's axes. `depth` (H, W) [m]
-    is the frame's. It has `ratio` times as many pixels along each axis as the image.
+    is the frame's. It has `ratio` times as many pixels along each axis as the image. times (3,) [s]: read-out of colour and of depth, and
+    delay of depth; velocity (6,): with them, landmarks are seen where the camera is when their rows are read.
     """
     m = len(points)
     values, d = np.empty((m, 3)), np.empty((m, 3))
@@ -212,19 +276,15 @@ def photometric_system(points, target, R_cw, R_wk, shift, image, fx, fy, cx, cy,
     height, width = image.shape
     n, sum_t, sum_v, sum_tt, sum_vv = 0, 0.0, 0.0, 0.0, 0.0
     camera = np.empty((m, 3))
+    rows_of_depth = _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera)
     for i in range(m):
-        for a in range(3):
-            d[i, a] = R_wk[a, 0] * points[i, 0] + R_wk[a, 1] * points[i, 1] + R_wk[a, 2] * points[i, 2] + shift[a]
-        for a in range(3):
-            camera[i, a] = R_cw[a, 0] * d[i, 0] + R_cw[a, 1] * d[i, 1] + R_cw[a, 2] * d[i, 2]
-        z = camera[i, 2]
+        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
         if z < NEAREST:
             continue
-        u, v = camera[i, 0] / z * fx + cx, camera[i, 1] / z * fy + cy
+        u, v = x / z * fx + cx, y / z * fy + cy
         if u < 1 or v < 1 or u > width - 2 or v > height - 2:
             continue
-        measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
-        if measured > 0 and abs(measured - z) >= OCCLUSION + OCCLUSION_SHARE * z:
+        if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             continue
         inside[i] = True
         values[i, 0] = _bilinear(image, u, v)
