@@ -1,0 +1,190 @@
+"""Bundle adjustment: keyframe poses, landmarks and the camera that fit all measurements best, together, and how sure they are.
+
+Levenberg-Marquardt with robust weights (Huber, by iterated reweighting). The noise of images and of depth is estimated with the rest, as
+variance components: squared residuals over their redundancy. Measurements that fit badly are left out. Nothing depends on chance or order.
+"""
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
+from idfslam.adjustment.residuals import Array, Linearised, Observations, linearise, residuals, tracks
+from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
+
+_HUBER = 2.5  # [standard deviations] from which on a measurement counts for less; raised, outliers count more. Of a normal distribution 1 %
+#    is beyond, which is 4 % of the image's points
+_OUTLIER = 4.0  # [standard deviations] beyond which a measurement is left out; raised, more outliers stay, at the weight of a 2.5 to 4
+_ROUNDS = 4  # of adjustment, estimation of the noise and removal of outliers; more: slower, noise that is guessed wrongly is mended better
+_STEPS = 12  # most steps of a round; more: slower where it does not converge
+_CONVERGED = 1e-5  # [1] relative change of the cost that ends a round; more: faster, less exact
+_DAMPING = 1e-4, 1e-9, 1e6  # [1] Marquardt's damping at first, at least and at most; more: shorter steps
+_POSE_INFORMATION = 1.0  # [1/m^2, 1/rad^2] of a pose at its present value, so that one that nothing determines stays; more: shorter steps
+_LEAST_NOISE = 0.05  # [1] least factor on the stated noise; more: exact measurements count less. Chosen by hand
+
+
+@dataclass(frozen=True)
+class Problem:
+    """K keyframes, L landmarks, one camera, and what was measured."""
+
+    model: CameraModel
+    poses: Array  # (K, 4, 4) T_wk
+    points: Array  # (L, 3) [m] in the world
+    seen: Observations
+    fixed: NDArray[np.bool_]  # (K,) poses that stay: at least one of each group of keyframes that nothing connects
+    estimated: NDArray[np.bool_]  # (P,) values of the camera that are estimated
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(6 K + P,) the unknowns that are estimated."""
+        return np.concatenate([np.repeat(~self.fixed, 6), self.estimated])
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The solution of a problem, with its noise, and the system that it solves."""
+
+    problem: Problem  # with the solution and the measurements that were kept, at their estimated noise
+    system: ReducedSystem
+    noise: tuple[float, float]  # [1] factors that were found on the stated noise of image and depth
+    complete: bool  # False: the time was over before it converged
+
+    def values_covariance(self) -> Array:
+        """(P, P) of the camera's values; zero for those that were not estimated."""
+        first = 6 * len(self.problem.poses)
+        return self.system.covariance(np.arange(first, first + len(NAMES)))
+
+    def pose_covariance(self, keyframe: int) -> Array:
+        """(6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; zero for a fixed one."""
+        return self.system.covariance(np.arange(6 * keyframe, 6 * keyframe + 6))
+
+
+def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
+    """Adjusts everything that is free. After `seconds` no further step begins: then, and only then, the clock decides about the result."""
+    end, noise = perf_counter() + seconds, np.ones(2)
+    points, seen = tracks(problem.points, problem.seen)
+    problem = replace(problem, points=points, seen=seen)
+    for last in [False] * (_ROUNDS - 1) + [True]:
+        problem, converged = _minimised(problem, end)
+        at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+        late = perf_counter() > end
+        if last or late:
+            break
+        factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
+        noise *= factors
+        problem = without_outliers(_with_noise(problem, factors), residuals_over(at, factors))
+    n = _equations(at, problem)
+    return Adjusted(
+        problem, ReducedSystem(n, problem.free, _information(problem)), (float(noise[0]), float(noise[1])), converged and not late
+    )
+
+
+def residuals_over(at: Linearised, factors: Array) -> Array:
+    """(N, 3) residuals in units of the noise that is these factors (2,) of the stated one: of image and depth."""
+    return at.residuals / factors[[0, 0, 1]]
+
+
+def without_outliers(problem: Problem, off: Array) -> Problem:
+    """Without the measurements whose residuals (N, 3) are too large, and without landmarks that fewer than two keyframes see then."""
+    seen = problem.seen
+    seen = replace(seen, reading=np.where(np.abs(off[:, 2]) < _OUTLIER, seen.reading, 0.0))
+    seen = seen[np.linalg.norm(off[:, :2], axis=1) < _OUTLIER]
+    points, seen = tracks(problem.points, seen)
+    return replace(problem, points=points, seen=seen)
+
+
+def _minimised(problem: Problem, end: float) -> tuple[Problem, bool]:
+    """The problem at the least cost, and whether it converged."""
+    damping, cost = _DAMPING[0], _cost(problem)
+    for _ in range(_STEPS):
+        at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+        n = _equations(at, problem)
+        while damping <= _DAMPING[2]:
+            if perf_counter() > end:
+                return problem, False
+            moved = _moved(problem, n, damping)
+            if (new := _cost(moved)) <= cost:
+                break
+            damping *= 10
+        else:
+            return problem, True
+        decrease, problem, cost = cost - new, moved, new
+        damping = max(damping / 10, _DAMPING[1])
+        if decrease <= _CONVERGED * cost:
+            return problem, True
+    return problem, False
+
+
+def _moved(problem: Problem, n: NormalEquations, damping: float) -> Problem:
+    """The problem after one step."""
+    drawn = np.concatenate([np.zeros(6 * len(problem.poses)), -_value_information() * problem.model.values])
+    poses, values, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
+    model = replace(problem.model, values=problem.model.values + values)
+    return replace(problem, model=model, poses=problem.poses @ exp(poses), points=problem.points + points)
+
+
+def _value_information() -> Array:
+    return np.array(list(PRIORS.values())) ** -2
+
+
+def _information(problem: Problem) -> Array:
+    return np.concatenate([np.full(6 * len(problem.poses), _POSE_INFORMATION), _value_information()])
+
+
+def _equations(at: Linearised, problem: Problem) -> NormalEquations:
+    weights = _weights(at.residuals)[:, [0, 0, 1]]
+    finite = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
+    return NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
+
+
+def _sizes(off: Array) -> Array:
+    """(N, 2) how far off image and depth are [standard deviations], of residuals (N, 3)."""
+    return np.stack([np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])], 1)
+
+
+def _weights(off: Array) -> Array:
+    """(N, 2) Huber's weights of image and depth; 0 for points behind the camera."""
+    size = _sizes(off)
+    return np.where(np.isfinite(size), _HUBER / np.maximum(size, _HUBER), 0.0)
+
+
+def _cost(problem: Problem) -> float:
+    """Huber's cost of the residuals, and the cost of the camera's deviations."""
+    size = _sizes(residuals(problem.model, problem.poses, problem.points, problem.seen))
+    capped = np.minimum(size, _HUBER)
+    finite = np.where(np.isfinite(size), capped * (2 * size - capped), 1e12)  # a point behind the camera: no step may lead there
+    return float(finite.sum() + (_value_information() * problem.model.values**2).sum())
+
+
+def _noise_factors(at: Linearised, problem: Problem) -> Array:
+    """(2,) the factors on the stated noise of image and depth: sqrt of squared residuals over redundancy (Helmert's variance components).
+
+    The redundancy of a measurement is what its landmark does not take up.
+    """
+    weights = _weights(at.residuals)[:, [0, 0, 1]] * np.stack([np.ones(len(problem.seen))] * 2 + [problem.seen.reading > 0], 1)
+    V = np.zeros((len(problem.points), 3, 3))
+    np.add.at(V, problem.seen.landmark, at.by_point.transpose(0, 2, 1) * weights[:, None] @ at.by_point)
+    inverse = np.linalg.inv(V + 1e-9 * np.eye(3) * np.trace(V, axis1=1, axis2=2)[:, None, None])
+    taken = np.einsum("nij,njk,nik->ni", at.by_point, inverse[problem.seen.landmark], at.by_point) * weights
+    square = np.where(np.isfinite(at.residuals), weights * at.residuals**2, 0.0)
+    redundancy = np.where(weights > 0, 1 - taken, 0.0)
+    of_kind = np.array([[1, 0], [1, 0], [0, 1]])
+    total, count = (square @ of_kind).sum(0), (redundancy @ of_kind).sum(0)
+    return np.sqrt(np.where(count > 1, total / np.maximum(count, 1), 1.0))
+
+
+def _with_noise(problem: Problem, factors: Array) -> Problem:
+    """The problem with the stated noise multiplied by factors (2,) of image and depth."""
+    seen = problem.seen
+    return replace(problem, seen=replace(seen, root=seen.root / factors[0], reading_sigma=seen.reading_sigma * factors[1]))
+
+
+def exp(xi: Array) -> Array:
+    """The transforms (N, 4, 4) of increments (N, 6)."""
+    import torch
+
+    from idfslam.geometry import se3
+
+    return np.asarray(se3.exp(torch.from_numpy(xi)).numpy())

@@ -1,0 +1,204 @@
+"""Landmarks seen in many keyframes: patches of one, found in others to a fraction of a pixel, with depth where there is a surface.
+
+Each keyframe hosts the landmarks of its own patches. They are looked for in keyframes that see the same surface, some of them from nearby
+and some from as far away as possible. Where poses and camera are not yet exact, a pair is first aligned coarse to fine.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.local_depth import local_depth
+from idfslam.adjustment.residuals import Array, Observations, tracks
+from idfslam.frame import Frame
+from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
+from idfslam.graph.covisibility import covisibility
+from idfslam.tracking.frame_features import FrameFeatures, averaged_depth, brightness, subsampled_depth
+from idfslam.tracking.patch_alignment import align_patches, aligned_patches
+from idfslam.tracking.patches import Patches
+
+_ROWS = 120  # [px] of the image of points that patches get their planes from, as the tracker has it; more: planes of smaller surfaces
+_COVISIBLE = 0.25  # [1] least share of a keyframe that a partner sees; raised, fewer and surer pairs. This and the rest: chosen by hand
+_PARTNERS = 10  # most keyframes that a keyframe's patches are looked for in; more: longer tracks, slower
+_MIN_CORRELATION = 0.85  # [1] least correlation of a patch with the image; raised, fewer and surer measurements
+_FLOOR = 0.05  # [px] least standard deviation of a position, for what patches do not show; more: sharp patches count less
+_STRETCH = 0.3, 3.0  # [1] least and largest ratio of a patch's areas in two images; wider: patches seen more sideways take part
+_NEAREST = 0.1  # [m] least depth of a landmark; more: fewer
+_NEAR_SURFACE = 0.05  # [1] largest difference of a landmark's depth to the reading where it is found; raised, hidden ones are found wrongly
+_APART = 6  # [px] least distance of two landmarks in an image, along a row or column; more: fewer, and their patches overlap less
+_PIXELS = (2 * 5 + 1) ** 2  # of a patch of `align_patches`: a fact of it
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A keyframe's images, of at most 480 rows, as the camera states them."""
+
+    grey: NDArray[np.uint8]  # (H, W)
+    depth: NDArray[np.float32]  # (H, W) [m], 0: no reading
+    camera: Camera
+
+    @staticmethod
+    def of(frame: Frame) -> "View":
+        """The view of a frame."""
+        grey = brightness(frame)
+        size = grey.shape[1], grey.shape[0]
+        depth = frame.depth if size == (frame.camera.width, frame.camera.height) else subsampled_depth(frame.depth, size[1], size[0])
+        return View(grey, depth, frame.camera.resized(*size))
+
+
+def find_tracks(
+    views: Sequence[View], poses: Array, model: CameraModel, *, recordings: NDArray[np.int64] | None = None, coarse: bool
+) -> tuple[Array, Observations]:
+    """Landmarks (L, 3) [m] in the world, and where keyframes at poses T_wk (K, 4, 4) see them. model: of the views' size.
+
+    recordings: (K,) numbers of the recordings that the keyframes are of, each of which has a world of its own; None: there is one.
+    coarse: poses and camera may be wrong by up to about 20 pixels rather than by 5.
+    """
+    images = [_features(view, model) for view in views]
+    of = np.zeros(len(views), np.int64) if recordings is None else recordings
+    taken, found = [_Taken(view.grey.shape) for view in views], []
+    for k in range(len(views)):
+        patches = images[k].patches
+        patches = patches[torch.from_numpy(np.flatnonzero(taken[k].free(patches.uv.numpy())))]
+        found.append(_hosted(k, patches, images, poses, model, _partners(k, images, poses, of == of[k]), coarse=coarse))
+        for j in range(len(views)):
+            taken[j].take(found[-1].sightings[2][found[-1].sightings[0] == j])
+    rays = [(hosted.landmarks, hosted) for hosted in found if len(hosted.landmarks)]
+    offsets = np.cumsum([0, *(len(landmarks) for landmarks, _ in rays)])
+    points = np.concatenate([np.zeros((0, 3)), *(landmarks for landmarks, _ in rays)])
+    parts = [np.concatenate([np.zeros((0, *shape)), *columns]) for shape, columns in zip(_SHAPES, zip(*(h.sightings for _, h in rays)))]
+    if not rays:
+        parts = [np.zeros((0, *shape)) for shape in _SHAPES]
+    keyframe, number, uv, root = parts
+    number = number + np.repeat(offsets[:-1], [len(h.sightings[0]) for _, h in rays])
+    keyframe, number = keyframe.astype(np.int64), number.astype(np.int64)
+    reading, sigma = _readings(views, keyframe, uv)
+    order = np.lexsort((keyframe, number))
+    seen = Observations(keyframe, number, uv, root, reading, sigma)[order]
+    return tracks(points, seen[seen.reading > 0])  # without a surface all around, what is in front of it moves in the patch too
+
+
+_SHAPES = ((), (), (2,), (2, 2))
+
+
+class _Taken:
+    """Where an image shows landmarks already: a second one of the same pixels would count their noise twice."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._taken = np.zeros(shape, bool)
+
+    def free(self, uv: Array) -> NDArray[np.bool_]:
+        """(N,) whether no landmark is near pixels (N, 2)."""
+        u, v = np.rint(uv).astype(np.int64).T
+        return ~self._taken[v, u]
+
+    def take(self, uv: Array) -> None:
+        """Landmarks are seen at pixels (N, 2)."""
+        for u, v in np.rint(uv).astype(np.int64):
+            self._taken[max(v - _APART, 0) : v + _APART + 1, max(u - _APART, 0) : u + _APART + 1] = True
+
+
+@dataclass(frozen=True)
+class _Hosted:
+    landmarks: Array  # (L, 3) [m] in the world
+    sightings: tuple[Array, Array, Array, Array]  # keyframe (N,), number of the landmark (N,), uv (N, 2), root of its information (N, 2, 2)
+
+
+def _features(view: View, model: CameraModel) -> FrameFeatures:
+    """The images of a view with points as the model has them, without features of the network."""
+    depth = model.deformation.corrected(view.depth * np.float32(model.depth_factor))
+    height = min(_ROWS, view.camera.height)
+    width = round(view.camera.width * height / view.camera.height)
+    camera = model.camera.resized(width, height)
+    points = camera.backproject(torch.from_numpy(averaged_depth(depth, height, width)))
+    return FrameFeatures(torch.zeros(0, 0, 0), torch.zeros(3, height, width), points, camera, model.camera, torch.from_numpy(view.grey))
+
+
+def _partners(k: int, images: Sequence[FrameFeatures], poses: Array, candidates: NDArray[np.bool_]) -> list[int]:
+    """The keyframes, among candidates (K,), that keyframe k's patches are looked for in: all ranks of covisibility have some."""
+    T = torch.from_numpy(np.linalg.inv(poses) @ poses[k])
+    depths = [image.points[..., 2] for image in images]
+    shares = covisibility(depths[k], images[k].camera, T, [image.camera for image in images], depths, subsample=4)
+    shares[k] = 0
+    shares[torch.from_numpy(~candidates)] = 0
+    order = torch.argsort(shares, descending=True, stable=True)
+    near = order[shares[order] > _COVISIBLE].tolist()
+    return [near[i] for i in np.unique(np.linspace(0, len(near) - 1, min(_PARTNERS, len(near))).round().astype(int))]
+
+
+def _hosted(
+    k: int, patches: Patches, images: Sequence[FrameFeatures], poses: Array, model: CameraModel, partners: Sequence[int], *, coarse: bool
+) -> _Hosted:
+    """The landmarks of keyframe k's patches that are found in any partner."""
+    sightings = []
+    for j in partners:
+        T_jk = np.linalg.inv(poses[j]) @ poses[k]
+        if coarse and (better := aligned_patches(torch.from_numpy(np.linalg.inv(T_jk)), images[j], images[k])) is not None:
+            T_jk = np.linalg.inv(better[0].numpy())
+        sightings.append((j, *_found(patches, images[k], images[j], T_jk, model)))
+    counts = np.zeros(len(patches))
+    own = np.zeros((len(patches), 2, 2))
+    for _, at, _, covariance in sightings:
+        counts[at] += 1
+        own[at] += covariance
+    seen = np.flatnonzero(counts)
+    numbers = np.cumsum(counts > 0) - 1
+    own = own[seen] / counts[seen, None, None]
+    columns = [(np.full(len(seen), float(k)), np.arange(float(len(seen))), patches.uv.numpy()[seen], _root(own))]
+    columns += [(np.full(len(at), float(j)), numbers[at].astype(float), uv, _root(covariance)) for j, at, uv, covariance in sightings]
+    keyframe, number, uv, root = (np.concatenate(column) for column in zip(*columns))
+    T = poses[k]
+    return _Hosted(patches.points.numpy()[seen] @ T[:3, :3].T + T[:3, 3], (keyframe, number, uv, root))
+
+
+def _found(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Array, Array, Array]:
+    """Which patches (M,) of a host are found in another view at T_oh (4, 4), where, uv (M, 2), and the covariance (M, 2, 2) of that.
+
+    The noise of an image is in both views: half of the covariance of the difference belongs to each.
+    """
+    T = torch.from_numpy(T_oh)
+    moved = se3.transform(T, patches.points)
+    start, z = torch.from_numpy(model.project(moved.clamp(min=-1e6).numpy())[0]), moved[:, 2]
+    camera, steps = model.camera, torch.eye(2, dtype=torch.float64)
+    flat = camera.project(moved)[0]
+    beside = [camera.project(se3.transform(T, patches.on_planes(camera, patches.uv + step)))[0] - flat for step in steps]
+    to_other = torch.stack(beside, -1)
+    area = torch.linalg.det(to_other)
+    visible = torch.nonzero(camera.inside(start, z) & (z > _NEAREST) & (area > _STRETCH[0]) & (area < _STRETCH[1]))[:, 0]
+    if not len(visible):
+        return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))  # type: ignore[return-value]
+    warp, uv = torch.linalg.inv(to_other[visible]).float(), start[visible].float()
+    found, H, correlation = align_patches(host.grey, other.grey, patches.uv[visible].float(), warp, uv)
+    good = (correlation > _MIN_CORRELATION) & _on_surface(found, z[visible], other)
+    variance = (2 * (1 - correlation[good].double()) / _PIXELS / 2)[:, None, None]
+    covariance = torch.linalg.inv(H[good].double()) * variance + _FLOOR**2 * torch.eye(2, dtype=torch.float64)
+    return visible[good].numpy(), found[good].double().numpy(), covariance.numpy()
+
+
+def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch.Tensor:
+    """Whether points at pixels uv (N, 2) and depths z (N,) [m] are not far from the view's surface; yes where it has no reading."""
+    depth = view.points[..., 2].double()
+    size = torch.tensor([depth.shape[1], depth.shape[0]])
+    scale = size / torch.tensor([view.grey.shape[1], view.grey.shape[0]])
+    u, v = ((uv + 0.5) * scale - 0.5).round().long().clamp(min=0).minimum(size - 1).unbind(-1)
+    return (depth[v, u] == 0) | ((depth[v, u] - z).abs() < _NEAR_SURFACE * z)
+
+
+def _readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array]:
+    """Depth (N,) [m] that the keyframes (N,) state at pixels uv (N, 2), and its standard deviation."""
+    reading, sigma = np.zeros(len(uv)), np.ones(len(uv))
+    for k, view in enumerate(views):
+        chosen = keyframe == k
+        if chosen.any():
+            reading[chosen], sigma[chosen] = local_depth(view.depth, uv[chosen])
+    return reading, sigma
+
+
+def _root(covariance: Array) -> Array:
+    """Matrices (N, 2, 2) R with R^T R the inverse of a covariance (N, 2, 2)."""
+    return np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else covariance

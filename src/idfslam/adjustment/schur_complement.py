@@ -1,0 +1,114 @@
+"""Normal equations of a bundle adjustment, reduced to keyframes and camera by the Schur complement (Triggs et al., 2000).
+
+A landmark is tied to nothing but keyframes and the camera, so its three unknowns are eliminated one landmark at a time. What is left is
+sparse where few keyframes see the same landmarks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bmat, bsr_array, csc_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from idfslam.adjustment.residuals import Array, Linearised, Observations
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """J^T W J and -J^T W r by blocks: poses (K, 6), the camera's values (P,), landmarks (L, 3)."""
+
+    poses: Array  # (K, 6, 6): a pose has no measurement in common with another
+    values: Array  # (P, P)
+    landmarks: Array  # (L, 3, 3)
+    pose_values: Array  # (K, 6, P)
+    pose_landmark: bsr_array  # (6 K, 3 L)
+    values_landmarks: Array  # (P, 3 L)
+    right_poses: Array  # (K, 6)
+    right_values: Array  # (P,)
+    right_landmarks: Array  # (L, 3)
+
+    @staticmethod
+    def of(at: Linearised, weights: Array, seen: Observations, keyframes: int, landmarks: int) -> "NormalEquations":
+        """From residuals with weights (N, 3)."""
+        by_keyframe, by_landmark = _Sums(seen.keyframe, keyframes), _Sums(seen.landmark, landmarks)
+        A, B, C, r = at.by_pose, at.by_point, at.by_values, at.residuals
+        wA, wB, wC = (J.transpose(0, 2, 1) * weights[:, None] for J in (A, B, C))
+        order = np.lexsort((seen.landmark, seen.keyframe))
+        starts = np.searchsorted(seen.keyframe[order], np.arange(keyframes + 1))
+        blocks, shape = (wA @ B)[order], (6 * keyframes, 3 * landmarks)
+        return NormalEquations(
+            by_keyframe(wA @ A),
+            np.einsum("npi,niq->pq", wC, C),
+            by_landmark(wB @ B),
+            by_keyframe(wA @ C),
+            bsr_array((blocks, seen.landmark[order], starts), shape=shape),
+            by_landmark(wB @ C).transpose(2, 0, 1).reshape(C.shape[2], -1),
+            -by_keyframe((wA @ r[:, :, None])[:, :, 0]),
+            -np.einsum("npi,ni->p", wC, r),
+            -by_landmark((wB @ r[:, :, None])[:, :, 0]),
+        )
+
+
+class ReducedSystem:
+    """The system of keyframes and camera alone, factorised. `free` (6 K + P,) says which unknowns are estimated.
+
+    information (6 K + P,): of each unknown at its present value, added to the diagonal. damping: share of it that is added to each
+    diagonal, by Levenberg and Marquardt.
+    """
+
+    def __init__(self, n: NormalEquations, free: NDArray[np.bool_], information: Array, damping: float = 0.0) -> None:
+        K, P = len(n.poses), len(n.values)
+        self._n, self._free = n, np.flatnonzero(free)
+        V = n.landmarks + damping * np.eye(3) * n.landmarks
+        self._inverse = np.linalg.inv(V)
+        L = len(V)
+        V_inverse = bsr_array((self._inverse, np.arange(L), np.arange(L + 1)), shape=(3 * L, 3 * L))
+        W, Wc = n.pose_landmark, n.values_landmarks
+        self._W_V = W @ V_inverse
+        self._Wc_V = (self._inverse @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
+        poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(6 * K, 6 * K)) - self._W_V @ W.T
+        cross = n.pose_values.reshape(6 * K, P) - self._W_V @ Wc.T
+        values = n.values - self._Wc_V @ Wc.T
+        S = csc_array(bmat([[poses, cross], [cross.T, values]]))
+        diagonal = np.concatenate([np.einsum("kii->ki", n.poses).ravel(), np.diagonal(n.values)])
+        S = S + csc_array((damping * diagonal + information, (np.arange(len(diagonal)),) * 2), shape=S.shape)
+        self._lu: SuperLU = splu(csc_array(S[self._free][:, self._free]), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        self._size = 6 * K + P
+
+    def solve(self, right: Array) -> tuple[Array, Array, Array]:
+        """Increments of the poses (K, 6), the values (P,) and the landmarks (L, 3). right (6 K + P,) is added to the right side."""
+        n, L = self._n, len(self._inverse)
+        b = n.right_landmarks.ravel()
+        reduced = np.concatenate([n.right_poses.ravel() - self._W_V @ b, n.right_values - self._Wc_V @ b]) + right
+        x = np.zeros(self._size)
+        x[self._free] = self._lu.solve(reduced[self._free])
+        K = len(n.poses)
+        poses, values = x[: 6 * K], x[6 * K :]
+        tied = (n.pose_landmark.T @ poses + n.values_landmarks.T @ values).reshape(L, 3)
+        return poses.reshape(K, 6), values, np.einsum("lij,lj->li", self._inverse, n.right_landmarks - tied)
+
+    def covariance(self, unknowns: NDArray[np.int64]) -> Array:
+        """(U, U) marginal covariance of some of the unknowns (6 K + P); zero for those that are not estimated."""
+        places = np.searchsorted(self._free, unknowns).clip(max=max(len(self._free) - 1, 0))
+        estimated = self._free[places] == unknowns
+        right = np.zeros((len(self._free), int(estimated.sum())))
+        right[places[estimated], np.arange(right.shape[1])] = 1
+        out = np.zeros((len(unknowns), len(unknowns)))
+        out[np.ix_(estimated, estimated)] = self._lu.solve(right)[places[estimated]]
+        return (out + out.T) / 2
+
+
+class _Sums:
+    """Sums rows by their group, in one fixed order."""
+
+    def __init__(self, groups: NDArray[np.int64], count: int) -> None:
+        self._order = np.argsort(groups, kind="stable")
+        self._present, self._starts = np.unique(groups[self._order], return_index=True)
+        self._count = count
+
+    def __call__(self, rows: Array) -> Array:
+        """(G, ...) of rows (N, ...)."""
+        out = np.zeros((self._count, *rows.shape[1:]))
+        out[self._present] = np.add.reduceat(rows[self._order], self._starts)
+        return out

@@ -1,0 +1,149 @@
+"""Self-calibration: the camera that makes all views of a scene fit together, from keyframes at roughly right poses.
+
+Tracks and adjustment take turns, since a better camera gives better tracks. A value is estimated only where the recordings determine it:
+where its posterior standard deviation is clearly below that of what such cameras are stated wrongly by.
+
+The scale of depth is not among them. Whatever it is, there is a world of another size in which the same images and readings fit as well.
+Poses that are known from elsewhere tell it (`with_scale`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
+from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
+from idfslam.adjustment.landmark_tracks import View, find_tracks
+from idfslam.adjustment.residuals import Array, Observations
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.trajectory import align
+
+_DETERMINED = 0.25  # [1] largest posterior standard deviation of a value that is estimated, as a share of its prior; raised, values are
+#    estimated from weaker evidence. Chosen by hand
+_ROUNDS = 4  # most times that tracks are searched; more: slower, a worse stated camera is mended
+_SETTLED = 0.5  # [standard deviations] largest change of a value that ends the rounds; more: faster, less exact
+_LEAST_KEYFRAMES = 3  # in all; more: short recordings are refused. With two, focal length and relative pose are hard to tell apart
+_LEAST_LANDMARKS = 100  # in all; more: poor recordings are refused. Chosen by hand
+_IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more: the scale that true poses tell is less sure. By hand
+_MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
+#    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
+_SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
+_SCALE = NAMES.index("depth_scale")
+
+
+@dataclass(frozen=True)
+class Footage:
+    """K keyframes of one recording, with roughly right poses T_wk (K, 4, 4)."""
+
+    views: Sequence[View]
+    poses: Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The camera that fits, and how sure it is."""
+
+    model: CameraModel
+    covariance: Array  # (P, P) of its values; zero for those that are not determined
+    poses: list[Array]  # (K, 4, 4) T_wk of each recording's keyframes, as they fit best
+    landmarks: int
+    sightings: int
+    noise: float  # [px] of the landmarks' positions in images of 640 pixels' width, in the median
+
+    @property
+    def sigmas(self) -> Array:
+        """(P,) standard deviations; zero for values that are not determined."""
+        return np.sqrt(np.diag(self.covariance).clip(min=0))
+
+    def determined(self, name: str) -> bool:
+        """Whether the recordings determine the value of this name."""
+        return bool(self.sigmas[NAMES.index(name)] > 0)
+
+
+def self_calibrate(footage: Sequence[Footage], *, seconds: float = np.inf) -> Estimate | None:
+    """The camera of recordings with one and the same camera; None if they show too little.
+
+    After `seconds` no further round begins: then, and only then, the clock decides about the result.
+    """
+    views = [view for part in footage for view in part.views]
+    if len(views) < _LEAST_KEYFRAMES:
+        return None
+    end, poses = perf_counter() + seconds, np.concatenate([part.poses for part in footage])
+    starts = np.cumsum([0, *(len(part.views) for part in footage)])
+    of = np.repeat(np.arange(len(footage)), np.diff(starts))
+    fixed = np.isin(np.arange(len(views)), starts[:-1])
+    model, estimated = CameraModel.as_stated(views[0].camera), np.arange(len(NAMES)) != _SCALE
+    for i in range(_ROUNDS):
+        points, seen = find_tracks(views, poses, model, recordings=of, coarse=i == 0)
+        if len(points) < _LEAST_LANDMARKS:
+            return None
+        before = model.values
+        adjusted, estimated = _determined(Problem(model, poses, points, seen, fixed, estimated), end)
+        model, poses, covariance = adjusted.problem.model, adjusted.problem.poses, adjusted.values_covariance()
+        sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
+        if perf_counter() > end or (i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all()):
+            break
+    kept = adjusted.problem.seen
+    return Estimate(
+        model, _honest(covariance), np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), _noise(kept, views[0])
+    )
+
+
+def _honest(covariance: Array) -> Array:
+    """The covariance (P, P) of an adjustment, with what its residuals do not show."""
+    of_deformation = np.arange(len(NAMES)) > _SCALE
+    return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
+
+
+def _determined(problem: Problem, end: float) -> tuple[Adjusted, NDArray[np.bool_]]:
+    """The adjustment in which only values are estimated that it determines, and which these are."""
+    prior = np.array(list(PRIORS.values()))
+    while True:
+        adjusted = adjust(problem, seconds=end - perf_counter())
+        sigmas = np.sqrt(np.diag(adjusted.values_covariance()).clip(min=0))
+        weak = problem.estimated & (sigmas > _DETERMINED * prior)
+        if not weak.any():
+            return adjusted, problem.estimated
+        values = np.where(weak, 0.0, problem.model.values)
+        problem = replace(problem, estimated=problem.estimated & ~weak, model=replace(problem.model, values=values))
+
+
+def with_scale(estimate: Estimate, truth: Sequence[Array]) -> Estimate | None:
+    """The estimate with the scale of depth that true poses (K, 4, 4) of each recording's keyframes tell, NaN: unknown.
+
+    None if fewer than three keyframes of a recording have one, or if the camera stood still.
+    """
+    along, square, count = 0.0, 0.0, 0
+    pairs = []
+    for poses, true in zip(estimate.poses, truth):
+        known = np.isfinite(true).all((1, 2))
+        if known.sum() >= 3:
+            x, y = poses[known, :3, 3], true[known, :3, 3]
+            T = align(x, y)
+            x = (x - x.mean(0)) @ T[:3, :3].T
+            pairs.append((x, y - y.mean(0)))
+            along, square, count = along + float((x * pairs[-1][1]).sum()), square + float((x * x).sum()), count + len(x)
+    if square < 1e-4 * max(count, 1):
+        return None
+    scale = along / square
+    off = sum(float(((y - scale * x) ** 2).sum()) for x, y in pairs)
+    sigma = np.sqrt(off / (3 * count) / square * _IN_A_ROW)
+    values, covariance = estimate.model.values.copy(), estimate.covariance.copy()
+    values[_SCALE] += 1
+    values[_SCALE:] *= scale
+    values[_SCALE] -= 1
+    covariance[_SCALE, _SCALE] = sigma**2
+    return replace(estimate, model=replace(estimate.model, values=values), covariance=covariance)
+
+
+def _noise(seen: Observations, view: View) -> float:
+    """The median noise of positions, for images of 640 pixels' width."""
+    return float(np.median(1 / np.sqrt(np.abs(np.linalg.det(seen.root)))) * 640 / view.camera.width)
+
+
+def of_size(model: CameraModel, camera: Camera) -> CameraModel:
+    """The same deviations from the same camera of images of another size."""
+    return CameraModel(camera, model.values)
