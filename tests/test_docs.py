@@ -57,7 +57,7 @@ def test_every_command_is_there_without_the_configuration(reference: ModuleType)
     assert "--retries INT" in text
     assert "--mapper.pixels" not in text.replace("`--mapper.pixels", "")
     assert "--help-all" not in text
-    assert text.count("configuration.md") == 8
+    assert text.count("configuration.md") == 9
     assert "╭" not in text
 
 

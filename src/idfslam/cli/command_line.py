@@ -22,6 +22,7 @@ from idfslam.cli.commands.batch import Batch
 from idfslam.cli.commands.bench import Bench
 from idfslam.cli.commands.bench_odometry import BenchOdometry
 from idfslam.cli.commands.bench_pairs import BenchPairs
+from idfslam.cli.commands.calibrate import Calibrate
 from idfslam.cli.commands.command import NARROWEST, Command
 from idfslam.cli.commands.demo import Demo
 from idfslam.cli.commands.doctor import Doctor
@@ -52,6 +53,7 @@ COMMANDS: dict[str, type] = {
     "demo": Demo,
     "run": Run,
     "record": Record,
+    "calibrate": Calibrate,
     "eval": Eval,
     "mesh": Mesh,
     "export": Export,

@@ -1,15 +1,16 @@
 """The output of the commands: tables of results, and the paths of the files written."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from idfslam.adjustment.camera_findings import Finding
 from idfslam.batch.batch import REPORT, Row
 from idfslam.cli.doctor import GIB, Examination
-from idfslam.downloads.catalogue import Sequence
+from idfslam.downloads import catalogue
 from idfslam.errors import pip_install
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.table import table
@@ -36,6 +37,16 @@ def print_run(run: Run, console: Console) -> None:
         sorted(name for name in (*result_folder.FILES, result_folder.REPORT, result_folder.RECORDING) if (run.folder / name).is_file()),
         console,
     )
+
+
+def print_calibration(found: Sequence[Finding], landmarks: int, sightings: int, noise: float, console: Console) -> None:
+    """Prints each property of a camera with its standard deviation, and what it changes."""
+    for finding in found:
+        console.print(f"{finding.name}: {finding.found}\n  {finding.meaning}", highlight=False, soft_wrap=True, markup=False)
+    counts = f"{landmarks} landmarks, seen {sightings} times, to {noise:.2f} px at a width of 640"
+    doubts = "; ".join(finding.doubt for finding in found if finding.doubt)
+    verdict = f"the stated camera does not fit: {doubts}" if doubts else "the stated camera fits"
+    console.print(f"{counts}\n{verdict}", highlight=False, soft_wrap=True, markup=False)
 
 
 def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> None:
@@ -108,7 +119,7 @@ def print_files(folder: Path, names: Iterable[str], console: Console) -> None:
         console.print(str(folder / name), highlight=False, soft_wrap=True, markup=False)
 
 
-def print_catalogue(sequences: Iterable[Sequence], console: Console) -> None:
+def print_catalogue(sequences: Iterable[catalogue.Sequence], console: Console) -> None:
     """Prints names, sizes and folders of the sequences that can be downloaded, grouped by licence."""
     by_licence: dict[str, Table] = {}
     for sequence in sequences:

@@ -7,7 +7,7 @@ from typing import Any
 
 from idfslam.datasets import generated, input_summary
 from idfslam.datasets.cameras.calibration import Calibration, override
-from idfslam.datasets.cameras.camera_files import read_beside_recording
+from idfslam.datasets.cameras.camera_files import read_beside_recording, read_given
 from idfslam.datasets.generated.kidnapped import Kidnapped
 from idfslam.datasets.images import video
 from idfslam.datasets.location import locate, without_scheme
@@ -31,6 +31,7 @@ from idfslam.datasets.readers import (
     tum,
     video_folder,
 )
+from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.datasets.recording import Dataset, Reader, Selection
 from idfslam.datasets.recording_path import absolute
 from idfslam.datasets.ros import reader as ros
@@ -67,6 +68,7 @@ def open_recording(
     *,
     format: str | None = None,
     camera: Mapping[str, float | None] | None = None,
+    camera_file: Path | str | None = None,
     depth_scale: float | None = None,
     topics: Mapping[str, str | None] | None = None,
     start: int = 0,
@@ -84,6 +86,7 @@ def open_recording(
     format: one of FORMATS, if the layout is not recognised correctly.
     camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
         pinhole camera without distortion.
+    camera_file: a file like cam_params.json, whose values override the recording's own too; `camera` and `depth_scale` override it.
     depth_scale: units of the depth images per metre; overrides the recording's own value.
     topics: any of colour, depth, camera_info, poses: topics of a ROS recording; the others are detected.
     start, frames, stride: every stride-th frame from `start`, at most `frames` of them (None: all), numbered from 0.
@@ -92,6 +95,7 @@ def open_recording(
 
     Raises RecordingError if the recording as a whole cannot be used, ConfigError if an argument is out of range.
     """
+    given = Calibration() if camera_file is None else read_given(absolute(without_scheme(camera_file)))
     user_calibration, user_topics = override(camera, depth_scale), Topics.of(topics)
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
@@ -101,17 +105,19 @@ def open_recording(
     kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
     dataset: Dataset
     if inner is not None:
-        options: dict[str, Any] = {"format": format, "camera": camera, "depth_scale": depth_scale, "topics": topics, "truth": truth}
+        options: dict[str, Any] = {"format": format, "camera": camera, "camera_file": camera_file, "topics": topics, "truth": truth}
+        options["depth_scale"] = depth_scale
         dataset = Kidnapped(open_recording(inner, **options, report=False))
     elif kind is not None:
         dataset = generated.open_generated(
             str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
         )
+        dataset = dataset if camera_file is None else Recalibrated(dataset, given)
     else:
         file = absolute(without_scheme(path))
         try:
             place, reader = _find(file, format)
-            dataset = _open(place, reader, user_calibration.over(read_beside_recording(place)), user_topics)
+            dataset = _open(place, reader, user_calibration.over(given).over(read_beside_recording(place)), user_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
     selection = Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from idfslam.sensing.depth_deformation import DepthDeformation
+
 STATED, ASSUMED, GENERATED = "stamps", "assumed", "generated"
 """Sources of stamps: the recording has some; it has none, and a rate is assumed. A generated recording knows all of its values."""
 
@@ -15,6 +17,8 @@ class Provenance:
     depth: str = ""  # empty: stated by the recording or the user; else where the default comes from
     stamps: str = STATED
     distortion: tuple[float, ...] = ()  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]] that is removed from the images
+    deformation: DepthDeformation | None = None  # of depth, that is taken out
+    size: tuple[int, int] | None = None  # (width, height) [px] of the colour images as they are stored, if they were resized
     depth_delay: float = 0.0  # [s] by which depth is later than colour in the median, where that is worth telling; else 0
     notes: tuple[str, ...] = ()  # what was assumed about the images, for warnings
 

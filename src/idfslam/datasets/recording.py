@@ -136,7 +136,9 @@ class Recording:
             self.camera = self.camera.resized(*self._one_view.size)
         notes = () if self._one_view is None else (str(self._one_view),)
         delay = 0.0 if self.depth_timestamps is None else noticeable_delay(self.timestamps, self.depth_timestamps)
-        self.provenance = Provenance(calibration.source, self._scale, calibration.assumed, stamps_source, lens, delay, notes)
+        self._deformation, size = calibration.deformation, None if self._one_view is None else colour
+        stated = calibration.source, self._scale, calibration.assumed, stamps_source, lens
+        self.provenance = Provenance(*stated, self._deformation, size, delay, notes)
         self._refuse_far_depth()
         self._register = None if depth_camera is None else DepthRegistration(depth_camera, depth, self.camera, self._scale, name)
         self._undistort = Undistortion(self.camera, lens) if any(lens) else None
@@ -168,7 +170,9 @@ class Recording:
             raw = self._undistort.depth(raw) if self._registered else raw
         if self._register is not None:
             raw = self._register(raw)
-        return Frame(i, float(self.timestamps[i]), rgb(bgr), metres(raw, self._scale), self.camera, self._depth_timestamp(i), self.timing)
+        depth = metres(raw, self._scale)
+        depth = self._deformation.corrected(depth) if self._deformation else depth
+        return Frame(i, float(self.timestamps[i]), rgb(bgr), depth, self.camera, self._depth_timestamp(i), self.timing)
 
     def _depth_timestamp(self, i: int) -> float | None:
         """[s] of frame i's depth image; None: that of colour."""

@@ -3,9 +3,11 @@
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from idfslam.datasets import generated
 from idfslam.datasets.cameras.calibration import Calibration, override
+from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.errors import ConfigError
 from idfslam.live.depth_camera import Capture, DepthCamera
 from idfslam.live.stream import LiveStream
@@ -39,6 +41,7 @@ def open_live(
     *,
     format: str | None = None,
     camera: Mapping[str, float | None] | None = None,
+    camera_file: Path | str | None = None,
     depth_scale: float | None = None,
     topics: Mapping[str, str | None] | None = None,
     start: int = 0,
@@ -54,7 +57,8 @@ def open_live(
     """
     if frames is not None and frames < 1:
         raise ConfigError(f"frames {frames}, expected at least 1")
-    calibration = override(camera, depth_scale)
+    given = Calibration() if camera_file is None else read_given(Path(camera_file))
+    calibration = override(camera, depth_scale).over(given)
     path = replayed_path(name)
     if path is None:
         if format is not None or topics or start or stride != 1:
@@ -66,9 +70,8 @@ def open_live(
     from idfslam.live.replay import Replay
 
     speed = _speed(name)
-    recording = open_recording(
-        path, format=format, camera=camera, depth_scale=depth_scale, topics=topics, start=start, stride=stride, truth=truth
-    )
+    values: dict[str, Any] = {"camera": camera, "camera_file": camera_file, "depth_scale": depth_scale}
+    recording = open_recording(path, format=format, **values, topics=topics, start=start, stride=stride, truth=truth)
     return LiveStream(Replay(recording, speed=speed), frames=frames)
 
 

@@ -43,6 +43,7 @@ class Source:
     path: str
     format: str | None = None
     camera: dict[str, float] | None = None  # fx, fy, cx, cy [px] that replace the recording's own
+    camera_file: str | None = None  # whose values replace the recording's own too
     depth_scale: float | None = None  # units of the depth images per metre
     topics: dict[str, str] | None = None  # of a ROS recording; None: found by their types and names
     start: int = 0

@@ -32,6 +32,9 @@ class RecordingFlags:
     """Use every N-th frame."""
     format: str | None = None
     """Force the input format. Default: detected from the files."""
+    camera_file: Path | None = None
+    """File of a camera that replaces the recording's: as `idf-slam calibrate` writes it, or any that may lie beside images.
+    --camera.fx and so on replace its values."""
     truth: bool = True
     """Read the recording's ground truth, for the errors at the end; `--no-truth` leaves it unread."""
 
@@ -162,7 +165,8 @@ class Run:
         topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
         part = self.recording
         place, frames = absolute_path(str(self.path)), (part.start, part.frames, part.stride, part.truth)
-        source = Source(place, part.format, camera or None, scale, topics or None, *frames)
+        camera_file = None if part.camera_file is None else str(part.camera_file.absolute())
+        source = Source(place, part.format, camera or None, camera_file, scale, topics or None, *frames)
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
         prior = None if self.map is None else load_prior(self.map)

@@ -11,6 +11,7 @@ from idfslam.datasets.cameras.plausibility import flags, in_fractions, meant_for
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.sensing.depth_deformation import DepthDeformation
 
 TIMES = ("readout", "depth_readout", "depth_delay")
 """The names of a sensor's times, in Calibration, SensorTiming, files and flags."""
@@ -29,6 +30,7 @@ class Calibration:
     height: int | None = None
     distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
+    deformation: DepthDeformation | None = None  # of depth, which is taken out
     readout: float | None = None  # [s] see `SensorTiming`
     depth_readout: float | None = None  # [s]
     depth_delay: float | None = None  # [s]

@@ -1,5 +1,6 @@
 """The files beside the images that state the camera: cam_params.json, then text files as in `camera_text`, then Open3D's and other JSON."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,10 @@ from idfslam.datasets.cameras.camera_text import DEPTH_SCALES, checked_distortio
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.rigid_transform import RIGID, is_rigid
 from idfslam.geometry.sensor_timing import UNKNOWN, SensorTiming
+from idfslam.sensing import depth_deformation
+from idfslam.sensing.depth_deformation import DepthDeformation
 from idfslam.storage.json_file import read_json
+from idfslam.storage.plain_values import shown
 from idfslam.storage.text_file import read_text
 
 CAM_PARAMS = "cam_params.json"
@@ -25,6 +29,8 @@ JSON_FILES = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json
 RTABMAP = "*calib/*.yaml"  # calib/ of RTAB-Map's export, with a file for each frame of which the first is read
 BESIDE_A_FILE = (CAM_PARAMS, "intrinsics.txt")  # what is read in the folder of a recording that is one file: others may lie there too
 LARGEST = 1 << 20  # [bytes] of a camera file; raised, other files of that name take longer to refuse. Chosen by hand
+DEFORMATION = "depth_deformation"
+LARGEST_DEFORMATION = 0.2  # [1] of each of its numbers; raised, more nonsense passes. Sensors have a few per cent at most
 _FORM = '{"camera": {"w", "h", "fx", "fy", "cx", "cy", "scale"}} with numbers'
 _MATRICES = ("intrinsic_matrix", "camera_matrix", "K", "intrinsics", "intrinsic")
 _NAMES = {  # of a camera's values in JSON files
@@ -57,8 +63,19 @@ def read_beside_recording(path: Path) -> Calibration:
 def read_cam_params(*folders: Path) -> Calibration:
     """Reads cam_params.json of the first folder that has one: {"camera": {w, h, fx, fy, cx, cy, scale[, distortion][, readout ...]}}."""
     path = _cam_params(folders)
-    if path is None:
-        return Calibration()
+    return Calibration() if path is None else _read_cam_params(path)
+
+
+def read_given(path: Path) -> Calibration:
+    """Reads the camera file that a user names: cam_params.json under any name, or a text file. Raises RecordingError without a camera."""
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file, expected a camera: `idf-slam calibrate RECORDING --out {path.name}` writes one")
+    if path.stat().st_size > LARGEST:
+        raise RecordingError(f"{path}: {path.stat().st_size} bytes, expected the few lines of a camera")
+    return _read_cam_params(path) if path.suffix == ".json" else parse_camera(read_text(path), str(path))
+
+
+def _read_cam_params(path: Path) -> Calibration:
     values = _json(path, f"expected {_FORM}")
     if not {"camera", "fx", *TIMES} & values.keys():
         return read_camera_json(path)
@@ -145,10 +162,23 @@ def _camera_of(values: Mapping[str, Any], key: str, path: Path) -> Calibration:
         name = next((name for name in ("scale", *DEPTH_SCALES) if values.get(name) is not None), None)
         scale = None if name is None else units_per_metre(float(values[name]))
         distortion = [float(value) for value in values.get("distortion") or ()]
+        deformation = _deformation(values.get(DEFORMATION))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {_FORM}") from error
     lens = checked_distortion(distortion, str(path))
-    return Calibration(fx, fy, cx, cy, width, height, lens, scale, source=str(path)).with_times(times)
+    return Calibration(fx, fy, cx, cy, width, height, lens, scale, deformation, source=str(path)).with_times(times)
+
+
+def _deformation(values: Any) -> DepthDeformation | None:
+    """The deformation of depth that is stated. Raises ValueError or TypeError for other names, and for what is no small number."""
+    if values is None:
+        return None
+    if not isinstance(values, dict) or not values.keys() <= set(depth_deformation.NAMES):
+        raise ValueError(f"{DEFORMATION} {shown(values)} with other names than {', '.join(depth_deformation.NAMES)}")
+    numbers = {name: float(value) for name, value in values.items()}
+    if not all(math.isfinite(value) and abs(value) <= LARGEST_DEFORMATION for value in numbers.values()):
+        raise ValueError(f"{DEFORMATION} {shown(values)} beyond {LARGEST_DEFORMATION}")
+    return DepthDeformation(**numbers)
 
 
 def _times(values: Mapping[str, Any], path: Path) -> SensorTiming:

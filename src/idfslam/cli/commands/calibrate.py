@@ -1,0 +1,70 @@
+"""`idf-slam calibrate`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from idfslam.cli.commands.command import ConfigFile, Values, output
+from idfslam.cli.commands.run import CameraFlags
+from idfslam.config import FAST, check
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class FrameFlags:
+    """Which frames are used, and how the recordings are read."""
+
+    start: int = 0
+    """First frame to use."""
+    frames: int | None = None
+    """Number of frames to use. Default: all."""
+    stride: int = 1
+    """Use every N-th frame."""
+    format: str | None = None
+    """Force the input format. Default: detected from the files."""
+    camera_file: Path | None = None
+    """File of a camera to begin with in place of the recording's, as for `run`."""
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Find out whether a camera is as stated, from recordings with it.
+
+    It runs SLAM and then adjusts keyframes, landmarks and the camera together: focal lengths, principal point, distortion, and the warp of
+    depth. What the recordings do not determine is left as it is. Move the camera around a textured room, near and far, and turn it about
+    all axes, its viewing axis too.
+    """
+
+    recordings: Positional[tuple[Path, ...]]
+    """Recordings of one camera, or result folders of `run`."""
+    out: Path | None = None
+    """File to write the camera to: for `run --camera-file`, or as cam_params.json in the folder of a recording."""
+    truth: bool = False
+    """Take the scale of depth from the recordings' true poses: images and depth alone fit together at any scale."""
+    recording: OmitArgPrefixes[FrameFlags] = FrameFlags()
+    camera: CameraFlags = field(default_factory=CameraFlags)
+    values: Values = FAST
+    config: ConfigFile = None
+
+    def __call__(self, console: "Console") -> None:
+        values = check(self.values)
+        from idfslam.adjustment.camera_findings import findings
+        from idfslam.cli.tables import print_calibration
+        from idfslam.datasets.generated import absolute_path
+        from idfslam.runs.calibration import calibrate, write_camera
+        from idfslam.runs.result_folder import Source
+
+        camera, part = self.camera.given(), self.recording
+        scale = camera.pop("depth_scale", None)
+        file = None if part.camera_file is None else str(part.camera_file.absolute())
+        given = part.format, camera or None, file, scale, None, part.start, part.frames, part.stride
+        sources = [Source(absolute_path(str(path)), *given) for path in self.recordings]
+        estimate, recording = calibrate(sources, values, truth=self.truth, console=console)
+        print_calibration(findings(estimate), estimate.landmarks, estimate.sightings, estimate.noise, output())
+        if self.out is not None:
+            write_camera(self.out, estimate, recording)
+            output().print(f"{self.out}: give it to `idf-slam run --camera-file`", highlight=False, soft_wrap=True, markup=False)

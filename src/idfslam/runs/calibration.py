@@ -1,0 +1,167 @@
+"""Calibrates the camera of recordings from their keyframes, and writes the camera file that reads them rightly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy.optimize import least_squares
+
+from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.self_calibration import Estimate, Footage, of_size, self_calibrate, with_scale
+from idfslam.config import Config
+from idfslam.datasets import Dataset
+from idfslam.datasets.cameras.camera_files import DEFORMATION
+from idfslam.datasets.provenance import Provenance, provenance
+from idfslam.errors import ConfigError, RecordingError
+from idfslam.geometry.camera import Camera
+from idfslam.runs import result_folder
+from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.progress import ProgressBar
+from idfslam.runs.source import open_source, read_frames
+from idfslam.sensing.depth_deformation import DepthDeformation
+from idfslam.slam import Slam
+from idfslam.storage import atomic_files
+
+_MOST_KEYFRAMES = 120  # in all, evenly spread; more: slower, and more exact where a recording shows more. Chosen by hand
+_GRID = 12  # points a side at which the distortion of two lenses in a row is fitted; more: slower, and no more exact
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """Keyframes of one map: their indices in the recording (K,), views and poses T_wk (K, 4, 4)."""
+
+    recording: Dataset
+    indices: NDArray[np.int64]
+    views: Sequence[View]
+    poses: NDArray[np.float64]
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> "Keyframes":
+        views = [view for view, kept in zip(self.views, chosen) if kept]
+        return Keyframes(self.recording, self.indices[chosen], views, self.poses[chosen])
+
+
+def calibrate(
+    sources: Sequence[result_folder.Source], config: Config, *, truth: bool, console: Console | None = None
+) -> tuple[Estimate, Dataset]:
+    """The camera of recordings or of the recordings of result folders, all of one camera; and the first recording, as it was read.
+
+    truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
+    have no true poses; ConfigError if their cameras differ.
+    """
+    maps = [found for source in sources for found in keyframes_of(source, config, console)]
+    first = maps[0].recording
+    _check_one_camera([found.recording for found in maps])
+    maps = _thinned(maps)
+    if console is not None:
+        count = sum(len(found.views) for found in maps)
+        console.print(f"adjusting {count} keyframes, their landmarks and the camera together", highlight=False)
+    estimate = self_calibrate([Footage(found.views, found.poses) for found in maps])
+    if estimate is None:
+        found = f"{sum(len(found.views) for found in maps)} keyframes with too few landmarks in common"
+        raise RecordingError(f"{first.name}: {found}, expected several views of one place: record a textured room from many sides")
+    if truth:
+        true = [np.full((len(m.views), 4, 4), np.nan) if (T := m.recording.ground_truth) is None else T[m.indices] for m in maps]
+        scaled = with_scale(estimate, true)
+        if scaled is None:
+            raise RecordingError(
+                f"{first.name}: no true poses of a moving camera, which --truth takes the scale of depth from: leave it out"
+            )
+        estimate = scaled
+    return replace(estimate, model=of_size(estimate.model, first.camera)), first
+
+
+def keyframes_of(source: result_folder.Source, config: Config, console: Console | None) -> list[Keyframes]:
+    """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
+    folder = Path(source.path)
+    if (folder / result_folder.KEYFRAMES).is_file() and (folder / result_folder.CONFIG).is_file():
+        run = FinishedRun(folder)
+        indices, poses = run.keyframes.indices, run.keyframes.poses
+        return [Keyframes(run.recording, indices, [View.of(run.recording[int(i)]) for i in indices], poses)]
+    recording = open_source(source, report=True)
+    slam = Slam(replace(config, refine=False))
+    with ProgressBar(len(recording), console) as bar:
+        done, start = 0, perf_counter()
+        for frame, _ in read_frames(recording, source):
+            result, done = slam.process(frame), done + 1
+            kept = len(slam.graph.keyframes) if result.keyframe else None
+            bar.update(result, frames_per_second=done / (perf_counter() - start), keyframes=kept)
+    slam.finish()
+    stored = slam.graph.keyframes
+    if not stored:
+        raise RecordingError(f"{recording.name}: none of {done} frames has depth, so there is nothing to calibrate")
+    submaps = sorted({keyframe.submap for keyframe in stored})
+    groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in submaps]
+    return [
+        Keyframes(
+            recording, np.array([k.index for k in group]), [View.of(k.frame) for k in group], np.array([k.T_wk.numpy() for k in group])
+        )
+        for group in groups
+    ]
+
+
+def _check_one_camera(recordings: Sequence[Dataset]) -> None:
+    for other in recordings[1:]:
+        if (other.camera, _sources(other)) != (recordings[0].camera, _sources(recordings[0])):
+            found = f"the cameras of {recordings[0].name} and {other.name} are stated differently"
+            raise ConfigError(f"{found}, expected recordings of one camera: calibrate each by itself")
+
+
+def _sources(recording: Dataset) -> tuple[float, tuple[float, ...]]:
+    stated = provenance(recording) or Provenance("")
+    return stated.depth_scale, stated.distortion
+
+
+def _thinned(maps: Sequence[Keyframes]) -> list[Keyframes]:
+    total = sum(len(found.views) for found in maps)
+    if total <= _MOST_KEYFRAMES:
+        return list(maps)
+    chosen = np.zeros(total, bool)
+    chosen[np.linspace(0, total - 1, _MOST_KEYFRAMES).round().astype(int)] = True
+    parts = np.split(chosen, np.cumsum([len(found.views) for found in maps])[:-1])
+    return [found[part] for found, part in zip(maps, parts) if part.any()]
+
+
+def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
+    """Writes the camera file of a recording that was read as `recording` and calibrated."""
+    with result_folder.writing(path.parent):
+        atomic_files.write_json(path, {"camera": camera_values(estimate.model, recording.camera, provenance(recording) or Provenance(""))})
+
+
+def camera_values(model: CameraModel, read_as: Camera, stated: Provenance) -> dict[str, Any]:
+    """`camera` of cam_params.json for the images as they are stored, which are read as `read_as` with what is `stated` taken out."""
+    camera, lens = in_a_row(stated.distortion, read_as, model)
+    size = stated.size or (camera.width, camera.height)
+    c = camera.resized(*size)
+    values: dict[str, Any] = {"w": c.width, "h": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy}
+    values["scale"] = stated.depth_scale / model.depth_factor
+    both = zip(*(vars(each).values() for each in (stated.deformation or DepthDeformation(), model.deformation)))
+    deformation = DepthDeformation(*(a + b for a, b in both))
+    return values | ({"distortion": list(lens)} if any(lens) else {}) | ({DEFORMATION: vars(deformation)} if deformation else {})
+
+
+def in_a_row(distortion: Sequence[float], read_as: Camera, model: CameraModel) -> tuple[Camera, tuple[float, ...]]:
+    """The camera and lens (OpenCV's k1 k2 p1 p2 k3 ...) of images that were undistorted to `read_as` and then found to be of `model`."""
+    if not any(distortion):
+        return model.camera, ((*model.distortion, 0.0, 0.0) if any(model.distortion) else ())
+    import cv2
+
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, _GRID) for n in (read_as.width, read_as.height)))
+    rays = model.rays(np.stack([x.ravel(), y.ravel()], 1))
+    uv = model.project(rays)[0]
+    before = np.concatenate([(uv - [read_as.cx, read_as.cy]) / [read_as.fx, read_as.fy], np.ones((len(uv), 1))], 1)
+    origin = np.zeros(3)
+    raw = cv2.projectPoints(before, origin, origin, read_as.matrix().numpy(), np.array(distortion))[0][:, 0]
+
+    def off(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        K = np.array([[p[0], 0, p[2]], [0, p[1], p[3]], [0, 0, 1]])
+        return np.asarray(cv2.projectPoints(rays, origin, origin, K, p[4:])[0][:, 0] - raw, np.float64).ravel()
+
+    c, lens = model.camera, [*distortion, *[0.0] * (5 - len(distortion))]
+    fit = least_squares(off, [c.fx, c.fy, c.cx, c.cy, *lens], x_scale=[c.fx, c.fx, c.fx, c.fx, *[0.1] * len(lens)]).x.tolist()
+    return Camera(c.width, c.height, *fit[:4]), tuple(fit[4:])

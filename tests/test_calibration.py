@@ -1,0 +1,168 @@
+"""Calibration of recordings: the camera file that it writes, and the camera that it finds on a generated recording."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers.point_problem import CAMERA, values
+from idfslam.adjustment.camera_findings import doubts, findings
+from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.self_calibration import Estimate
+from idfslam.cli.command_line import main
+from idfslam.datasets import open_recording
+from idfslam.datasets.cameras.calibration import Calibration
+from idfslam.datasets.cameras.camera_files import read_given
+from idfslam.datasets.provenance import Provenance
+from idfslam.errors import ConfigError, RecordingError
+from idfslam.runs.calibration import camera_values, in_a_row
+from idfslam.sensing.depth_deformation import DepthDeformation
+
+
+def estimate(sigma: float = 1e-4, **deviations: float) -> Estimate:
+    """An estimate whose values all have one standard deviation, but for the scale of depth, which is not determined."""
+    of = np.array([0.0 if name == "depth_scale" else sigma for name in NAMES])
+    return Estimate(CameraModel(CAMERA, values(**deviations)), np.diag(of**2), [], 500, 2000, 0.2)
+
+
+# What is told
+
+
+def test_a_camera_that_fits_has_no_doubts() -> None:
+    assert doubts(estimate(focal=0.0003, cx=0.0005, k1=0.001, across=0.001)) == []
+
+
+def test_what_is_certain_and_matters_is_doubted() -> None:
+    assert doubts(estimate(focal=1 / 1.04 - 1)) == ["the focal length looks 4.0 % too long"]
+    assert doubts(estimate(focal=1 / 0.9 - 1)) == ["the focal length looks 10.0 % too short"]
+    assert doubts(estimate(cx=0.02)) == ["the principal point looks 6.4 px off"]
+    assert doubts(estimate(across2=-0.015, along2=-0.015)) == ["depth looks warped by 3.0 %"]
+
+
+def test_what_is_not_certain_is_not_doubted() -> None:
+    assert doubts(estimate(sigma=0.02, focal=0.04)) == []
+
+
+def test_what_is_not_determined_says_how_to_determine_it() -> None:
+    nothing = replace(estimate(), covariance=np.zeros((len(NAMES), len(NAMES))))
+    assert [finding.found for finding in findings(nothing)] == ["not determined"] * 5
+    assert all(":" in finding.meaning for finding in findings(nothing))
+
+
+# The file
+
+
+def test_the_file_is_read_as_the_camera_that_was_found(tmp_path: Path) -> None:
+    model = CameraModel(CAMERA, values(focal=0.01, cx=0.01, k1=0.05, depth_scale=0.02, range=0.004))
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"camera": camera_values(model, CAMERA, Provenance("x", depth_scale=1000.0))}))
+    found = read_given(path)
+    assert (found.fx, found.cx) == pytest.approx((model.camera.fx, model.camera.cx))
+    assert (found.width, found.height) == (320, 240)
+    assert found.depth_scale == pytest.approx(1000 / model.depth_factor)
+    assert found.distortion == (0.05, 0.0, 0.0, 0.0)
+    assert found.deformation == model.deformation
+
+
+def test_a_resized_recording_has_a_file_for_its_own_images() -> None:
+    found = camera_values(CameraModel.as_stated(CAMERA), CAMERA, Provenance("x", size=(640, 480)))
+    assert found["w"] == 640
+    assert found["fx"] == pytest.approx(580.0)
+    assert found["cx"] == pytest.approx(158.5 * 2 - 0.5)
+
+
+def test_a_second_calibration_adds_to_the_deformation_of_the_first() -> None:
+    model = CameraModel(CAMERA, values(across=0.002))
+    found = camera_values(model, CAMERA, Provenance("x", deformation=DepthDeformation(range=0.01, across=0.001)))
+    assert found["depth_deformation"]["across"] == pytest.approx(0.003)
+    assert found["depth_deformation"]["range"] == pytest.approx(0.01)
+
+
+def test_distortion_of_two_lenses_in_a_row() -> None:
+    """The images were undistorted with k1 = 0.1, and then 0.02 more was found, with another focal length and centre."""
+    model = CameraModel(CAMERA, values(focal=0.01, cx=0.005, k1=0.02))
+    camera, lens = in_a_row((0.1, -0.05, 0.001, 0.0), CAMERA, model)
+    rays = np.array([[0.4, 0.3, 1.0], [-0.5, 0.1, 1.0], [0.0, 0.0, 1.0]])
+    half = model.project(rays)[0]
+    seen = np.concatenate([(half - [CAMERA.cx, CAMERA.cy]) / [CAMERA.fx, CAMERA.fy], np.ones((3, 1))], 1)
+    zero = np.zeros(3)
+    expected = cv2.projectPoints(seen, zero, zero, CAMERA.matrix().numpy(), np.array([0.1, -0.05, 0.001, 0.0]))[0][:, 0]
+    found = cv2.projectPoints(rays, zero, zero, camera.matrix().numpy(), np.array(lens))[0][:, 0]
+    np.testing.assert_allclose(found, expected, atol=0.02)
+
+
+@pytest.mark.parametrize("deformation", [{"depth": 0.1}, {"range": "far"}, {"range": 0.5}, [0.1]])
+def test_a_damaged_deformation_is_one_line(tmp_path: Path, deformation: object) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"camera": {"fx": 290, "fy": 290, "cx": 160, "cy": 120, "depth_deformation": deformation}}))
+    with pytest.raises(RecordingError, match="depth_deformation|could not convert|expected"):
+        read_given(path)
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no such file, expected a camera"):
+        read_given(tmp_path / "camera.json")
+
+
+# Recordings read with it
+
+
+def test_a_folder_is_read_with_the_file(box_recording: Path, tmp_path: Path) -> None:
+    plain = open_recording(box_recording)
+    c = plain.camera
+    path = tmp_path / "other.json"
+    camera = {"fx": c.fx * 1.1, "fy": c.fy, "cx": c.cx, "cy": c.cy, "scale": 2000, "depth_deformation": {"range": 0.01}}
+    path.write_text(json.dumps({"camera": camera}))
+    read = open_recording(box_recording, camera_file=path, report=False)
+    assert read.camera == replace(c, fx=c.fx * 1.1)
+    scaled = plain[0].depth / 2
+    np.testing.assert_allclose(read[0].depth, scaled * (1 + 0.01 * (scaled / 2 - 1)), rtol=1e-5)
+    assert open_recording(box_recording, camera_file=path, camera={"fx": 300.0}, report=False).camera.fx == 300.0
+
+
+def test_a_generated_recording_is_read_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    camera = {"w": 320, "h": 240, "fx": 250, "fy": 251, "cx": 160, "cy": 120, "scale": 1.02, "distortion": [0.1, 0, 0, 0]}
+    path.write_text(json.dumps({"camera": camera}))
+    plain, read = open_recording("corridor:0"), open_recording("corridor:0", camera_file=path)
+    assert (read.camera.fx, read.camera.fy) == (250, 251)
+    centre = plain[3].depth[118:123, 158:163] / np.float32(1.02)
+    np.testing.assert_allclose(read[3].depth[118:123, 158:163], centre, rtol=0.02)
+    assert np.abs(read[3].colour - plain[3].colour).max() > 0.1
+    np.testing.assert_array_equal(read.timestamps, plain.timestamps)
+
+
+# The command
+
+
+def test_too_few_views_are_one_line(box_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", str(box_recording), "--frames", "2"])
+    assert end.value.code == 1
+    assert "too few landmarks in common" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_command_finds_a_wrong_focal_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A generated room that is read with a focal length that is 4 % too long."""
+    c = open_recording("synthetic:0:kinect").camera
+    stated, out = tmp_path / "stated.json", tmp_path / "found.json"
+    stated.write_text(json.dumps({"camera": {"fx": c.fx * 1.04, "fy": c.fy * 1.04, "cx": c.cx, "cy": c.cy}}))
+    main(["calibrate", "synthetic:0:kinect", "--frames", "120", "--stride", "2", "--camera-file", str(stated), "--out", str(out)])
+    said = capsys.readouterr().out
+    assert "the focal length looks 4.0 % too long" in said
+    assert "not determined" in said  # the scale of depth
+    found = read_given(out)
+    assert found.fx == pytest.approx(c.fx, rel=0.003)
+    assert found.cx == pytest.approx(c.cx, abs=1.5)
+    assert found.over(Calibration()).complete
+
+
+def test_recordings_of_different_cameras_are_refused() -> None:
+    from idfslam.runs.calibration import _check_one_camera
+
+    with pytest.raises(ConfigError, match="stated differently"):
+        _check_one_camera([open_recording("synthetic:0"), open_recording("corridor:0")])
