@@ -8,7 +8,8 @@ A velocity is a 6-vector of shift [m/s] and turn [rad/s], both along world axes,
 """
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -35,10 +36,10 @@ _DECAY = 0.9
 _POSE_ERROR = 2e-3, 2e-3
 # [m/s], [rad/s] Standard deviation of a hand's velocity, whatever came before. More: wrong velocities of blurred frames last longer.
 _SPEED = 0.5, 1.5
-# [m/s], [rad/s] Standard deviation of the velocities with which the references were rectified, of blurred images too. A frame's distortion
-# is measured against theirs. More: the velocity follows the change of the pose more, and the distortion less. With (0.1, 0.2), (0.3, 0.6)
-# and (1, 2) generated rooms have about the same error; blurred real frames need the larger values (docs/findings.md).
-REFERENCE_ERROR = 0.5, 1.0
+# [m/s], [rad/s] Least standard deviation of the velocities with which the references were rectified. It stands for what no constant
+# velocity describes. A frame's distortion is measured against theirs. More: the velocity follows the change of the pose more, and the
+# distortion less. At ten times as much, velocities in shaken passages were three times less exact (docs/findings.md).
+REFERENCE_ERROR = 0.05, 0.1
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,21 @@ class MotionPrior:
     T_wc: Tensor  # (4, 4) float64
     velocity: Array  # (6,)
     information: Array  # (12, 12) of the change of the pose and of the velocity
+    reference_covariance: Array = field(default_factory=lambda: np.diag(np.repeat(np.array(REFERENCE_ERROR) ** 2, 3)))
+    # (6, 6) of the references' error of velocity
 
     @property
     def with_reference_error(self) -> Array:
         """(18, 18) the information, and that of the references' error of velocity."""
         out = np.zeros((18, 18))
         out[:12, :12] = self.information
-        out[12:, 12:] = np.diag(np.repeat(np.array(REFERENCE_ERROR) ** -2.0, 3))
+        out[12:, 12:] = np.linalg.inv(self.reference_covariance)
         return out
+
+    def against(self, errors: Sequence[Array]) -> "MotionPrior":
+        """The same for a frame that is aligned to references whose velocities have these covariances (6, 6), along world axes."""
+        least = np.diag(np.repeat(np.array(REFERENCE_ERROR) ** 2, 3))
+        return replace(self, reference_covariance=least + np.mean(errors, 0)) if len(errors) else self
 
 
 @dataclass(frozen=True)
@@ -128,6 +136,11 @@ class ContinuousMotion(Stateful):
         mean = np.linalg.solve(bounded, information @ mean)
         return MotionPrior(moved(self._last[1], torch.from_numpy(mean[:6])), mean[6:], bounded)
 
+    def start(self, T_first: Tensor, T_wc: Tensor, elapsed: float) -> None:
+        """Takes the velocity from the motion between the poses (4, 4) of the first two frames, `elapsed` [s] apart."""
+        self.velocity = change_between(T_first, T_wc).numpy() / elapsed
+        self._covariance[6:, 6:] = np.diag(np.repeat(2 * (np.array(_POSE_ERROR) / elapsed) ** 2, 3))
+
     def accept_pose(self, timestamp: float, T_wc: Tensor, prior: MotionPrior) -> None:
         """Takes over a pose (4, 4) that was estimated without a velocity, of the frame at `timestamp` [s]."""
         measured = prior.information.copy()
@@ -147,6 +160,11 @@ class ContinuousMotion(Stateful):
                 self._intervals.append(timestamp - self._last[0])
         self.velocity, self._covariance = velocity, covariance
         self._last = (timestamp, T_wc.clone())
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(6, 6) of the velocity."""
+        return self._covariance[6:, 6:]
 
     def stop(self) -> None:
         """Forgets the motion, after a frame that is lost or whose pose is no continuation of the one before."""

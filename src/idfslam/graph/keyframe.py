@@ -58,6 +58,7 @@ class Keyframe:
         self.unverified: list[int] = []  # covisible keyframes without an edge, the most covisible first
         self.covisible_references: list[int] = []  # stored keyframes that see most of what it sees, the oldest first
         self.velocity: NDArray[np.float64] | None = None  # (6,) along the camera's axes [m/s, rad/s]; None: not estimated
+        self.velocity_covariance: NDArray[np.float64] | None = None  # (6, 6) of it
         self.rectification: Rectification | None = None  # what its images are rectified with; None: they are as they were taken
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
@@ -94,7 +95,7 @@ class Keyframe:
     def rectify(self, rectification: Rectification) -> None:
         """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
         self._taken, self._images, self.rectification = self.taken, None, rectification
-        self._features = None
+        self._features = self._images_at = self._features_at = self._checksum = None
         for name in ("farthest", "has_depth"):
             self.__dict__.pop(name, None)
         if self._archive is not None:
@@ -156,7 +157,7 @@ class Keyframe:
         archive.used(self.host, self)
 
     def put_away(self) -> None:
-        """Releases images and features from memory. They never change, so each is written to the archive once.
+        """Releases images and features from memory. They hardly ever change, so what the archive has is not written again.
 
         What the archive has no room for stays in memory.
         """
@@ -185,6 +186,7 @@ class Keyframe:
             "unverified": self.unverified,
             "covisible_references": self.covisible_references,
             "velocity": None if self.velocity is None else torch.from_numpy(self.velocity),
+            "velocity_covariance": None if self.velocity_covariance is None else torch.from_numpy(self.velocity_covariance),
             "rectification": _state_of(self.rectification),
         }
 
@@ -194,7 +196,9 @@ class Keyframe:
         self.host, self.submap = state["host"], state["submap"]
         self.covisible, self.edges = set(state["covisible"]), set(state["edges"])
         self.unverified, self.covisible_references = state["unverified"], state["covisible_references"]
-        self.velocity = None if state["velocity"] is None else state["velocity"].numpy().copy()
+        self.velocity, self.velocity_covariance = (
+            None if state[key] is None else state[key].numpy().copy() for key in ("velocity", "velocity_covariance")
+        )
 
     def rectify_again(self, state: State) -> None:
         """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""

@@ -103,6 +103,12 @@ def along_world(T_wc: Tensor, velocity: Array) -> Array:
     return np.concatenate([R_wc @ velocity[:3], R_wc @ velocity[3:]])
 
 
+def turned(R: Array, covariance: Array) -> Array:
+    """A covariance (6, 6) of a velocity, along other axes by a rotation (3, 3)."""
+    both = np.kron(np.eye(2), R)
+    return np.asarray(both @ covariance @ both.T)
+
+
 def _motions(velocity: Array, times: Array) -> NDArray[np.float32]:
     """(N, 3, 4) exp(s velocity) for each of the times s (N,) [s], the shift along the arc to second order."""
     turn = Rotation.from_rotvec(times[:, None] * velocity[3:]).as_matrix()

@@ -168,7 +168,8 @@ def _neural_field(system: System) -> Mapper:
 
 def _alignment(system: System) -> FrontEnd:
     s = system
-    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, lambda keyframe: s.back_end.learn_again(keyframe))
+    learn_again = lambda keyframe: s.back_end.learn_again(keyframe)  # noqa: E731 (the back end is made after the front end)
+    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add)
 
 
 def _registration(system: System) -> FrontEnd:

@@ -81,10 +81,11 @@ class AlignmentToMap(FrontEnd):
         frames: FramePoses,
         timer: StageTimer,
         learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
+        relearn: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
     ) -> None:
-        """learn_again: has the map learn the first keyframe again, after its images were rectified."""
+        """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by."""
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
-        self.compensation, self._learn_again = MotionCompensation(aligner), learn_again
+        self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -111,14 +112,15 @@ class AlignmentToMap(FrontEnd):
         self.evidence = tracked.evidence
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
-        self.compensation.accept(view, tracked, self._references())
+        if self.compensation.accept(view, tracked, self._references()):
+            self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
 
     def figures(self) -> dict[str, Any]:
         return {"sensor_timing": self.compensation.figures()}
 
     def _begin(self, view: Keyframe) -> MotionPrior | None:
         """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""
-        motion = self.compensation.begin(view, self._last_pose(view))
+        motion = self.compensation.begin(view, self._last_pose(view), self._references())
         first = self.graph.keyframes[0]
         if motion is None or len(self.graph.keyframes) > 1 or len(self.frames) != first.index + 1:
             return motion
@@ -126,7 +128,7 @@ class AlignmentToMap(FrontEnd):
         if registered.is_lost or not self.compensation.rectify_first(first, view, registered.T_wc):
             return motion
         self._learn_again(first)
-        return self.compensation.begin_again(view)
+        return self.compensation.begin_again(view, self._references())
 
     def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, Tracked | None]:
         """The best alignment, of guesses that are tried until one convinces; and the registered pose if the tracker gave one."""

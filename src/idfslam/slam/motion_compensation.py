@@ -15,12 +15,11 @@ from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.motion import change_between
 from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.frame import Frame, Status
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.graph.keyframe import Keyframe
-from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement
+from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement, turned
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
@@ -54,9 +53,10 @@ class MotionCompensation(Stateful):
         """Takes over `state`."""
         self._stated = SensorTiming(*state["stated"])
 
-    def begin(self, view: Keyframe, T_last: Tensor) -> MotionPrior | None:
+    def begin(self, view: Keyframe, T_last: Tensor, references: Sequence[Keyframe]) -> MotionPrior | None:
         """Gives a view its predicted velocity and pose. T_last (4, 4): of the frame before, as the graph has it.
 
+        references: the keyframes that it is aligned to.
         Returns the prior of its motion. None: all its rows have one time, as far as is known, and the view is unchanged.
         """
         self._raw, self._prior = None, None
@@ -64,12 +64,13 @@ class MotionCompensation(Stateful):
             return None
         self._raw, self._stated = view.taken.frame, view.taken.frame.timing
         self.motion.follow(T_last)
-        return self.begin_again(view)
+        return self.begin_again(view, references)
 
-    def begin_again(self, view: Keyframe) -> MotionPrior | None:
+    def begin_again(self, view: Keyframe, references: Sequence[Keyframe]) -> MotionPrior | None:
         """The same with the present view, after the motion has become known."""
         assert self._raw is not None
-        self._prior, times = self.motion.predict(view.timestamp, view.T_wk), self.times(self._raw)
+        errors = [_velocity_error(k) for k in references if k.velocity is not None]
+        self._prior, times = self.motion.predict(view.timestamp, view.T_wk).against(errors), self.times(self._raw)
         if times.synchronised:
             return None
         view.T_wk = self._prior.T_wc
@@ -81,11 +82,21 @@ class MotionCompensation(Stateful):
         if alignment.joint is not None and view.rectification is not None and alignment.status is not Status.LOST:
             self._rectify(view, view.rectification.times, alignment.joint.velocity, alignment.T_wc)
 
-    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> None:
-        """Learns from the final result for a view: its velocity, and the sensor's times."""
+    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> bool:
+        """Learns from the final result for a view: its velocity, and the sensor's times. Returns whether one more of these is known."""
+        before = self._known()
         if self._raw is not None and self._prior is not None:
             self._accept(view, tracked, references, self._prior)
         self._raw, self._prior = None, None
+        if not self._known() - before:
+            return False
+        found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in (self.figures() or {}).items())
+        log.info("frame %d: the sensor's times are estimated: %s", view.index, found)
+        return True
+
+    def _known(self) -> set[str]:
+        """The names of the times that are estimated by now."""
+        return {name for name, value in (self.figures() or {}).items() if value}
 
     def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
         assert self._raw is not None
@@ -97,7 +108,7 @@ class MotionCompensation(Stateful):
             self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
         else:
             self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
-        view.velocity = along_camera(tracked.T_wc, self.motion.velocity)
+        self._keep_velocity(view, tracked.T_wc)
         if tracked.alignment is not None and tracked.status is Status.OK and None in vars(self._raw.timing).values():
             self._learn_times(view, tracked.T_wc, references)
 
@@ -109,11 +120,22 @@ class MotionCompensation(Stateful):
         elapsed, times = view.timestamp - first.timestamp, self.times(first.frame)
         if first.rectification is not None or elapsed <= 0 or times.synchronised:
             return False
-        self.motion.velocity = change_between(first.T_wk, T_wc).numpy() / elapsed
-        first.velocity = along_camera(first.T_wk, self.motion.velocity)
-        first.rectify(Rectification(times, first.velocity))
-        self.aligner.forget(first)
+        self.motion.start(first.T_wk, T_wc, elapsed)
+        self._keep_velocity(first, first.T_wk)
+        return self.rectify_stored(first)
+
+    def rectify_stored(self, keyframe: Keyframe) -> bool:
+        """Rectifies a keyframe of the time before the sensor's times were known. Returns whether the map has to learn it again."""
+        times = self.times(keyframe.frame)
+        if keyframe.rectification is not None or keyframe.velocity is None or times.synchronised:
+            return False
+        keyframe.rectify(Rectification(times, keyframe.velocity))
+        self.aligner.forget(keyframe)
         return True
+
+    def _keep_velocity(self, view: Keyframe, T_wc: Tensor) -> None:
+        view.velocity = along_camera(T_wc, self.motion.velocity)
+        view.velocity_covariance = turned(T_wc[:3, :3].T.numpy(), self.motion.velocity_covariance)
 
     def times(self, frame: Frame) -> RowTimes:
         """The times of the rows of a frame, as it was taken: stated, estimated, or zero."""
@@ -134,16 +156,21 @@ class MotionCompensation(Stateful):
             return
         times = RowTimes() if view.rectification is None else view.rectification.times
         lag = 0.0 if view.rectification is None else self._raw.depth_lag
-        known = self.figures()
         sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, self.motion.velocity))
         self.timing.add(*sums, times, lag, since_references, self._prior)
-        if known is None and (found := self.figures()) is not None:
-            log.info(
-                "frame %d: the sensor's times are estimated: %s", view.index, ", ".join(f"{k} {1000 * v:.0f} ms" for k, v in found.items())
-            )
 
     def figures(self) -> dict[str, float] | None:
         """The estimates of the unknown times [s] by name, to a tenth of a millisecond, 0 where not significant; None if none is."""
         found = dict(zip(_NAMES, self.timing.timing(self._stated)))
         unknown = {name: round(found[name], 4) for name, stated in vars(self._stated).items() if stated is None}
         return unknown if any(unknown.values()) else None
+
+
+def _velocity_error(keyframe: Keyframe) -> Array:
+    """(6, 6) second moments, along world axes, of the velocity that a keyframe's images are still distorted by."""
+    assert keyframe.velocity is not None and keyframe.velocity_covariance is not None
+    error = turned(keyframe.T_wk[:3, :3].numpy(), keyframe.velocity_covariance)
+    if keyframe.rectification is None:
+        left = along_world(keyframe.T_wk, keyframe.velocity)
+        error = error + np.outer(left, left)
+    return error
