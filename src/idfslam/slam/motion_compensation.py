@@ -1,4 +1,4 @@
-"""Motion compensation: frames of a moving camera are rectified with the velocity that is estimated with their pose.
+"""Motion compensation: a frame of a moving camera has a velocity, which is estimated with its pose and rectifies its images.
 
 A rolling shutter and depth of another moment distort a frame by its velocity. Kerl, Stückler and Cremers, "Dense continuous-time tracking
 and mapping with rolling shutter RGB-D cameras" (ICCV 2015) model the same by splines.
@@ -36,7 +36,7 @@ _NAMES = "readout", "depth_readout", "depth_delay"
 
 
 class MotionCompensation(Stateful):
-    """Rectifies the frames of a front end, and estimates the sensor's unknown times. A synchronised global shutter passes unchanged."""
+    """Gives the frames of a front end their velocities, rectifies them, and estimates the sensor's unknown times. A synchronised global shutter passes unchanged."""
 
     def __init__(self, aligner: MapAligner) -> None:
         self.aligner = aligner
