@@ -36,7 +36,10 @@ _NAMES = "readout", "depth_readout", "depth_delay"
 
 
 class MotionCompensation(Stateful):
-    """Gives the frames of a front end their velocities, rectifies them, and estimates the sensor's unknown times. A synchronised global shutter passes unchanged."""
+    """Gives the frames of a front end their velocities, rectifies them, and estimates the sensor's unknown times.
+
+    A frame of a synchronised global shutter passes unchanged.
+    """
 
     def __init__(self, aligner: MapAligner) -> None:
         self.aligner = aligner
