@@ -11,9 +11,10 @@ import torch
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
+from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.tracking.frame_features import FrameFeatures
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
@@ -55,6 +56,35 @@ def test_images_come_back_exactly(eight_bits: bool) -> None:
         assert (k.frame.index, k.frame.timestamp, k.frame.camera) == (frame.index, frame.timestamp, CAMERA)
         assert (k.frame.depth_timestamp, k.frame.timing) == (frame.depth_timestamp, frame.timing)
         assert sum(other._images is not None for other in keyframes) == 2
+
+
+def test_a_stored_keyframe_that_is_rectified_comes_back_rectified() -> None:
+    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
+    for k in keyframes:
+        k.keep_in(archive)
+    first, raw = keyframes[0], keyframes[0].colour.clone()  # in the file by now, and read again
+    first.keep_features(features(0))
+    first.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, 3.0])))
+    shown = first.colour.clone()
+    assert first.features is None
+    assert not torch.equal(shown, raw)
+    assert first.taken is first.images  # the images as they were taken are no longer kept
+    assert keyframes[1].depth.shape == (48, 64)  # puts the first one away
+    assert first._images is None
+    assert torch.equal(first.colour, shown)
+    assert (first.frame.timing, first.frame.depth_lag) == (SYNCHRONISED, 0.0)
+
+
+def test_images_are_rectified_when_they_are_asked_for() -> None:
+    made = keyframe(0, eight_bits=True)
+    taken = made.images
+    made.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, 3.0])))
+    assert made._images is None and made.taken is taken
+    assert made.has_depth and made._images is None  # what only needs the raw images does not rectify
+    first = made.colour.clone()
+    made.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, -3.0])))  # from the raw images again
+    assert made.taken is taken
+    assert not torch.equal(made.colour, first)
 
 
 def test_what_was_used_last_stays() -> None:

@@ -111,3 +111,24 @@ def test_a_step_follows_the_rows_where_the_prior_is_weak(jacobians: tuple[Tensor
     assert np.abs(change_between(EYE, T).numpy()).max() < 2e-3
     assert np.dot(estimate.velocity, VELOCITY) > 0.05 * np.dot(VELOCITY, VELOCITY)
     assert (np.linalg.eigvalsh(estimate.covariance) > 0).all()
+
+
+def test_a_sure_reference_lets_the_rows_decide(jacobians: tuple[Tensor, Tensor]) -> None:
+    J, rows = jacobians
+    times = RowTimes(0.026)
+    images = rows_of(J, rows, np.zeros(6), -VELOCITY, 0.026 * rows)
+    found = []
+    for error in (1e-4, 1.0):  # [m/s], [rad/s]
+        prior = ContinuousMotion().predict(0.0, EYE).against([error**2 * np.eye(6), error**2 * np.eye(6)])
+        solver = JointSolver(EYE.clone(), prior, times, depth_noise=1e-4)
+        solver.step(DepthTerm.absent(weight=1.0, radius=1.0, moments=True), ImageTerm(images, 0.01, 1.0))
+        found.append(float(np.dot(solver.velocity, VELOCITY) / np.dot(VELOCITY, VELOCITY)))
+    assert found[0] > 0.9  # the distortion is the frame's own
+    assert found[1] < 0.75  # the distortion may be the references'
+
+
+def test_the_velocity_between_the_first_two_poses() -> None:
+    motion = ContinuousMotion()
+    motion.start(EYE, moved(EYE, torch.from_numpy(VELOCITY / 30)), 1 / 30)
+    np.testing.assert_allclose(motion.velocity, VELOCITY, atol=1e-9)
+    assert np.sqrt(np.diag(motion.velocity_covariance)) == pytest.approx(30 * 2**0.5 * 2e-3)  # both poses are exact to 2 mm, 2 mrad

@@ -110,6 +110,7 @@ class Keyframe:
     def _keep_rectified(self) -> None:
         """Forgets the images as they were taken, after rectification."""
         self._images, self._taken = self.images, None
+        self._times = self._images.frame.depth_timestamp, self._images.frame.timing
 
     @property
     def frame(self) -> Frame:
