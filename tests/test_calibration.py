@@ -98,7 +98,7 @@ def test_distortion_of_two_lenses_in_a_row() -> None:
 def test_a_damaged_deformation_is_one_line(tmp_path: Path, deformation: object) -> None:
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"camera": {"fx": 290, "fy": 290, "cx": 160, "cy": 120, "depth_deformation": deformation}}))
-    with pytest.raises(RecordingError, match="depth_deformation|could not convert|expected"):
+    with pytest.raises(RecordingError, match=r"depth_deformation|could not convert|expected"):
         read_given(path)
 
 

@@ -146,7 +146,7 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     config = replace(busy(), loops=replace(busy().loops, relocalise=True))
     data, slam, again = open_recording(box_recording), Slam(config), Slam(config)
     slam.process(data[0])
-    _light, check, loop_closer, submap_merger = slam.back_end.hooks
+    _light, check, loop_closer, submap_merger, _camera = slam.back_end.hooks
     loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64), 10 * i) for i in (3, 5)]
     loop_closer.loops.closed, loop_closer.loops.waiting, loop_closer.loops.refused = loops[:1], loops[1], 2
     submap_merger.agreeing, submap_merger.merged = loops, 1

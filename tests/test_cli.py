@@ -56,7 +56,7 @@ def options_in_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monk
 
 
 VALUES_IN_HELP = {
-    *("--preset", "--seed", "--device", "--refine", "--config", "--keyframes.translation", "--tracker.weights"),
+    *("--preset", "--seed", "--device", "--refine", "--calibrate", "--config", "--keyframes.translation", "--tracker.weights"),
     *("--finetune.enabled", "--loops.enabled", "--mesh.resolution"),
 }
 

@@ -21,6 +21,7 @@ from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam import BackEnd, FrontEnd, Slam, Source, System, Tracked
 from idfslam.slam.back_end import KeyframeMapping
+from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, Registration
 from idfslam.slam.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
@@ -52,7 +53,7 @@ def test_the_parts_of_the_fast_preset() -> None:
         "polish": Polish,
         "finetuner": Finetuner,
         "updates": InBackground,
-        "hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger],
+        "hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger, CameraCheck],
     }
 
 
@@ -76,15 +77,22 @@ def test_the_parts_of_the_paper_preset() -> None:
     [
         ({"refine": False}, {"polish": NoPolish, "refinement": KeyframeRefinement}),
         ({"finetune": replace(FAST.finetune, enabled=False)}, {"finetuner": NoFinetuning}),
-        ({"loops": replace(FAST.loops, enabled=False)}, {"hooks": [LightEstimation, RelocalisationCheck], "recovery": Relocalisation}),
-        ({"loops": replace(FAST.loops, relocalise=False)}, {"hooks": [LightEstimation, LoopCloser, SubmapMerger], "recovery": NoRecovery}),
-        ({"mapper": replace(FAST.mapper, light=False)}, {"hooks": [RelocalisationCheck, LoopCloser, SubmapMerger]}),
+        (
+            {"loops": replace(FAST.loops, enabled=False)},
+            {"hooks": [LightEstimation, RelocalisationCheck, CameraCheck], "recovery": Relocalisation},
+        ),
+        (
+            {"loops": replace(FAST.loops, relocalise=False)},
+            {"hooks": [LightEstimation, LoopCloser, SubmapMerger, CameraCheck], "recovery": NoRecovery},
+        ),
+        ({"mapper": replace(FAST.mapper, light=False)}, {"hooks": [RelocalisationCheck, LoopCloser, SubmapMerger, CameraCheck]}),
+        ({"calibrate": "off"}, {"hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger]}),
         ({"mapper": replace(FAST.mapper, background=False)}, {"updates": InTurns}),
         (
             {"front_end": "registration"},
             {
                 "recovery": NoRecovery,
-                "hooks": [LightEstimation],
+                "hooks": [LightEstimation, CameraCheck],
                 "keyframe_pose": TrackedPose,
                 "refinement": NoRefinement,
                 "front_end": Registration,

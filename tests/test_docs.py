@@ -44,7 +44,7 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
 
 
 USER_OPTIONS = {
-    *("preset", "seed", "device", "refine", "keyframes.translation", "tracker.weights", "finetune.enabled"),
+    *("preset", "seed", "device", "refine", "calibrate", "keyframes.translation", "tracker.weights", "finetune.enabled"),
     *("loops.enabled", "mesh.resolution"),
     *("steps", "batch", "height", "crop", "gap", "learning_rate", "augmentation"),  # of pretrain
 }

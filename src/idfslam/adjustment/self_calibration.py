@@ -23,7 +23,7 @@ from idfslam.geometry.trajectory import align
 
 _DETERMINED = 0.25  # [1] largest posterior standard deviation of a value that is estimated, as a share of its prior; raised, values are
 #    estimated from weaker evidence. Chosen by hand
-_ROUNDS = 4  # most times that tracks are searched; more: slower, a worse stated camera is mended
+ROUNDS = 4  # most times that tracks are searched; more: slower, a worse stated camera is mended
 _SETTLED = 0.5  # [standard deviations] largest change of a value that ends the rounds; more: faster, less exact
 _LEAST_KEYFRAMES = 3  # in all; more: short recordings are refused. With two, focal length and relative pose are hard to tell apart
 _LEAST_LANDMARKS = 100  # in all; more: poor recordings are refused. Chosen by hand
@@ -63,10 +63,11 @@ class Estimate:
         return bool(self.sigmas[NAMES.index(name)] > 0)
 
 
-def self_calibrate(footage: Sequence[Footage], *, seconds: float = np.inf) -> Estimate | None:
+def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds: float = np.inf) -> Estimate | None:
     """The camera of recordings with one and the same camera; None if they show too little.
 
-    After `seconds` no further round begins: then, and only then, the clock decides about the result.
+    rounds: most times that tracks are searched. After `seconds` no further round begins: then, and only then, the clock decides about
+    the result.
     """
     views = [view for part in footage for view in part.views]
     if len(views) < _LEAST_KEYFRAMES:
@@ -76,12 +77,12 @@ def self_calibrate(footage: Sequence[Footage], *, seconds: float = np.inf) -> Es
     of = np.repeat(np.arange(len(footage)), np.diff(starts))
     fixed = np.isin(np.arange(len(views)), starts[:-1])
     model, estimated = CameraModel.as_stated(views[0].camera), np.arange(len(NAMES)) != _SCALE
-    for i in range(_ROUNDS):
+    for i in range(rounds):
         points, seen = find_tracks(views, poses, model, recordings=of, coarse=i == 0)
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
-        adjusted, estimated = _determined(Problem(model, poses, points, seen, fixed, estimated), end)
+        adjusted, estimated = _determined(Problem(model, poses, points, seen, fixed, estimated))
         model, poses, covariance = adjusted.problem.model, adjusted.problem.poses, adjusted.values_covariance()
         sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
         if perf_counter() > end or (i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all()):
@@ -98,11 +99,11 @@ def _honest(covariance: Array) -> Array:
     return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
 
 
-def _determined(problem: Problem, end: float) -> tuple[Adjusted, NDArray[np.bool_]]:
+def _determined(problem: Problem) -> tuple[Adjusted, NDArray[np.bool_]]:
     """The adjustment in which only values are estimated that it determines, and which these are."""
     prior = np.array(list(PRIORS.values()))
     while True:
-        adjusted = adjust(problem, seconds=end - perf_counter())
+        adjusted = adjust(problem)
         sigmas = np.sqrt(np.diag(adjusted.values_covariance()).clip(min=0))
         weak = problem.estimated & (sigmas > _DETERMINED * prior)
         if not weak.any():

@@ -17,6 +17,7 @@ PAPER = Config(
     preset="paper",
     front_end="registration",
     refine=False,
+    calibrate="off",
     field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
     mapper=MapperConfig(
         supervision="rendering",

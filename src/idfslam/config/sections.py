@@ -453,6 +453,9 @@ class Config:
     """The part that maps. `keyframe_mapping` trains the map on each keyframe and on replayed ones, as in the paper."""
     refine: UserOption[bool] = True
     """Refine all keyframe poses and the map together after the last frame."""
+    calibrate: UserOption[Literal["off", "warn", "on"]] = "warn"
+    """Whether the camera is checked. `warn` says so where the views show that it is not as stated. `on` first calibrates it from the whole
+    recording (`idf-slam calibrate`), and then runs with what was found, which takes twice as long."""
     field: FieldConfig = FieldConfig()
     mapper: MapperConfig = MapperConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

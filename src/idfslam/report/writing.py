@@ -113,6 +113,7 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
         made=datetime.fromtimestamp((folder / result_folder.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
         cards=_cards(run, ate, metrics, mesh),
         interrupted=bool(metrics.get("interrupted")),
+        doubts=[str(doubt) for doubt in metrics.get("camera_doubts") or ()],
         passages=[] if run.frames is None else passages(run.frames, run.trajectory.poses),
         sections=sections,
         stages=sorted(metrics.get("ms_per_frame", {}).items(), key=lambda item: -item[1]),

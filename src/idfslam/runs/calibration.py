@@ -1,5 +1,6 @@
 """Calibrates the camera of recordings from their keyframes, and writes the camera file that reads them rightly."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy.optimize import least_squares
 
+from idfslam.adjustment.camera_findings import findings
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import View
 from idfslam.adjustment.self_calibration import Estimate, Footage, of_size, self_calibrate, with_scale
 from idfslam.config import Config
 from idfslam.datasets import Dataset
+from idfslam.datasets.cameras.calibration import TIMES
 from idfslam.datasets.cameras.camera_files import DEFORMATION
 from idfslam.datasets.provenance import Provenance, provenance
 from idfslam.errors import ConfigError, RecordingError
@@ -27,6 +30,8 @@ from idfslam.runs.source import open_source, read_frames
 from idfslam.sensing.depth_deformation import DepthDeformation
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
+
+log = logging.getLogger(__name__)
 
 _MOST_KEYFRAMES = 120  # in all, evenly spread; more: slower, and more exact where a recording shows more. Chosen by hand
 _GRID = 12  # points a side at which the distortion of two lenses in a row is fitted; more: slower, and no more exact
@@ -76,6 +81,23 @@ def calibrate(
     return replace(estimate, model=of_size(estimate.model, first.camera)), first
 
 
+def calibrated(source: result_folder.Source, config: Config, path: Path, console: Console | None) -> result_folder.Source:
+    """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
+
+    If it shows too little, a warning says so, and it stays as it was.
+    """
+    try:
+        estimate, recording = calibrate([source], config, truth=False, console=console)
+    except RecordingError as error:
+        log.warning("%s; the camera stays as it is stated", error)
+        return source
+    write_camera(path, estimate, recording)
+    for finding in findings(estimate):
+        log.info("%s: %s", finding.name, finding.found)
+    times = {name: value for name, value in (source.camera or {}).items() if name in TIMES}
+    return replace(source, camera=times or None, depth_scale=None, camera_file=str(path.absolute()))
+
+
 def keyframes_of(source: result_folder.Source, config: Config, console: Console | None) -> list[Keyframes]:
     """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
     folder = Path(source.path)
@@ -84,7 +106,7 @@ def keyframes_of(source: result_folder.Source, config: Config, console: Console 
         indices, poses = run.keyframes.indices, run.keyframes.poses
         return [Keyframes(run.recording, indices, [View.of(run.recording[int(i)]) for i in indices], poses)]
     recording = open_source(source, report=True)
-    slam = Slam(replace(config, refine=False))
+    slam = Slam(replace(config, refine=False, calibrate="off"))
     with ProgressBar(len(recording), console) as bar:
         done, start = 0, perf_counter()
         for frame, _ in read_frames(recording, source):
@@ -130,6 +152,7 @@ def _thinned(maps: Sequence[Keyframes]) -> list[Keyframes]:
 def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
     """Writes the camera file of a recording that was read as `recording` and calibrated."""
     with result_folder.writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
         atomic_files.write_json(path, {"camera": camera_values(estimate.model, recording.camera, provenance(recording) or Provenance(""))})
 
 

@@ -136,6 +136,8 @@ class KeyframeMapping(BackEnd):
     def finish(self) -> None:
         with self.timer.stage("finish"):
             self.polish.run()
+            for hook in self.hooks:
+                hook.on_finish()
 
     def _run_hooks(self, keyframe: Keyframe) -> None:
         """Relocalisation check, loops, merged submaps: the map is to learn again what they move."""

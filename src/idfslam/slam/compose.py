@@ -23,6 +23,7 @@ from idfslam.mapping.fused import distance_query
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam.back_end import BackEnd, KeyframeMapping
+from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
 from idfslam.slam.keyframe_features import KeyframeFeatures
@@ -139,6 +140,8 @@ class System:
         if self.closes_loops:
             hooks.append(LoopCloser(c, self.relocaliser, self.graph))
             hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
+        if self.config.calibrate != "off":
+            hooks.append(CameraCheck(self.graph))
         return hooks
 
     @cached_property

@@ -29,6 +29,9 @@ class KeyframeHook(Stateful, ABC):
     def on_split(self) -> None:
         """Called after a submap was split off because a relocalisation was wrong."""
 
+    def on_finish(self) -> None:
+        """Called after the last frame, when the keyframes' poses are final."""
+
     def closed_loops(self) -> Sequence[Loop]:
         """The closed loops."""
         return ()

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from idfslam.datasets import Dataset
+    from idfslam.runs.result_folder import Source
     from idfslam.runs.runner import Run as RunResult
     from idfslam.viewer.rerun_viewer import Viewer
 
@@ -173,9 +174,23 @@ class Run:
         viewer, every, overwrite = self._viewer(console), self.checkpoints.checkpoint_every, self.output.overwrite
         folder = folder_for(recording.name, self.output.out, overwrite=overwrite)
         check_usable(folder, **wanted)
+        if values.calibrate == "on":
+            source = self._calibrated(source, folder, console)
+            recording = open_feed(source)
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
         done = run(recording, values, folder, source=source, console=console, **options)
         self._conclude(done, console, None if isinstance(recording, LiveStream) else recording)
+
+    def _calibrated(self, source: "Source", folder: Path, console: "Console") -> "Source":
+        """The recording with the camera that it shows itself, in a file beside the result folder."""
+        from idfslam.live import is_live
+        from idfslam.runs.calibration import calibrated
+
+        if is_live(source.path):
+            wrong_usage(
+                "--calibrate on reads a recording twice, which a live camera cannot: record it first, or give --calibrate warn", "run"
+            )
+        return calibrated(source, self.values, folder.with_name(f"{folder.name}-camera.json"), console)
 
     def _go_on(self, folder: Path, console: "Console") -> None:
         output_flags = OutputFlags(report=self.output.report, lost=self.output.lost)

@@ -1,0 +1,83 @@
+"""Whether the camera is as stated: some keyframes are adjusted together with it, early in a run and at its end, and doubts are told.
+
+Nothing else of the run depends on it. The early check runs beside the frames, and tells doubts that the user may act on at once.
+"""
+
+import logging
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from idfslam.adjustment.camera_findings import doubts
+from idfslam.adjustment.camera_model import NAMES
+from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.self_calibration import Estimate, Footage, self_calibrate
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+
+log = logging.getLogger(__name__)
+
+_EARLY = 12  # stored keyframes at the early check; more: surer and later. This and the rest: chosen by hand
+_STRETCH = 12  # keyframes in a row that are checked together; more: surer, slower
+_STRETCHES = 2  # such stretches at the end of a run, one of them its last keyframes; more: surer, slower
+_ROUNDS = 2  # times that tracks are searched; more: slower, a very wrong camera is told more exactly
+_SECONDS = 10.0  # [s] after which no further round begins; more: surer on slow machines
+
+
+class CameraCheck(KeyframeHook):
+    """Says whether the camera fits the views. See `figures` for what it found at the end."""
+
+    def __init__(self, graph: KeyframeGraph) -> None:
+        self.graph = graph
+        self._estimate: Estimate | None = None  # at the end of the run
+        self._running: Future[bool] | None = None  # the early check; True: it told doubts
+
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        """Starts the early check, in a thread of its own."""
+        if len(self.graph.keyframes) == _EARLY and keyframe.host == _EARLY - 1 and self._running is None:
+            footage = _footage([self.graph.keyframes])
+            pool = ThreadPoolExecutor(1, "camera-check")
+            self._running = pool.submit(_told, footage)
+            pool.shutdown(wait=False)
+        return Moved()
+
+    def on_finish(self) -> None:
+        """Checks the first keyframes of the map and its last ones, and tells doubts that were not told yet."""
+        told = self._running is not None and self._running.result()
+        keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == self.graph.keyframes[0].submap]
+        starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
+        chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
+        self._estimate = self_calibrate(_footage([[keyframes[i] for i in chosen]]), rounds=_ROUNDS, seconds=_SECONDS)
+        if self._estimate is not None and not told:
+            _tell(self._estimate)
+
+    def figures(self) -> dict[str, Any]:
+        """`camera_doubts`, what is wrong with the camera, and `camera_deviations` of its values; empty before the end of a run."""
+        e = self._estimate
+        if e is None:
+            return {}
+        columns = zip(NAMES, e.model.values.tolist(), e.sigmas.tolist())
+        deviations = {name: {"value": value, "sigma": sigma} for name, value, sigma in columns if sigma > 0}
+        return {"camera_doubts": doubts(e), "camera_deviations": deviations}
+
+
+def _footage(parts: Sequence[Sequence[Keyframe]]) -> list[Footage]:
+    """The views of keyframes with depth, at their present poses."""
+    kept = [[keyframe for keyframe in part if keyframe.has_depth] for part in parts]
+    return [Footage([View.of(k.frame) for k in part], np.array([k.T_wk.numpy() for k in part])) for part in kept if part]
+
+
+def _told(footage: Sequence[Footage]) -> bool:
+    """Checks the camera, and says whether doubts were told."""
+    estimate = self_calibrate(footage, rounds=_ROUNDS, seconds=_SECONDS)
+    return estimate is not None and _tell(estimate)
+
+
+def _tell(estimate: Estimate) -> bool:
+    found = doubts(estimate)
+    if found:
+        log.warning("the camera does not fit the images: %s; `idf-slam calibrate RECORDING --out camera.json` mends it", "; ".join(found))
+    return bool(found)
