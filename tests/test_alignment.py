@@ -255,20 +255,28 @@ def test_two_alignments_are_the_same(corner: Mapper) -> None:
 
 
 def test_doubt(corner: Mapper) -> None:
-    judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6, doubtful_brightness=1.5, colour_noise=0.01))
-    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
-    assert judge.is_doubtful(good)  # 0.02 is more than 1.5 times the least noise, and nothing is known of this recording yet
+    judge = aligner(corner, replace(CONFIG, doubtful_overlap=0.6))
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5, displacement=0.01)
+    assert judge.is_doubtful(good)  # 0.01 is more than twice the least displacement, and nothing is known of this recording yet
     judge.accept(good, EYE)
     assert not judge.is_doubtful(good)
-    assert not judge.is_doubtful(replace(good, photometric_error=0.029))  # 1.5 * 0.02 = 0.03
-    assert judge.is_doubtful(replace(good, photometric_error=0.031))
+    assert not judge.is_doubtful(replace(good, displacement=0.019))
+    assert judge.is_doubtful(replace(good, displacement=0.03))
+    assert not judge.is_doubtful(replace(good, displacement=0.0))  # no landmark in view says nothing
     assert judge.is_doubtful(replace(good, overlap=0.5))
     assert judge.is_doubtful(replace(good, status=Status.LOST))
+
+
+def test_the_usual_photometric_error(corner: Mapper) -> None:
+    judge = aligner(corner, replace(CONFIG, doubtful_brightness=1.5, colour_noise=0.01))
+    good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
+    assert judge.doubtful_error == pytest.approx(0.015)  # 1.5 times the least noise: nothing is known of this recording yet
+    judge.accept(good, EYE)
+    assert judge.doubtful_error == pytest.approx(0.03)
     judge.accept(replace(good, photometric_error=0.04), EYE)  # counts as 0.03, at a lower rate: the usual error is 0.0203
-    assert not judge.is_doubtful(replace(good, photometric_error=0.0304))  # 1.5 * 0.0203 = 0.03045
-    assert judge.is_doubtful(replace(good, photometric_error=0.0306))
+    assert judge.doubtful_error == pytest.approx(1.5 * 0.0203)
     judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
-    assert judge.is_doubtful(replace(good, photometric_error=0.034))
+    assert judge.doubtful_error == pytest.approx(1.5 * 0.0203)
 
 
 def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:

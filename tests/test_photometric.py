@@ -165,7 +165,7 @@ def test_jacobian_against_finite_differences() -> None:
     step = 0.0125  # about a pixel: the image is piecewise bilinear, its slopes central differences over two pixels
     checked = 0
     for i in range(0, len(marks.points), 7):
-        one = Landmarks(marks.points[i : i + 1], [x[i : i + 1] for x in marks.luminance])
+        one = Landmarks(marks.points[i : i + 1], [x[i : i + 1] for x in marks.luminance], [x[:, i : i + 1] for x in marks.slopes])
         term = photometric_term(frame, one, T_wk, T_wc, 0, floor=1.0, widest=3.0)
         if term.seen == 0:
             continue

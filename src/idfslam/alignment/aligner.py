@@ -14,11 +14,13 @@ from torch import Tensor
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.displacement import displacement
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
 from idfslam.alignment.motion import Information
 from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
+from idfslam.alignment.pose_doubt import PoseDoubt
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.surface import Surface, surface_points
 from idfslam.config import AlignmentConfig
@@ -68,6 +70,7 @@ class MapAligner(Stateful):
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
         self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
+        self.doubt = PoseDoubt()
         self._usual_error = 0.0
         self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
@@ -126,7 +129,8 @@ class MapAligner(Stateful):
             if step >= coarse_steps and largest < self.config.converged:
                 break
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
-        return self._judged(T, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
+        displaced = self._displacement(appearance, T, references, solver.motion)
+        return self._judged(T, displaced, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
@@ -168,12 +172,24 @@ class MapAligner(Stateful):
         return depth.sums.scaled(scale), images.sums.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
-        """Whether another guess should be tried: the view is lost, overlaps little with the map, or has a large photometric error."""
+        """Whether another guess should be tried: the view is lost, overlaps little with the map, or the images contradict its pose."""
         return alignment.status is Status.LOST or alignment.overlap < self.config.doubtful_overlap or self.contradicts_images(alignment)
 
     def contradicts_images(self, alignment: Alignment) -> bool:
-        """Whether brightness differs by much more than usual (`doubtful_brightness`): the pose is wrong, or the images are blurred."""
-        return not self.photometric_error_within(alignment, self.config.doubtful_brightness)
+        """Whether the image is displaced by much more than usual at the pose (`pose_doubt.PoseDoubt`)."""
+        return self.doubt.is_doubtful(alignment.displacement)
+
+    def displacement(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
+        """The displacement of a view's image at a pose (4, 4) [rad], over the references by their landmarks in view; 0: unknown."""
+        return self._displacement(self.appearance(view), T_wc, references, None)
+
+    def _displacement(self, frame: Appearance, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion | None) -> float:
+        total, count = 0.0, 0
+        for reference in references:
+            seen, off = displacement(frame, self.landmarks(reference), reference.T_wk, T_wc, motion)
+            if seen >= self.config.min_landmarks:
+                total, count = total + seen * off, count + seen
+        return total / max(count, 1)
 
     def photometric_error_within(self, alignment: Alignment, ratio: float) -> bool:
         """Whether the photometric error is at most `ratio` times the usual one."""
@@ -181,7 +197,7 @@ class MapAligner(Stateful):
 
     @property
     def doubtful_error(self) -> float:
-        """Photometric error [1] above which the images do not match: it is more than noise."""
+        """Photometric error [1] above which two images do not show the same place: it is more than noise."""
         return self.config.doubtful_brightness * self._expected_error
 
     @property
@@ -203,9 +219,10 @@ class MapAligner(Stateful):
 
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
         """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
+        self.doubt.accept(alignment.displacement)
         if alignment.photometric_error > 0:
             # An error above the doubtful one counts as that, and at a lower rate: a wrong pose does not soon make its like usual.
-            rate = 1.0 if not self._usual_error else _DOUBTFUL_RATE if self.contradicts_images(alignment) else _USUAL_RATE
+            rate = 1.0 if not self._usual_error else _DOUBTFUL_RATE if alignment.photometric_error > self.doubtful_error else _USUAL_RATE
             error = min(alignment.photometric_error, self.doubtful_error) if self._usual_error else alignment.photometric_error
             self._usual_error += (error - self._usual_error) * rate
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
@@ -298,6 +315,7 @@ class MapAligner(Stateful):
     def _judged(
         self,
         T: Tensor,
+        displaced: float,
         depth: DepthTerm,
         images: ImageTerm,
         iterations: int,
@@ -307,7 +325,7 @@ class MapAligner(Stateful):
         has_depth: bool,
     ) -> Alignment:
         of_depth = Information.of(depth.H, depth.weight, depth.radius)
-        contradicted = images.photometric_error > self.doubtful_error  # images that do not match say nothing about the motion
+        contradicted = self.doubt.is_doubtful(displaced)  # images that do not match say nothing about the motion
         information = of_depth if contradicted else Information.of(depth.H + images.H, depth.weight, depth.radius)
         min_eigenvalue = float(of_depth.values[0])
         if has_depth:
@@ -317,7 +335,7 @@ class MapAligner(Stateful):
             status = Status.DEGENERATE if confirmed else Status.LOST
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
         covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
-        return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius)
+        return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
         largest = max(self.config.max_rmse, _NOISE_MARGIN * self.config.depth_noise * depth.noise)

@@ -32,6 +32,7 @@ class Alignment:
     joint: JointEstimate | None = None  # velocity, and covariance with the pose; None: the pose was estimated alone
     focal: float = 1.0  # focal length of the finest image [px]
     radius: float = 1.0  # mean distance of the points, or without depth of the landmarks [m]
+    displacement: float = 0.0  # [rad] that would explain the brightness differences (`displacement.displacement`); 0 without landmarks
 
     @property
     def least_information(self) -> float:

@@ -16,6 +16,7 @@ OCCLUSION_SHARE = 0.05  # [1] share of the depth, added to `OCCLUSION`. More: hi
 ROW_STEPS = 2  # [1] of the search for the row that sees a landmark. More: nothing; each divides the error by more than ten
 LEAST_SPREAD = 1e-3  # [1] least standard deviation of the landmarks' brightness, which divides the gain. More: smaller gains of bare images
 LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4  # [1] range of the change of exposure. Wider: other differences pass as a change of exposure
+LEAST_GRADIENT = 1e-3  # [1/px] least gradient by which a difference of brightness is divided. More: bare places seem displaced less
 DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 
 # Information of a pose by direction (`motion.Information`)

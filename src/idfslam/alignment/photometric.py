@@ -111,6 +111,7 @@ class Landmarks:
 
     points: Tensor  # (M, 3) [m] in the keyframe's frame
     luminance: list[Tensor]  # (M,) for each level of the pyramid
+    slopes: list[Tensor]  # (2, M) derivatives of the luminance along u and v [1/px] for each level
 
 
 def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
@@ -124,7 +125,8 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
     row, column = _rows_of(fine, depth)
     points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
-    return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]) for level in levels])
+    seen = [level.at(level.camera.project(points)[0]) for level in levels]
+    return Landmarks(points, [values[0].contiguous() for values in seen], [values[1:].contiguous() for values in seen])
 
 
 def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
@@ -255,15 +257,15 @@ def plain_photometric_term(
     T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
     d = se3.transform(T_wk, marks.points) - T_wc[:3, 3]  # from the camera's centre, world axes
     image = frame.levels[level]
-    d, depth_points = (d, d) if motion is None else _at_their_rows(d, motion, T_wc, image.camera)
+    d, depth_points = (d, d) if motion is None else at_their_rows(d, motion, T_wc, image.camera)
     points_c = d @ T_wc[:3, :3]
     uv, z = image.camera.project(points_c)
-    unoccluded = _unoccluded(frame, *image.camera.project(depth_points @ T_wc[:3, :3]), image.camera)
+    in_sight = unoccluded(frame, *image.camera.project(depth_points @ T_wc[:3, :3]), image.camera)
     value, slope_u, slope_v = image.at(uv)
     target = marks.luminance[level]
     size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & unoccluded
-    gain, offset = _exposure(target, value, inside)
+    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & in_sight
+    gain, offset = exposure(target, value, inside)
     r = value - gain * target - offset
     scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
     w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
@@ -278,7 +280,7 @@ def plain_photometric_term(
     return Term(RowMoments.of(J, w, r, rows), int(inside.sum()), float(scale))
 
 
-def _at_their_rows(d: Tensor, motion: FrameMotion, T_wc: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+def at_their_rows(d: Tensor, motion: FrameMotion, T_wc: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     """Points (N, 3) from the camera's centre along world axes, as the rows of colour see them, and as those of depth do."""
     seen = d
     for _ in range(ROW_STEPS):
@@ -296,7 +298,7 @@ def _median(values: Tensor) -> Tensor:
     return values.quantile(0.5) if len(values) else values.new_zeros(())
 
 
-def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
+def unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
     """Whether a landmark's depth z agrees with the frame's own depth at its pixel, or the frame has none there."""
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
@@ -304,7 +306,7 @@ def _unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Ten
     return (depth <= 0) | ((depth - z).abs() < OCCLUSION + OCCLUSION_SHARE * z)
 
 
-def _exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+def exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     """Gain and offset with value = gain * target + offset over the landmarks in view, from means and standard deviations."""
     n = inside.sum().clamp(min=1)
     mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n

@@ -366,8 +366,8 @@ class AlignmentConfig:
     doubtful_overlap: float = 0.6
     """Alignments with a smaller overlap are doubted: the tracker's pose and the last pose are tried as well."""
     doubtful_brightness: float = 1.5
-    """Alignments are also doubted if brightness differs this many times as much as in recent frames. A frame for which no other pose is
-    better has the status `doubtful`, and is not mapped."""
+    """Two images show one place only if brightness differs at most this many times as much as in recent frames: for loops, lost cameras
+    that are found again, and keyframes that are registered."""
     min_eigenvalue: float = 1e-3
     """Least eigenvalue of the information matrix of depth, per unit weight. Frames below it are marked as degenerate."""
 

@@ -101,7 +101,7 @@ class AlignmentToMap(FrontEnd):
         aligned, registered = self._best_alignment(view, motion)
         self.compensation.follow(view, aligned)
         if aligned.status is not Status.LOST:
-            doubtful = self.aligner.has_usual_error and self.aligner.contradicts_images(aligned)
+            doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned)
             return Tracked.aligned(aligned, doubtful=doubtful)
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:  # the tracker has a pose, but the view does not match the map there

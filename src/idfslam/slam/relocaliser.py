@@ -108,16 +108,19 @@ class Relocaliser(Stateful):
 
     def estimate_usual_error(self, keyframes: Sequence[Keyframe]) -> None:
         """Estimates the usual photometric error from stored keyframes, by which results are judged before a frame was aligned."""
-        errors = []
+        errors, displacements = [], []
         for keyframe in keyframes:
             references = self.graph.older_references(keyframe, self.references)
             errors += [self.aligner.photometric_comparison(keyframe, other, keyframe.T_wk)[1] for other in references]
+            displacements.append(self.aligner.displacement(keyframe, keyframe.T_wk, references))
             self.aligner.release(keyframe)
         self.aligner.expect(errors)
+        self.aligner.doubt.expect(displacements)
 
     def convincing(self, aligned: Alignment) -> bool:
-        """Whether an alignment is unlikely to be accidental: it is not doubtful, and sees enough landmarks."""
-        return aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.is_doubtful(aligned)
+        """Whether an alignment is unlikely to be accidental: it is not doubtful, sees enough landmarks, and they are as bright as usual."""
+        surely = aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.is_doubtful(aligned)
+        return surely and aligned.photometric_error <= self.aligner.doubtful_error
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
         """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""

@@ -11,6 +11,7 @@ from idfslam.alignment.constants import (
     DEVIATION,
     LARGEST_GAIN,
     LEAST_GAIN,
+    LEAST_GRADIENT,
     LEAST_RADIUS,
     LEAST_SLOPE,
     LEAST_SPREAD,
@@ -206,6 +207,13 @@ def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
     return x + s * a + half * (wy * c - wz * b), y + s * b + half * (wz * a - wx * c), z + s * c + half * (wx * b - wy * a)
 
 
+@_inlined
+def _gain(variance_t: float, variance_v: float) -> float:
+    """The change of exposure from the variances of the brightness of landmarks in the keyframe and in the frame."""
+    gain = np.sqrt(max(variance_v, 0.0)) / max(np.sqrt(max(variance_t, 0.0)), LEAST_SPREAD)
+    return min(max(gain, LEAST_GAIN), LARGEST_GAIN)  # type: ignore[no-any-return]
+
+
 @_compiled
 def carry_points(points, seconds, velocity, out) -> None:  # type: ignore[no-untyped-def]
     """Fills out (N, 3) with points (N, 3), each carried by the velocity (6,) for its seconds (N,)."""
@@ -298,8 +306,7 @@ def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes
     if n == 0:
         return 0, 0.0
     mean_t, mean_v = sum_t / n, sum_v / n
-    gain = np.sqrt(max(sum_vv / n - mean_v**2, 0.0)) / max(np.sqrt(max(sum_tt / n - mean_t**2, 0.0)), LEAST_SPREAD)
-    gain = min(max(gain, LEAST_GAIN), LARGEST_GAIN)
+    gain = _gain(sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
     residuals = np.empty(n)
     k = 0
     for i in range(m):
@@ -322,6 +329,50 @@ def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes
         _add(H, b, J, 1 / (kernel * kernel * scale * scale), r, (y / z * fy + cy + 0.5) / height - 0.5)
     _mirror(H)
     return n, scale
+
+
+@_compiled
+def median_displacement(  # type: ignore[no-untyped-def]
+    points, target, slopes, R_cw, R_wk, shift, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v
+):
+    """The number of landmarks (M, 3) [m] within an image (h, w), and their median displacement [px]: `displacement.plain_displacement`.
+
+    slopes (2, M): the derivatives of the keyframe's brightness. All else is as for `photometric_system`.
+    """
+    height, width = image.shape
+    d, camera, found = np.empty((len(points), 3)), np.empty((len(points), 3)), np.empty((len(points), 4))
+    rows_of_depth = _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera)
+    n, hidden, sum_t, sum_v, sum_tt, sum_vv = 0, 0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(points)):
+        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
+        if z < NEAREST:
+            continue
+        u, v = x / z * fx + cx, y / z * fy + cy
+        if u < 1 or v < 1 or u > width - 2 or v > height - 2:
+            continue
+        if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
+            hidden += 1
+            continue
+        found[n, 0] = _bilinear(image, u, v)
+        found[n, 1] = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
+        found[n, 2] = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
+        found[n, 3] = i
+        sum_t += target[i]
+        sum_v += found[n, 0]
+        sum_tt += target[i] * target[i]
+        sum_vv += found[n, 0] * found[n, 0]
+        n += 1
+    if n + hidden == 0:
+        return 0, 0.0
+    displaced = np.full(n + hidden, np.float64(width))
+    mean_t, mean_v = sum_t / max(n, 1), sum_v / max(n, 1)
+    gain = _gain(sum_tt / max(n, 1) - mean_t**2, sum_vv / max(n, 1) - mean_v**2)
+    for k in range(n):
+        i = int(found[k, 3])
+        du, dv = (found[k, 1] + gain * slopes[0, i]) / 2, (found[k, 2] + gain * slopes[1, i]) / 2
+        r = found[k, 0] - mean_v - gain * (target[i] - mean_t)
+        displaced[k] = min(abs(r) / max(np.sqrt(du * du + dv * dv), LEAST_GRADIENT), np.float64(width))
+    return n + hidden, np.median(displaced)
 
 
 @_inlined

@@ -1,0 +1,68 @@
+"""Doubt: is an aligned pose wrong? The evidence is the displacement of the image that is left at it, against what is usual.
+
+The probability that a pose is off by more than 5 cm or 2 degrees is logistic in the logarithm of that ratio. Other evidence (depth, the
+overlap, the covariance, the prior of the motion) was tried with it: it helps in the recordings that it is fitted to, and not in others
+(docs/findings.md). `benchmarks/fit_doubt.py` fits the coefficients.
+"""
+
+import math
+
+from idfslam.storage.state import State, Stateful
+
+# [1] Coefficients of the logistic model: P = 1 / (1 + exp(-(slope ln ratio + offset))). Fitted by `benchmarks/fit_doubt.py` to generated
+# hand-held recordings and to wrong poses provoked there. More of the slope: fewer ratios are undecided. More of the offset: more doubt.
+_SLOPE, _OFFSET = 5.0, -5.7
+# [rad] Least displacement that counts as usual (0.2 degrees): that of a rendered image with a sensor's noise. More: less doubt where
+# images are exact. From the same recordings.
+_LEAST_USUAL = math.radians(0.2)
+# [1] Probability above which a pose is doubtful. More: fewer frames are doubtful, and more wrong ones are not. Chosen on the same
+# recordings, where one in a hundred right poses is above it.
+_DOUBTFUL = 0.15
+# [1] Rate of the running mean of the displacement, and the largest displacement that it takes up, in usual ones. More: what is usual
+# follows the last frames faster; a passage of wrong poses is sooner taken for usual. Chosen by hand.
+_RATE, _LARGEST = 0.05, 1.5
+
+
+class PoseDoubt(Stateful):
+    """Knows the usual displacement of a recording, and judges displacements by it."""
+
+    def __init__(self) -> None:
+        self._usual = 0.0  # [rad]; 0: not known yet
+
+    def state(self) -> State:
+        """The usual displacement."""
+        return {"usual": self._usual}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._usual = state["usual"]
+
+    def probability(self, displacement: float) -> float:
+        """The probability (0 to 1) that a pose with this displacement [rad] is off by more than 5 cm or 2 degrees.
+
+        Right and wrong poses are taken to be equally frequent. A displacement of 0 says nothing: the probability is 0 then.
+        """
+        if displacement <= 0:
+            return 0.0
+        ratio = displacement / max(self._usual, _LEAST_USUAL)
+        return 1 / (1 + math.exp(-(_SLOPE * math.log(ratio) + _OFFSET)))
+
+    def is_doubtful(self, displacement: float) -> bool:
+        """Whether a pose with this displacement [rad] is not to be trusted."""
+        return self.probability(displacement) > _DOUBTFUL
+
+    def expect(self, displacements: list[float]) -> None:
+        """Takes the median of some displacements [rad] of right poses as the usual one. One of 0 says nothing, and is left out."""
+        if measured := sorted(displacement for displacement in displacements if displacement > 0):
+            self._usual = measured[len(measured) // 2]
+
+    def accept(self, displacement: float) -> None:
+        """Learns from the displacement [rad] of an accepted pose, trusted or not."""
+        if displacement > 0:
+            known = self._usual or displacement
+            self._usual = known + _RATE * (min(displacement, _LARGEST * known) - known)
+
+    @property
+    def has_usual(self) -> bool:
+        """Whether the usual displacement is known."""
+        return self._usual > 0
