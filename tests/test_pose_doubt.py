@@ -47,10 +47,11 @@ def test_what_is_usual_follows_the_recording_and_no_jump() -> None:
     assert not doubt.has_usual
     doubt.accept(0.01)
     assert doubt.has_usual and doubt.state() == {"usual": 0.01}
-    doubt.accept(0.012)  # 5 % of the difference
-    assert doubt.state()["usual"] == pytest.approx(0.0101)
-    doubt.accept(0.1)  # counts as 1.5 times the usual one
-    assert doubt.state()["usual"] == pytest.approx(0.0101 * 1.025)
+    for displacement in (0.012, 1.0, 0.012):  # however much it is: one hundredth a frame
+        doubt.accept(displacement)
+    assert doubt.state()["usual"] == pytest.approx(0.01 * 1.01**3)
+    doubt.accept(0.001)
+    assert doubt.state()["usual"] == pytest.approx(0.01 * 1.01**3 * 0.99)
     doubt.accept(0.0)  # says nothing
     again = PoseDoubt()
     again.restore(doubt.state())

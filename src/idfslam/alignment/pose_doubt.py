@@ -18,13 +18,13 @@ _LEAST_USUAL = math.radians(0.2)
 # [1] Probability above which a pose is doubtful. More: fewer frames are doubtful, and more wrong ones are not. Chosen on the same
 # recordings, where one in a hundred right poses is above it.
 _DOUBTFUL = 0.15
-# [1] Rate of the running mean of the displacement, and the largest displacement that it takes up, in usual ones. More: what is usual
-# follows the last frames faster; a passage of wrong poses is sooner taken for usual. Chosen by hand.
-_RATE, _LARGEST = 0.05, 1.5
+# [1] Step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951). More: what is usual follows the
+# last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with 0.02 as many are told apart.
+_STEP = 0.01
 
 
 class PoseDoubt(Stateful):
-    """Knows the usual displacement of a recording, and judges displacements by it."""
+    """Knows the usual displacement of a recording, its median, and judges displacements by it."""
 
     def __init__(self) -> None:
         self._usual = 0.0  # [rad]; 0: not known yet
@@ -59,8 +59,7 @@ class PoseDoubt(Stateful):
     def accept(self, displacement: float) -> None:
         """Learns from the displacement [rad] of an accepted pose, trusted or not."""
         if displacement > 0:
-            known = self._usual or displacement
-            self._usual = known + _RATE * (min(displacement, _LARGEST * known) - known)
+            self._usual = self._usual * (1 + math.copysign(_STEP, displacement - self._usual)) or displacement
 
     @property
     def has_usual(self) -> bool:
