@@ -18,8 +18,8 @@ _LEAST_USUAL = math.radians(0.2)
 # [1] Probability above which a pose is doubtful. More: fewer frames are doubtful, and more wrong ones are not. Chosen on the same
 # recordings, where one in a hundred right poses is above it.
 _DOUBTFUL = 0.15
-# [1] Step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951). More: what is usual follows the
-# last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with 0.02 as many are told apart.
+# [1] Step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951). More: what is usual follows
+# the last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with 0.02 as many are told apart.
 _STEP = 0.01
 
 
