@@ -35,13 +35,13 @@ class KeyframeSelection(Stateful):
         """Takes over `state`."""
         self._last_at, self._put_off = state["last_at"], state["put_off"]
 
-    def selects(self, view: Keyframe, status: Status, in_view: float = 1.0) -> bool:
+    def selects(self, view: Keyframe, status: Status, in_view: float = 1.0, *, clear: bool = True) -> bool:
         """Whether the frame appended last becomes a keyframe. A frame without depth, or whose pose is in doubt, never does.
 
-        in_view: the share of the references' landmarks that the frame sees.
+        in_view: the share of the references' landmarks that the frame sees. clear: whether its image is fit to be mapped.
         """
         blurred = self._is_blurred(view)
-        if not view.has_depth or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
+        if not view.has_depth or not clear or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
         if not self._is_needed(view, status, in_view):
             return False

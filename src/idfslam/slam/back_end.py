@@ -124,7 +124,7 @@ class KeyframeMapping(BackEnd):
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Updates the map on the frame if an update is due and its pose is trusted, and otherwise finetunes the tracker (Sec. V-B)."""
         due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
-        if not due or not tracked.status.trusted or not view.has_depth:
+        if not due or not tracked.may_be_mapped or not view.has_depth:
             return self.finetuner.step()
         self.graph.connect_like_last(view)
         self.coverage.add(view)

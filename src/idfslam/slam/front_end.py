@@ -102,7 +102,8 @@ class AlignmentToMap(FrontEnd):
         self.compensation.follow(view, aligned)
         if aligned.status is not Status.LOST:
             doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned)
-            return Tracked.aligned(aligned, doubtful=doubtful)
+            clear = not self.aligner.has_usual_error or aligned.photometric_error <= self.aligner.doubtful_error
+            return Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:  # the tracker has a pose, but the view does not match the map there
             return replace(registered, evidence=evidence, confident=False)

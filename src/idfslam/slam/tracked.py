@@ -39,6 +39,7 @@ class Tracked:
     source: Source
     evidence: Evidence = field(default_factory=Evidence)
     alignment: Alignment | None = None  # the alignment to the map that gave the pose, if one did
+    clear: bool = True  # False: the image is too blurred, or too unlike the keyframes', to be mapped, whether its pose is right or not
     confident: bool = True  # False: the camera should be relocalised, and this pose taken only if that fails
     # (6, 6) float64 of the pose's error against the map around it, without drift: shift [m] of the camera's centre, then turn [rad], along
     # world axes. The true pose has the centre `t + shift` and the rotation `exp(turn) @ R`. None: not estimated
@@ -50,11 +51,11 @@ class Tracked:
         return cls(T_wc, Status.OK if has_depth else Status.LOST, Source.FIRST)
 
     @classmethod
-    def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED, *, doubtful: bool = False) -> "Tracked":
-        """The result of an alignment that is not lost. doubtful: its pose is not to be trusted."""
+    def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED, *, doubtful: bool = False, clear: bool = True) -> "Tracked":
+        """The result of an alignment that is not lost. doubtful: its pose is not to be trusted. clear: its image may be mapped."""
         evidence = Evidence(alignment.in_view, alignment.overlap, alignment.least_information)
         status = Status.DOUBTFUL if doubtful else alignment.status
-        return cls(alignment.T_wc, status, source, evidence, alignment, covariance=alignment.covariance)
+        return cls(alignment.T_wc, status, source, evidence, alignment, clear, covariance=alignment.covariance)
 
     def lost(self, T_predicted: Tensor) -> "Tracked":
         """The same frame as lost, at its predicted pose (4, 4)."""
@@ -63,18 +64,24 @@ class Tracked:
 
     def state(self) -> State:
         """All fields but the alignment, which later frames do not need."""
-        words = {"status": self.status.value, "source": self.source.value, "confident": self.confident}
+        words = {"status": self.status.value, "source": self.source.value, "clear": self.clear, "confident": self.confident}
         return {"T_wc": self.T_wc, "evidence": vars(self.evidence).copy(), "covariance": self.covariance, **words}
 
     @classmethod
     def from_state(cls, state: State) -> "Tracked":
         """The result that `state` was made from, without its alignment."""
         status, source, evidence = Status(state["status"]), Source(state["source"]), Evidence(**state["evidence"])
-        return cls(state["T_wc"], status, source, evidence, confident=state["confident"], covariance=state["covariance"])
+        flags = {name: state[name] for name in ("clear", "confident")}
+        return cls(state["T_wc"], status, source, evidence, covariance=state["covariance"], **flags)
 
     @property
     def is_lost(self) -> bool:
         return self.status is Status.LOST
+
+    @property
+    def may_be_mapped(self) -> bool:
+        """Whether the map may learn from the frame, if it has depth."""
+        return self.clear and self.status.trusted
 
     @property
     def continues_motion(self) -> bool:
