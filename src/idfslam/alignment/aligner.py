@@ -17,12 +17,13 @@ from idfslam.alignment.depth_term import DepthTerm, depth_term
 from idfslam.alignment.displacement import displacement
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
-from idfslam.alignment.motion import Information
+from idfslam.alignment.motion import Information, change_between
 from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
 from idfslam.alignment.pose_doubt import PoseDoubt
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.surface import Surface, surface_points
+from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
@@ -125,12 +126,13 @@ class MapAligner(Stateful):
             elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
                 depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
             of_images = self._image_term(appearance, references, T, step, solver.motion)
+            T_before = T.clone()
             largest = solver.step(depth, of_images)
             if step >= coarse_steps and largest < self.config.converged:
                 break
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
         displaced = self._displacement(appearance, T, references, solver.motion)
-        return self._judged(T, displaced, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
+        return self._judged(T, T_before, displaced, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
@@ -261,6 +263,7 @@ class MapAligner(Stateful):
         """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
         moments = motion is not None
         sums, photometric_error, seen, in_view, count = RowMoments.zeros(moments=moments), 0.0, 0, 0, 0
+        parts: list[RowMoments] = []
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
         for reference in references:
             marks = self.landmarks(reference)
@@ -269,9 +272,10 @@ class MapAligner(Stateful):
             count, in_view = count + len(marks.points), in_view + term.seen
             if term.seen < self.config.min_landmarks:
                 continue
-            sums = sums + term.sums.scaled(self.config.depth_noise**2)
+            parts.append(term.sums.scaled(self.config.depth_noise**2))
+            sums = sums + parts[-1]
             photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
-        return ImageTerm(sums, photometric_error / max(seen, 1), in_view / count if count else 1.0)
+        return ImageTerm(sums, photometric_error / max(seen, 1), in_view / count if count else 1.0, tuple(parts))
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
@@ -315,6 +319,7 @@ class MapAligner(Stateful):
     def _judged(
         self,
         T: Tensor,
+        T_before: Tensor,
         displaced: float,
         depth: DepthTerm,
         images: ImageTerm,
@@ -335,6 +340,7 @@ class MapAligner(Stateful):
             status = Status.DEGENERATE if confirmed else Status.LOST
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
         covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
+        covariance = covariance * variance_factor(depth, images, change_between(T_before, T).numpy(), self.config.depth_noise)
         return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:

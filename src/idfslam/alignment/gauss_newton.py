@@ -27,6 +27,7 @@ class ImageTerm:
     sums: RowMoments
     photometric_error: float  # scale of the brightness differences [1]
     in_view: float  # share of the references' landmarks that are in view
+    parts: tuple[RowMoments, ...] = ()  # of each reference; `sums` is their sum
 
     @property
     def H(self) -> Tensor:
