@@ -366,8 +366,8 @@ class AlignmentConfig:
     doubtful_overlap: float = 0.6
     """Alignments with a smaller overlap are doubted: the tracker's pose and the last pose are tried as well."""
     doubtful_brightness: float = 1.5
-    """Two images show one place only if brightness differs at most this many times as much as in recent frames: for loops, lost cameras
-    that are found again, and keyframes that are registered."""
+    """A frame is not mapped if brightness differs more than this many times as much as in recent frames. Nor are two images taken to show
+    one place then: for loops, lost cameras that are found again, and keyframes that are registered."""
     min_eigenvalue: float = 1e-3
     """Least eigenvalue of the information matrix of depth, per unit weight. Frames below it are marked as degenerate."""
 
