@@ -44,8 +44,11 @@ class PoseDoubt(Stateful):
         """
         if displacement <= 0:
             return 0.0
-        ratio = displacement / max(self._usual, _LEAST_USUAL)
-        return 1 / (1 + math.exp(-(_SLOPE * math.log(ratio) + _OFFSET)))
+        return 1 / (1 + math.exp(-(_SLOPE * math.log(self.ratio(displacement)) + _OFFSET)))
+
+    def ratio(self, displacement: float) -> float:
+        """A displacement [rad] over the usual one."""
+        return displacement / max(self._usual, _LEAST_USUAL)
 
     def is_doubtful(self, displacement: float) -> bool:
         """Whether a pose with this displacement [rad] is not to be trusted."""
@@ -65,3 +68,8 @@ class PoseDoubt(Stateful):
     def has_usual(self) -> bool:
         """Whether the usual displacement is known."""
         return self._usual > 0
+
+
+def doubtful_ratio() -> float:
+    """The ratio to the usual displacement above which a pose is doubtful."""
+    return math.exp((math.log(_DOUBTFUL / (1 - _DOUBTFUL)) - _OFFSET) / _SLOPE)
