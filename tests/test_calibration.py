@@ -11,7 +11,7 @@ import pytest
 from helpers.point_problem import CAMERA, values
 from idfslam.adjustment.camera_findings import doubts, findings
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.self_calibration import Estimate
+from idfslam.adjustment.self_calibration import Estimate, confirmed, fitting
 from idfslam.cli.command_line import main
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.calibration import Calibration
@@ -50,6 +50,19 @@ def test_what_is_not_determined_says_how_to_determine_it() -> None:
     nothing = replace(estimate(), covariance=np.zeros((len(NAMES), len(NAMES))))
     assert [finding.found for finding in findings(nothing)] == ["not determined"] * 5
     assert all(":" in finding.meaning for finding in findings(nothing))
+
+
+def test_stated_values_that_fit_stay() -> None:
+    """The distortion fits as stated. The focal length does not; it is correlated with the distortion and moves with it."""
+    at = estimate(focal=0.02, cx=2.5e-4, k1=1.5e-4)
+    C = at.covariance.copy()
+    C[NAMES.index("k1"), NAMES.index("focal")] = C[NAMES.index("focal"), NAMES.index("k1")] = 0.4 * 1e-8
+    found = replace(at, covariance=C)
+    assert fitting(found) == ["depth over range and image", "distortion", "principal point"]
+    kept = confirmed(found).values
+    assert kept[NAMES.index("cx")] == kept[NAMES.index("k1")] == 0
+    assert kept[NAMES.index("focal")] == pytest.approx(0.02 - 0.4 * 1.5e-4)
+    assert "it stays" in findings(found)[1].meaning
 
 
 # The file

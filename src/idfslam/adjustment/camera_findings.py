@@ -1,12 +1,12 @@
 """What a self-calibration found, in plain words: value by value, and what is off by so much that it matters."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.self_calibration import Estimate
+from idfslam.adjustment.self_calibration import Estimate, fitting
 
 _CERTAIN = 4.0  # [standard deviations] from which on a value counts as off; raised, fewer doubts are told
 # Deviations from which on a camera harms: raised, fewer doubts are told. In generated rooms, 1 % of focal length and 3 px of the centre (at
@@ -30,7 +30,12 @@ class Finding:
 
 def findings(estimate: Estimate) -> list[Finding]:
     """What was found of each property."""
-    return [_focal(estimate), _centre(estimate), _distortion(estimate), _scale(estimate), _deformation(estimate)]
+    of_each = [_focal(estimate), _centre(estimate), _distortion(estimate), _scale(estimate), _deformation(estimate)]
+    right = fitting(estimate)
+    return [
+        replace(finding, meaning="as stated, as far as the views tell: it stays", doubt="") if finding.name in right else finding
+        for finding in of_each
+    ]
 
 
 def doubts(estimate: Estimate) -> list[str]:

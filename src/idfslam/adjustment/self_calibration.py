@@ -13,6 +13,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
@@ -31,6 +32,16 @@ _IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more
 _MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
 #    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
 _SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
+_CHANCE = 0.997  # [1] stated values stay if chance alone brings this share of estimates nearer to them: 3 standard deviations of one value.
+#    Raised, more stay
+GROUPS = {
+    "focal length": np.array([NAMES.index("focal"), NAMES.index("aspect")]),
+    "principal point": np.array([NAMES.index("cx"), NAMES.index("cy")]),
+    "distortion": np.array([NAMES.index("k1"), NAMES.index("k2")]),
+    "depth scale": np.array([NAMES.index("depth_scale")]),
+    "depth over range and image": np.arange(NAMES.index("depth_scale") + 1, len(NAMES)),
+}
+"""The places of values that belong together."""
 _SCALE = NAMES.index("depth_scale")
 
 
@@ -110,6 +121,36 @@ def _determined(problem: Problem) -> tuple[Adjusted, NDArray[np.bool_]]:
             return adjusted, problem.estimated
         values = np.where(weak, 0.0, problem.model.values)
         problem = replace(problem, estimated=problem.estimated & ~weak, model=replace(problem.model, values=values))
+
+
+def fitting(estimate: Estimate) -> list[str]:
+    """The names of GROUPS whose values may well be as stated: together they are no farther from it than their covariance explains."""
+    return _kept(estimate)[0]
+
+
+def confirmed(estimate: Estimate) -> CameraModel:
+    """The camera with its stated values wherever they fit, and the others as they are then: conditioned on these."""
+    return replace(estimate.model, values=_kept(estimate)[1])
+
+
+def _kept(estimate: Estimate) -> tuple[list[str], Array]:
+    """The groups that stay as stated, the best fitting first, and the values (P,) given that they do."""
+    values, C, kept = estimate.model.values, estimate.covariance, list[str]()
+    while True:
+        worst = {name: _surprise(values, C, places) for name, places in GROUPS.items() if name not in kept and C[places, places].any()}
+        if not worst or min(worst.values()) >= 1:
+            return kept, values
+        name = min(worst, key=lambda group: worst[group])
+        at = GROUPS[name][C[GROUPS[name], GROUPS[name]] > 0]
+        gain = C[:, at] @ np.linalg.inv(C[np.ix_(at, at)])
+        values, C, kept = values - gain @ values[at], C - gain @ C[at], [*kept, name]
+        values[GROUPS[name]] = C[GROUPS[name]] = C[:, GROUPS[name]] = 0
+
+
+def _surprise(values: Array, C: Array, places: NDArray[np.int64]) -> float:
+    """The squared deviation of some values from the stated ones, in units of what chance explains."""
+    at = places[C[places, places] > 0]
+    return float(values[at] @ np.linalg.solve(C[np.ix_(at, at)], values[at]) / chi2.ppf(_CHANCE, len(at)))
 
 
 def with_scale(estimate: Estimate, truth: Sequence[Array]) -> Estimate | None:

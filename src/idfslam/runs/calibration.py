@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from idfslam.adjustment.camera_findings import findings
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import View
-from idfslam.adjustment.self_calibration import Estimate, Footage, of_size, self_calibrate, with_scale
+from idfslam.adjustment.self_calibration import Estimate, Footage, confirmed, of_size, self_calibrate, with_scale
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.calibration import TIMES
@@ -153,7 +153,9 @@ def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
     """Writes the camera file of a recording that was read as `recording` and calibrated."""
     with result_folder.writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-        atomic_files.write_json(path, {"camera": camera_values(estimate.model, recording.camera, provenance(recording) or Provenance(""))})
+        atomic_files.write_json(
+            path, {"camera": camera_values(confirmed(estimate), recording.camera, provenance(recording) or Provenance(""))}
+        )
 
 
 def camera_values(model: CameraModel, read_as: Camera, stated: Provenance) -> dict[str, Any]:
