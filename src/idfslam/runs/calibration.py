@@ -23,6 +23,7 @@ from idfslam.datasets.cameras.camera_files import DEFORMATION
 from idfslam.datasets.provenance import Provenance, provenance
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
+from idfslam.graph.keyframe import Keyframe
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.progress import ProgressBar
@@ -59,7 +60,11 @@ def calibrate(
     truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
     have no true poses; ConfigError if their cameras differ.
     """
-    maps = [found for source in sources for found in keyframes_of(source, config, console)]
+    return calibrate_from([found for source in sources for found in keyframes_of(source, config, console)], truth=truth, console=console)
+
+
+def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console | None = None) -> tuple[Estimate, Dataset]:
+    """The same from keyframes."""
     first = maps[0].recording
     _check_one_camera([found.recording for found in maps])
     maps = _thinned(maps)
@@ -105,7 +110,13 @@ def keyframes_of(source: result_folder.Source, config: Config, console: Console 
         run = FinishedRun(folder)
         indices, poses = run.keyframes.indices, run.keyframes.poses
         return [Keyframes(run.recording, indices, [View.of(run.recording[int(i)]) for i in indices], poses)]
-    recording = open_source(source, report=True)
+    return keyframes_by_slam(open_source(source, report=True), config, console, source)
+
+
+def keyframes_by_slam(
+    recording: Dataset, config: Config, console: Console | None = None, source: result_folder.Source | None = None
+) -> list[Keyframes]:
+    """The keyframes of a recording, those of each submap by themselves, at the poses that SLAM gives them. source: see `read_frames`."""
     slam = Slam(replace(config, refine=False, calibrate="off"))
     with ProgressBar(len(recording), console) as bar:
         done, start = 0, perf_counter()
@@ -117,14 +128,13 @@ def keyframes_of(source: result_folder.Source, config: Config, console: Console 
     stored = slam.graph.keyframes
     if not stored:
         raise RecordingError(f"{recording.name}: none of {done} frames has depth, so there is nothing to calibrate")
-    submaps = sorted({keyframe.submap for keyframe in stored})
-    groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in submaps]
-    return [
-        Keyframes(
-            recording, np.array([k.index for k in group]), [View.of(k.frame) for k in group], np.array([k.T_wk.numpy() for k in group])
-        )
-        for group in groups
-    ]
+    groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in sorted({k.submap for k in stored})]
+    return [_views(recording, group) for group in groups]
+
+
+def _views(recording: Dataset, keyframes: Sequence[Keyframe]) -> Keyframes:
+    indices, poses = np.array([k.index for k in keyframes]), np.array([k.T_wk.numpy() for k in keyframes])
+    return Keyframes(recording, indices, [View.of(k.frame) for k in keyframes], poses)
 
 
 def _check_one_camera(recordings: Sequence[Dataset]) -> None:
