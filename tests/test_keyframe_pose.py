@@ -8,12 +8,13 @@ from torch import Tensor
 
 from helpers.three_walls import CONFIG, EYE, WALL, aligner, error, pose, taught, view
 from idfslam.config import FAST
+from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
 from idfslam.slam.keyframe_pose import KeyframeRegistration
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.tracked import Evidence
+from idfslam.slam.tracked import Evidence, Source, Tracked
 
 UNCULLED = replace(FAST.keyframes, cull=1.0)
 SLID = pose(0.03, -0.02, 0, 0, 0, 0)
@@ -51,9 +52,13 @@ def registration(graph: KeyframeGraph, learner: Mapper, relocaliser: Registratio
     return KeyframeRegistration(CONFIG, relocaliser, aligner(learner), graph, StageTimer())  # type: ignore[arg-type]
 
 
+def tracked(least_information: float = 0.0, source: Source = Source.ALIGNED) -> Tracked:
+    return Tracked(EYE, Status.OK, source, Evidence(least_information=least_information))
+
+
 def test_a_keyframe_is_held_to_its_registration(graph: KeyframeGraph, wall: Mapper) -> None:
     keyframe, step = view(WALL, EYE, index=1, paint=0.0), registration(graph, wall, Registration(SLID))
-    assert step.refine(keyframe, Evidence()) == {}
+    assert step.refine(keyframe, tracked()) == {}
     assert error(keyframe.T_wk, SLID)[0] < 0.005
     assert list(step.timer.milliseconds) == ["register"]
 
@@ -61,7 +66,7 @@ def test_a_keyframe_is_held_to_its_registration(graph: KeyframeGraph, wall: Mapp
 @pytest.mark.parametrize("relocaliser", [Registration(None), Registration(SLID, agreed=False)])
 def test_lost_or_contradicted_by_the_images_it_counts_for_nothing(graph: KeyframeGraph, wall: Mapper, relocaliser: Registration) -> None:
     keyframe = view(WALL, EYE, index=1, paint=0.0)
-    registration(graph, wall, relocaliser).refine(keyframe, Evidence())
+    registration(graph, wall, relocaliser).refine(keyframe, tracked())
     assert torch.equal(keyframe.T_wk, EYE)
 
 
@@ -69,5 +74,11 @@ def test_lost_or_contradicted_by_the_images_it_counts_for_nothing(graph: Keyfram
 def test_the_tracker_is_asked_only_where_it_can_add_something(graph: KeyframeGraph, wall: Mapper, information: float, asked: bool) -> None:
     # Twice `registration_prior_information`, 0.1: from there on a pose follows its registration by less than a sixteenth of the way.
     keyframe = view(WALL, EYE, index=1, paint=0.0)
-    registration(graph, wall, Registration(SLID)).refine(keyframe, Evidence(least_information=information))
+    registration(graph, wall, Registration(SLID)).refine(keyframe, tracked(information))
     assert (error(keyframe.T_wk, SLID)[0] < 0.005) is asked
+
+
+def test_a_pose_that_the_tracker_gave_against_the_map_is_kept(graph: KeyframeGraph, wall: Mapper) -> None:
+    keyframe = view(WALL, EYE, index=1, paint=0.0)
+    registration(graph, wall, Registration(SLID)).refine(keyframe, tracked(source=Source.REGISTERED))
+    assert torch.equal(keyframe.T_wk, EYE)

@@ -134,6 +134,15 @@ class MapAligner(Stateful):
         displaced = self._displacement(appearance, T, references, solver.motion)
         return self._judged(T, T_before, displaced, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
 
+    def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
+        """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
+        appearance, surface = self.appearance(view), self.surface(view.images, view.camera)
+        has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
+        depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
+        images = self._image_term(appearance, references, T, step, None)
+        displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
+        return self._judged(T, T, displaced, depth, images, 0, None, focal, has_depth=has_depth)
+
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
         points = torch.cat([self.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from idfslam.alignment.continuous_motion import JointEstimate
-from idfslam.alignment.motion import Information, change_between
+from idfslam.alignment.motion import Information, image_motion
 from idfslam.frame import Status
 
 # All of these were chosen by hand.
@@ -50,5 +50,4 @@ class Alignment:
 
     def distance(self, T_wc: Tensor) -> float:
         """About how far the finest image moves between this pose and another one (4, 4) [px]."""
-        change = change_between(T_wc, self.T_wc)
-        return self.focal * float(change[3:].norm() + change[:3].norm() / max(self.radius, 0.1))
+        return self.focal * image_motion(T_wc, self.T_wc, self.radius)

@@ -66,6 +66,12 @@ def change_between(T: Tensor, other: Tensor) -> Tensor:
     return torch.cat([other[:3, 3] - T[:3, 3], torch.from_numpy(turn)])
 
 
+def image_motion(T: Tensor, other: Tensor, radius: float) -> float:
+    """About how far the image moves between two poses (4, 4) [rad]. radius: the scene's distance [m]."""
+    change = change_between(T, other)
+    return float(change[3:].norm() + change[:3].norm() / max(radius, LEAST_RADIUS))
+
+
 class MotionModel(Stateful):
     """The motion from one frame to the next. It is assumed constant."""
 

@@ -60,6 +60,7 @@ class Keyframe:
         self.velocity: NDArray[np.float64] | None = None  # (6,) along the camera's axes [m/s, rad/s]; None: not estimated
         self.velocity_covariance: NDArray[np.float64] | None = None  # (6, 6) of it
         self.rectification: Rectification | None = None  # what its images are rectified with; None: they are as they were taken
+        self.registered = False  # whether a registration gave or confirmed its pose in a wide step: the map does not move it
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
         self._taken: Images | None = None  # the images before rectification, until the archive gets the keyframe
@@ -188,6 +189,7 @@ class Keyframe:
             "covisible_references": self.covisible_references,
             "velocity": None if self.velocity is None else torch.from_numpy(self.velocity),
             "velocity_covariance": None if self.velocity_covariance is None else torch.from_numpy(self.velocity_covariance),
+            "registered": self.registered,
             "rectification": _state_of(self.rectification),
         }
 
@@ -200,6 +202,7 @@ class Keyframe:
         self.velocity, self.velocity_covariance = (
             None if state[key] is None else state[key].numpy().copy() for key in ("velocity", "velocity_covariance")
         )
+        self.registered = state["registered"]
 
     def rectify_again(self, state: State) -> None:
         """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""

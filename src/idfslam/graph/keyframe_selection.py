@@ -14,6 +14,10 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.sharpness import Sharpness
 from idfslam.storage.state import State, Stateful
 
+# [rad] Motion of the image from frame to frame, or against its prediction, from which a step is wide: the next frame may be anywhere, so
+# this one becomes a keyframe at once, and a registration may overrule the map. It is a tenth of a usual image's width. More: lower frame
+# rates pass for usual ones. Chosen by hand on generated rooms and corridors, of which every 10th to 20th frame was taken.
+WIDE = 0.12
 _PATIENCE = 5  # [frames] that a blurred keyframe is put off at most; more: keyframes are sharper and farther apart. Chosen by hand
 
 
@@ -35,17 +39,19 @@ class KeyframeSelection(Stateful):
         """Takes over `state`."""
         self._last_at, self._put_off = state["last_at"], state["put_off"]
 
-    def selects(self, view: Keyframe, status: Status, in_view: float = 1.0, *, clear: bool = True) -> bool:
+    def selects(self, view: Keyframe, status: Status, in_view: float = 1.0, step: float = 0.0, *, clear: bool = True) -> bool:
         """Whether the frame appended last becomes a keyframe. A frame without depth, or whose pose is in doubt, never does.
 
-        in_view: the share of the references' landmarks that the frame sees. clear: whether its image is fit to be mapped.
+        in_view: the share of the references' landmarks that the frame sees. step: see `Evidence`.
+        clear: whether its image is fit to be mapped.
         """
         blurred = self._is_blurred(view)
         if not view.has_depth or not clear or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
-        if not self._is_needed(view, status, in_view):
+        wide = step > WIDE
+        if not wide and not self._is_needed(view, status, in_view):
             return False
-        if blurred and self._can_wait(status, in_view):
+        if blurred and not wide and self._can_wait(status, in_view):
             self._put_off += 1
             return False
         self._last_at, self._put_off = len(self.frames), 0

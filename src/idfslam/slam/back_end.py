@@ -109,7 +109,7 @@ class KeyframeMapping(BackEnd):
     def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Refines the keyframe's pose, inserts it into the graph, and trains the map on it and on replayed ones (Sec. IV)."""
         last = self.graph.last_keyframe
-        losses = {} if last is None else self.keyframe_pose.refine(keyframe, tracked.evidence)
+        losses = {} if last is None else self.keyframe_pose.refine(keyframe, tracked)
         stored = self.graph.insert(keyframe)
         self.frames.attach_last(keyframe)
         self.features.of(keyframe)

@@ -1,7 +1,7 @@
 """The front end: it computes a frame's pose from the keyframes and the map. Each front end is one class; `compose.py` names them.
 
 `Registration` is the paper's (Sec. V). `AlignmentToMap` aligns each frame to the map and to keyframe images. It asks the neural tracker if
-the result is in doubt or far from the predicted pose.
+the result is in doubt or far from the predicted pose. In wide steps, the patches that both must project decide between the two.
 """
 
 from abc import ABC, abstractmethod
@@ -10,18 +10,20 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import MotionPrior
+from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_selection import WIDE
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.motion_compensation import MotionCompensation
+from idfslam.slam.registered_pose import RegisteredPose
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State, Stateful
@@ -62,12 +64,19 @@ class Registration(FrontEnd):
         self.tracker, self.features, self.graph, self.timer = tracker, features, graph, timer
 
     def track(self, view: Keyframe) -> Tracked:
+        pose = self.register(view)
+        if pose is None:
+            return Tracked(view.T_wk, Status.LOST, Source.PREDICTED)
+        return Tracked(pose.T_wc, Status.OK, Source.REGISTERED, covariance=pose.covariance)
+
+    def register(self, view: Keyframe) -> RegisteredPose | None:
+        """The pose of a view by the first keyframe that it can be registered with."""
         with self.timer.stage("track"):
             for reference in self.graph.tracking_references(view):
                 result = self.tracker.track(self.features.of(view), self.features.of(reference))
                 if result.status is not Status.LOST:
-                    return Tracked(reference.T_wk @ torch.from_numpy(result.T_kc), result.status, Source.REGISTERED)
-        return Tracked(view.T_wk, Status.LOST, Source.PREDICTED)
+                    return RegisteredPose(reference, result)
+        return None
 
 
 class AlignmentToMap(FrontEnd):
@@ -99,15 +108,37 @@ class AlignmentToMap(FrontEnd):
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
         aligned, registered = self._best_alignment(view, motion)
+        wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
+        if wide and registered is not None and registered.refutes(aligned):
+            return self._registered(view, registered)
         self.compensation.follow(view, aligned)
         if aligned.status is not Status.LOST:
-            doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned)
-            clear = not self.aligner.has_usual_error or aligned.photometric_error <= self.aligner.doubtful_error
-            return Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
+            confirmed = wide and registered is not None and registered.confirms(aligned)
+            view.registered = confirmed
+            doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
+            clear = confirmed or not self.aligner.has_usual_error or aligned.photometric_error <= self.aligner.doubtful_error
+            tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
+            return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
         evidence = replace(self.evidence, least_information=0.0)
         if registered is not None:  # the tracker has a pose, but the view does not match the map there
-            return replace(registered, evidence=evidence, confident=False)
+            return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, confident=False, covariance=registered.covariance)
         return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
+
+    def _step(self, view: Keyframe, T_wc: Tensor, radius: float) -> float:
+        """Motion of the image [rad] since the frame before, or since its prediction if that is more. radius: the scene's distance [m].
+
+        0 for a rectified view: where its velocity was predicted wrongly its image is bent, and patches tell little of its pose.
+        """
+        if view.rectification is not None:
+            return 0.0
+        return max(image_motion(T, T_wc, radius) for T in (view.T_wk, self._last_pose(view)))
+
+    def _registered(self, view: Keyframe, registered: RegisteredPose) -> Tracked:
+        """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors."""
+        view.registered = True
+        found = self.aligner.evidence(view, registered.T_wc, self._references())
+        evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
+        return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, found, covariance=registered.covariance)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
@@ -125,25 +156,25 @@ class AlignmentToMap(FrontEnd):
         first = self.graph.keyframes[0]
         if motion is None or len(self.graph.keyframes) > 1 or len(self.frames) != first.index + 1:
             return motion
-        registered = self.registration.track(view)
-        if registered.is_lost or not self.compensation.rectify_first(first, view, registered.T_wc):
+        registered = self.registration.register(view)
+        if registered is None or not self.compensation.rectify_first(first, view, registered.T_wc):
             return motion
         self._learn_again(first)
         return self.compensation.begin_again(view, self._references())
 
-    def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, Tracked | None]:
+    def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, RegisteredPose | None]:
         """The best alignment, of guesses that are tried until one convinces; and the registered pose if the tracker gave one."""
         best: Alignment | None = None
-        registered: Tracked | None = None
+        registered: RegisteredPose | None = None
         for guess, max_guess_error_px in self._guesses():
             T_guess = view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)
             if guess is _Guess.REGISTERED:
-                answer = self.registration.track(view)
-                if answer.is_lost:
+                registered = self.registration.register(view)
+                if registered is None:
                     continue
-                registered, T_guess = answer, answer.T_wc
+                T_guess = registered.T_wc
             aligned = self._align(view, T_guess, max_guess_error_px, motion)
-            if best is None or aligned.score > _BETTER * best.score:
+            if best is None or self._is_better(view, aligned, best, registered):
                 best = aligned
             if guess is _Guess.PREDICTED and self.aligner.is_far(aligned, T_guess):
                 continue  # the tracker is asked in any case
@@ -167,3 +198,11 @@ class AlignmentToMap(FrontEnd):
 
     def _last_pose(self, view: Keyframe) -> Tensor:
         return self.frames.T_wc(-1) if len(self.frames) else view.T_wk
+
+    def _is_better(self, view: Keyframe, aligned: Alignment, best: Alignment, registered: RegisteredPose | None) -> bool:
+        """Whether an alignment beats the best so far: by its score, or in a wide step because the registration refutes only that one."""
+        if registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE:
+            refuted = registered.refutes(aligned), registered.refutes(best)
+            if refuted[0] != refuted[1]:
+                return refuted[1]
+        return aligned.score > _BETTER * best.score

@@ -11,7 +11,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
 from idfslam.slam.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.tracked import Evidence
+from idfslam.slam.tracked import Source, Tracked
 
 # [1] Factor on `registration_prior_information`. A pose with this much information in every direction would follow a registered one by 6 %
 # of the difference at most, so it is not registered. More: more keyframes are registered.
@@ -22,8 +22,8 @@ class KeyframePose(ABC):
     """Refines the pose of keyframes that are not the first of their submap."""
 
     @abstractmethod
-    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
-        """Refines the pose of a keyframe that is not stored yet; returns losses by name. evidence: for its tracked pose."""
+    def refine(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
+        """Refines the pose of a keyframe that is not stored yet; returns losses by name. tracked: its pose, and the evidence for it."""
 
 
 class PoseOptimisation(KeyframePose):
@@ -32,7 +32,7 @@ class PoseOptimisation(KeyframePose):
     def __init__(self, mapper: Mapper, graph: KeyframeGraph, timer: StageTimer) -> None:
         self.mapper, self.graph, self.timer = mapper, graph, timer
 
-    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+    def refine(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         with self.timer.stage("pose"):
             T_wk, losses = self.mapper.optimise_pose(keyframe)
         self.graph.set_pose(keyframe, T_wk)
@@ -51,9 +51,10 @@ class KeyframeRegistration(KeyframePose):
     ) -> None:
         self.config, self.relocaliser, self.aligner, self.graph, self.timer = config, relocaliser, aligner, graph, timer
 
-    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
-        with self.timer.stage("register"), threads(1.0):
-            self._register(keyframe, evidence.least_information)
+    def refine(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
+        if tracked.source is not Source.REGISTERED:  # the front end has just registered those
+            with self.timer.stage("register"), threads(1.0):
+                self._register(keyframe, tracked.evidence.least_information)
         return {}
 
     def _register(self, keyframe: Keyframe, least_information: float) -> None:
@@ -71,5 +72,5 @@ class KeyframeRegistration(KeyframePose):
 class TrackedPose(KeyframePose):
     """No refinement: the keyframe keeps its tracked pose."""
 
-    def refine(self, keyframe: Keyframe, evidence: Evidence) -> dict[str, float]:
+    def refine(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         return {}

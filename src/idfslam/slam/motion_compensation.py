@@ -20,7 +20,7 @@ from idfslam.frame import Frame, Status
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement, turned
-from idfslam.slam.tracked import Tracked
+from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
@@ -112,7 +112,8 @@ class MotionCompensation(Stateful):
         else:
             self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
         self._keep_velocity(view, tracked.T_wc)
-        if tracked.alignment is not None and tracked.status is Status.OK and None in vars(self._raw.timing).values():
+        tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK
+        if tells and None in vars(self._raw.timing).values():
             self._learn_times(view, tracked.T_wc, references)
 
     def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:

@@ -38,10 +38,11 @@ class KeyframeRefinement(Refinement):
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
         """Refines the poses of stored keyframes, except the first of each submap, which defines its world.
 
-        Keyframes that a loop has moved are left out until the map has learnt them again: it would draw them back.
+        Keyframes that were registered in wide steps are left out: the map there was learnt from few views. So are those that a loop has
+        moved, until the map has learnt them again: it would draw them back.
         """
         for keyframe in keyframes:
-            if keyframe.host != keyframe.submap and keyframe not in self.relearn:
+            if keyframe.host != keyframe.submap and not keyframe.registered and keyframe not in self.relearn:
                 self._refine(keyframe)
 
     def _refine(self, keyframe: Keyframe) -> None:

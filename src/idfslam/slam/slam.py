@@ -73,7 +73,10 @@ class Slam:
             view.T_wk = tracked.T_wc
             self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
             self.recovery.close_gap(frame.index, mode)
-            selected = self.keyframe_selection.selects(view, tracked.status, tracked.evidence.in_view, clear=tracked.clear)  # Sec. III
+            evidence = tracked.evidence
+            selected = self.keyframe_selection.selects(
+                view, tracked.status, evidence.in_view, evidence.step, clear=tracked.clear
+            )  # Sec. III
             mappable = tracked.may_be_mapped and view.has_depth and not selected
             self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
             losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV

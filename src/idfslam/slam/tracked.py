@@ -27,6 +27,7 @@ class Evidence:
 
     in_view: float = 1.0  # share of the references' landmarks that the frame sees
     mapped_share: float = 1.0  # share of the frame's depth that lies near a mapped surface
+    step: float = 0.0  # [rad] motion of the image since the frame before, or since its prediction if that is more
     least_information: float = 0.0  # smallest eigenvalue of the information of map and images, per unit weight
 
 
@@ -53,7 +54,7 @@ class Tracked:
     @classmethod
     def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED, *, doubtful: bool = False, clear: bool = True) -> "Tracked":
         """The result of an alignment that is not lost. doubtful: its pose is not to be trusted. clear: its image may be mapped."""
-        evidence = Evidence(alignment.in_view, alignment.overlap, alignment.least_information)
+        evidence = Evidence(alignment.in_view, alignment.overlap, least_information=alignment.least_information)
         status = Status.DOUBTFUL if doubtful else alignment.status
         return cls(alignment.T_wc, status, source, evidence, alignment, clear, covariance=alignment.covariance)
 

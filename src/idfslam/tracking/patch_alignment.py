@@ -31,6 +31,7 @@ _FLOOR = 0.5  # [px] least standard deviation of a position, for what no patch s
 _DEPTH_NOISE = 0.015  # [m] least standard deviation of depth at a patch: warps, and edges. More: the image counts more
 _SCALES = (12.0, 4.0, 3.0)  # [standard deviations] scale of the robust weights, in each step. More: outliers count more
 _INLIER = 3.0  # [standard deviations] largest residual of an inlier. More: more inliers
+_AGREEING = 0.5  # [1] least share of the inliers of the pose by the image that another pose must keep to agree with it. More: fewer agree
 _STRETCH = 0.15, 6.0  # [1] least and largest ratio of a patch's areas in the two images. Wider: patches seen more sideways take part
 _MIN_PATCHES = 10  # least patches for a pose. More: fewer, surer poses
 _NEAREST = 0.1  # [m] least depth in the frame. More: fewer patches
@@ -60,6 +61,10 @@ class AlignedPatches:
     def inliers(self, T_kc: Tensor) -> int:
         """The number of points that T_kc (4, 4) projects to where they are seen."""
         return int((self.residuals(T_kc) < _INLIER).sum())
+
+    def agree(self, T_kc: Tensor, T_by_image: Tensor) -> bool:
+        """Whether a pose T_kc (4, 4) explains the image about as well as the pose by the image does."""
+        return self.inliers(T_kc) >= _AGREEING * self.inliers(T_by_image)
 
     def distance(self, T_kc: Tensor, other: Tensor) -> float:
         """The median distance [px] between the projections of the points by two poses (4, 4)."""

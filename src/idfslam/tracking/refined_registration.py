@@ -24,10 +24,9 @@ _SCALE = 3.0  # [standard deviations] scale of the robust weights of patches. Mo
 # [1] Weight of a patch relative to a point of depth, because patches share their systematic errors. More: the image counts more.
 _PATCH_WEIGHT = 0.1
 _WEIGHTS = (1.0, 0.1, 0.01, 0.0)  # [1] weights of depth that are tried in turn. More of them: finer steps, slower where depth contradicts
-_SUPPORT = 0.5  # [1] least share of the image's inliers that depth must keep to count beyond that. More: the image counts more
 # [rad] Motion of the image by which the pose with depth may differ from the image's whatever the support, because lenses distort and
 # shutters roll. More: depth counts more.
-_CONTRADICTION = 0.006
+_CONTRADICTION = 0.003
 _PRIOR = 1.0  # [1/m^2, 1/rad^2] information at the present pose. It keeps the system solvable, and a point has about 10^4.
 #    More: shorter steps
 # [1], [1/rad^2], [rad] The covariance is the inverse information times the sum of the first and of the second times the squared
@@ -55,13 +54,13 @@ def refined(
     if by_image is None:
         return None
     T_kc, patches = by_image
-    contradiction, support = 0.0, _SUPPORT * patches.inliers(T_kc)  # [rad] median motion of the image between the poses by image and depth
+    contradiction = 0.0  # [rad] median motion of the image between the poses by image and depth
     T_start = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=plane_steps).cpu()
     for weight in _WEIGHTS if plane_steps > 0 else _WEIGHTS[-1:]:
         T, H = _together(T_start, frame, keyframe, patches, weight)
         T_start = T_kc  # depth's own pose is left where the image contradicts it
         contradiction = max(contradiction, patches.distance(T_kc, T) / patches.camera.fx)
-        if patches.inliers(T) >= support or contradiction < _CONTRADICTION:
+        if patches.agree(T, T_kc) or contradiction < _CONTRADICTION:
             break
     inflation = _LEAST_VARIANCE + _VARIANCE * min(contradiction, _MOST) ** 2
     found = supported(se3.orthonormal(T).to(pose.T_ab), pairs.frame, pairs.keyframe, inlier_distance)

@@ -22,6 +22,7 @@ from idfslam.tracking.finetuning import Render, finetune_step, finetuning_losses
 from idfslam.tracking.frame_features import FrameFeatures, brightness, reduced
 from idfslam.tracking.matching import Features, PixelMatches, bucket, match
 from idfslam.tracking.overlap import overlapping_pixels
+from idfslam.tracking.patch_alignment import AlignedPatches
 from idfslam.tracking.point_to_plane import point_to_plane
 from idfslam.tracking.procrustes import Registration, supported
 from idfslam.tracking.refined_registration import RefinedRegistration, refined
@@ -50,6 +51,16 @@ class TrackingResult:
     rmse: float  # of the inliers' distances [m]; nan without inliers
     covariance: NDArray[np.float64] | None = None  # (6, 6) of delta, where exp(delta) T_kc is the true pose [m, rad]; None: unknown
     patches: int = 0  # patches of the keyframe's image that the frame shows where the pose projects them
+    aligned: AlignedPatches | None = None  # the patches that were found in the frame
+
+    @property
+    def convinces(self) -> bool:
+        """Whether so many patches confirm the pose that it holds against another source."""
+        return self.status is Status.OK and self.patches >= _CONVINCING
+
+    def agrees(self, T_kc: NDArray[np.float64]) -> bool:
+        """Whether another pose (4, 4) explains the image about as well: it keeps at least half of the patches that confirm this one."""
+        return self.aligned is None or self.aligned.agree(torch.from_numpy(T_kc), torch.from_numpy(self.T_kc))
 
 
 class Tracker(Stateful):
@@ -252,10 +263,10 @@ def _convincing(pose: Registration, agreement: float) -> bool:
 
 
 def _result(pose: Registration, matches: int, consistent: bool) -> TrackingResult:
-    covariance = pose.covariance.numpy() if isinstance(pose, RefinedRegistration) else None
+    covariance, aligned = (pose.covariance.numpy(), pose.patches) if isinstance(pose, RefinedRegistration) else (None, None)
     status = Status.OK if consistent else Status.LOST
     T_kc = pose.T_ab.cpu().numpy()
-    return TrackingResult(T_kc, status, matches, int(pose.inliers.sum()), pose.rmse, covariance, _patches(pose))
+    return TrackingResult(T_kc, status, matches, int(pose.inliers.sum()), pose.rmse, covariance, _patches(pose), aligned)
 
 
 def denser(config: TrackerConfig) -> TrackerConfig:

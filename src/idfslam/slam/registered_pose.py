@@ -1,0 +1,48 @@
+"""The pose of a view that the tracker registered with a keyframe, as evidence beside that of the map."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from idfslam.alignment.alignment import Alignment
+from idfslam.frame import Status
+from idfslam.geometry import se3
+from idfslam.graph.keyframe import Keyframe
+from idfslam.tracking.tracker import TrackingResult
+
+
+@dataclass(frozen=True)
+class RegisteredPose:
+    """A view's pose by registration with a keyframe, and the patches of the keyframe's image that confirm it."""
+
+    reference: Keyframe
+    result: TrackingResult
+
+    @property
+    def T_wc(self) -> Tensor:
+        """(4, 4) float64."""
+        return self.reference.T_wk @ torch.from_numpy(self.result.T_kc)
+
+    @property
+    def covariance(self) -> Tensor | None:
+        """(6, 6) float64 of shift [m] and turn [rad] along world axes, against the keyframe; None: unknown."""
+        if self.result.covariance is None:
+            return None
+        R = self.reference.T_wk[:3, :3]
+        J = torch.eye(6, dtype=torch.float64)  # the centre moves by the shift, and by the turn about the keyframe
+        J[:3, 3:] = -se3.hat(torch.from_numpy(self.result.T_kc[:3, 3]))
+        to_world = torch.block_diag(R, R) @ J
+        return to_world @ torch.from_numpy(self.result.covariance) @ to_world.T
+
+    def confirms(self, aligned: Alignment) -> bool:
+        """Whether many patches confirm this pose, and that of an alignment as well."""
+        return self.result.convinces and self._agrees(aligned)
+
+    def refutes(self, aligned: Alignment) -> bool:
+        """Whether many patches confirm this pose, and do not confirm that of an alignment, or the alignment is lost."""
+        return self.result.convinces and not self._agrees(aligned)
+
+    def _agrees(self, aligned: Alignment) -> bool:
+        T_kc = se3.inverse(self.reference.T_wk) @ aligned.T_wc
+        return aligned.status is not Status.LOST and self.result.agrees(T_kc.numpy())
