@@ -46,12 +46,15 @@ def test_what_is_usual_follows_the_recording_and_no_jump() -> None:
     doubt = PoseDoubt()
     assert not doubt.has_usual
     doubt.accept(0.01)
-    assert doubt.has_usual and doubt.state() == {"usual": 0.01}
-    for displacement in (0.012, 1.0, 0.012):  # however much it is: one hundredth a frame
+    assert doubt.has_usual and doubt.state() == {"usual": 0.01, "frames": 1}
+    for displacement in (0.02, 1.0, 0.012):  # however much it is: a third, a quarter, a fifth
         doubt.accept(displacement)
-    assert doubt.state()["usual"] == pytest.approx(0.01 * 1.01**3)
-    doubt.accept(0.001)
-    assert doubt.state()["usual"] == pytest.approx(0.01 * 1.01**3 * 0.99)
+    assert doubt.state()["usual"] == pytest.approx(0.01 * (4 / 3) * (5 / 4) / (6 / 5))
+    for _ in range(200):
+        doubt.accept(0.02)
+    before = doubt.state()["usual"]
+    doubt.accept(1.0)  # one hundredth a frame, later on
+    assert doubt.state()["usual"] == pytest.approx(1.01 * before)
     doubt.accept(0.0)  # says nothing
     again = PoseDoubt()
     again.restore(doubt.state())

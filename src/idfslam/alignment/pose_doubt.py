@@ -18,8 +18,9 @@ _LEAST_USUAL = math.radians(0.2)
 # [1] Probability above which a pose is doubtful. More: fewer frames are doubtful, and more wrong ones are not. Chosen on the same
 # recordings, where one in a hundred right poses is above it.
 _DOUBTFUL = 0.15
-# [1] Step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951). More: what is usual follows
-# the last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with 0.02 as many are told apart.
+# [1] Least step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951): that of frame n is 1 / n
+# before. More: what is usual follows the last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with
+# 0.02 as many are told apart.
 _STEP = 0.01
 
 
@@ -28,14 +29,15 @@ class PoseDoubt(Stateful):
 
     def __init__(self) -> None:
         self._usual = 0.0  # [rad]; 0: not known yet
+        self._frames = 0  # that it was learnt from
 
     def state(self) -> State:
-        """The usual displacement."""
-        return {"usual": self._usual}
+        """The usual displacement, and the number of frames that it was learnt from."""
+        return {"usual": self._usual, "frames": self._frames}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._usual = state["usual"]
+        self._usual, self._frames = state["usual"], state["frames"]
 
     def probability(self, displacement: float) -> float:
         """The probability (0 to 1) that a pose with this displacement [rad] is off by more than 5 cm or 2 degrees.
@@ -57,12 +59,14 @@ class PoseDoubt(Stateful):
     def expect(self, displacements: list[float]) -> None:
         """Takes the median of some displacements [rad] of right poses as the usual one. One of 0 says nothing, and is left out."""
         if measured := sorted(displacement for displacement in displacements if displacement > 0):
-            self._usual = measured[len(measured) // 2]
+            self._usual, self._frames = measured[len(measured) // 2], len(measured)
 
     def accept(self, displacement: float) -> None:
         """Learns from the displacement [rad] of an accepted pose, trusted or not."""
         if displacement > 0:
-            self._usual = self._usual * (1 + math.copysign(_STEP, displacement - self._usual)) or displacement
+            self._frames += 1
+            step = max(1 / (self._frames + 1), _STEP)
+            self._usual = self._usual * (1 + step) ** math.copysign(1, displacement - self._usual) or displacement
 
     @property
     def has_usual(self) -> bool:
