@@ -17,8 +17,9 @@ from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.datasets.provenance import Provenance
+from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
-from idfslam.runs.calibration import camera_values, in_a_row
+from idfslam.runs.calibration import Keyframes, calibrate_from, camera_values, in_a_row
 from idfslam.sensing.depth_deformation import DepthDeformation
 
 
@@ -136,16 +137,27 @@ def test_a_folder_is_read_with_the_file(box_recording: Path, tmp_path: Path) -> 
     assert open_recording(box_recording, camera_file=path, camera={"fx": 300.0}, report=False).camera.fx == 300.0
 
 
-def test_a_generated_recording_is_read_with_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "camera.json"
-    camera = {"w": 320, "h": 240, "fx": 250, "fy": 251, "cx": 160, "cy": 120, "scale": 1.02, "distortion": [0.1, 0, 0, 0]}
+def test_a_dataset_of_any_kind_is_read_with_the_file(box_recording: Path, tmp_path: Path) -> None:
+    plain, path = open_recording(box_recording, report=False), tmp_path / "camera.json"
+    c = plain.camera
+    camera = {
+        "w": c.width,
+        "h": c.height,
+        "fx": c.fx * 0.9,
+        "fy": c.fy,
+        "cx": c.cx,
+        "cy": c.cy,
+        "scale": 1.02,
+        "distortion": [0.1, 0, 0, 0],
+    }
     path.write_text(json.dumps({"camera": camera}))
-    plain, read = open_recording("corridor:0"), open_recording("corridor:0", camera_file=path)
-    assert (read.camera.fx, read.camera.fy) == (250, 251)
-    centre = plain[3].depth[118:123, 158:163] / np.float32(1.02)
-    np.testing.assert_allclose(read[3].depth[118:123, 158:163], centre, rtol=0.02)
+    read = Recalibrated(plain, read_given(path))
+    assert read.camera == replace(c, fx=c.fx * 0.9)
+    v, u = round(c.cy), round(c.cx)  # where distortion moves nothing
+    np.testing.assert_allclose(read[3].depth[v, u], plain[3].depth[v, u] / 1.02, rtol=1e-3)
     assert np.abs(read[3].colour - plain[3].colour).max() > 0.1
     np.testing.assert_array_equal(read.timestamps, plain.timestamps)
+    assert len(read) == len(plain)
 
 
 # The command
@@ -174,8 +186,8 @@ def test_the_command_finds_a_wrong_focal_length(tmp_path: Path, capsys: pytest.C
     assert found.over(Calibration()).complete
 
 
-def test_recordings_of_different_cameras_are_refused() -> None:
-    from idfslam.runs.calibration import _check_one_camera
-
+def test_recordings_of_different_cameras_are_refused(box_recording: Path) -> None:
+    cameras = open_recording(box_recording, report=False), open_recording(box_recording, camera={"fx": 200.0}, report=False)
+    empty = [Keyframes(recording, np.zeros(0, np.int64), [], np.zeros((0, 4, 4))) for recording in cameras]
     with pytest.raises(ConfigError, match="stated differently"):
-        _check_one_camera([open_recording("synthetic:0"), open_recording("corridor:0")])
+        calibrate_from(empty, truth=False)
