@@ -4,6 +4,7 @@ Nothing else of the run depends on it. The early check runs beside the frames, a
 """
 
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -45,9 +46,10 @@ class CameraCheck(KeyframeHook):
         return Moved()
 
     def on_finish(self) -> None:
-        """Checks the first keyframes of the map and its last ones, and tells doubts that were not told yet."""
+        """Checks the first keyframes of the largest submap and its last ones, and tells doubts that were not told yet."""
         told = self._running is not None and self._running.result()
-        keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == self.graph.keyframes[0].submap]
+        (largest, _), *_ = Counter(keyframe.submap for keyframe in self.graph.keyframes).most_common(1)
+        keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == largest]
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
         self._estimate = self_calibrate(_footage([[keyframes[i] for i in chosen]]), rounds=_ROUNDS, seconds=_SECONDS)
