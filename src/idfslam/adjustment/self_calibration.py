@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import Array, Observations
+from idfslam.adjustment.residuals import Array, Observations, tracks
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import align
 
@@ -99,15 +99,39 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds:
         if perf_counter() > end or (i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all()):
             break
     kept = adjusted.problem.seen
-    return Estimate(
-        model, _honest(covariance), np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), _noise(kept, views[0])
-    )
+    covariance = _with_differences(_honest(covariance), _difference_of_halves(adjusted.problem, of))
+    return Estimate(model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), _noise(kept, views[0]))
 
 
 def _honest(covariance: Array) -> Array:
     """The covariance (P, P) of an adjustment, with what its residuals do not show."""
     of_deformation = np.arange(len(NAMES)) > _SCALE
     return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
+
+
+def _difference_of_halves(problem: Problem, of: NDArray[np.int64]) -> Array:
+    """(P,) the values by the first half of each recording's keyframes minus those by its second half; zero if a half is too short.
+
+    of (K,): the number of each keyframe's recording. The halves share no measurement. What they contradict each other in is not the
+    camera's: a shutter, a clock, or a light that the model does not know.
+    """
+    position = np.arange(len(of)) - np.searchsorted(of, of)
+    early = position < (np.bincount(of)[of] + 1) // 2
+    found = []
+    for half in (early, ~early):
+        first_of_each = half & (np.arange(len(of)) == np.array([np.flatnonzero(half & (of == k))[:1].sum() for k in of]))
+        points, seen = tracks(problem.points, problem.seen[half[problem.seen.keyframe]])
+        if half.sum() < _LEAST_KEYFRAMES or len(points) < _LEAST_LANDMARKS // 2:
+            return np.zeros(len(NAMES))
+        found.append(adjust(replace(problem, points=points, seen=seen, fixed=~half | first_of_each)).problem.model.values)
+    return np.asarray(found[0] - found[1])
+
+
+def _with_differences(covariance: Array, difference: Array) -> Array:
+    """The covariance (P, P) with standard deviations of at least half of a difference (P,) between two halves of the measurements."""
+    sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
+    factors = np.maximum(1.0, np.abs(difference) / 2 / sigmas)
+    return covariance * np.outer(factors, factors)
 
 
 def _determined(problem: Problem) -> tuple[Adjusted, NDArray[np.bool_]]:
