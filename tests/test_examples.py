@@ -64,4 +64,5 @@ def shown(cell: Any) -> tuple[str, list[list[str]]]:
     """What a cell prints, with # for each number, as figures differ between machines; and the kinds of what it shows."""
     outputs = cell.get("outputs", [])
     printed = "".join(output.text for output in outputs if "text" in output)
-    return re.sub(r"-?[0-9]+([.][0-9]*)?", "#", printed), [sorted(output.data) for output in outputs if "data" in output]
+    masked = re.sub(r" +", " ", re.sub(r"-?[0-9]+([.][0-9]*)?", "#", printed))  # arrays are padded to the width of their numbers
+    return masked, [sorted(output.data) for output in outputs if "data" in output]
