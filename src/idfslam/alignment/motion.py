@@ -7,8 +7,10 @@ and Singh, "On degeneracy of optimization-based state estimation problems", ICRA
 A change of a pose is a 6-vector: the shift [m] of the camera's centre and the turn [rad] about it, both along world axes.
 """
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -23,6 +25,8 @@ _VELOCITY_INFORMATION = 4.0
 # [1] Share of an unmeasured turn that is kept from frame to frame: a hand-held camera sways, so its turns end sooner than its walks.
 # More: turns go on longer on bare walls. Chosen by hand.
 _TURN_KEPT = 0.9
+_TINY = 1e-9  # [rad] angle below which sin x = x to the last bit. More: less exact
+_OPPOSITE = -0.9  # [1] cosine of a turn of 154 degrees, beyond which scipy finds its axis. More: slower
 
 
 @dataclass(frozen=True)
@@ -53,16 +57,24 @@ class Information:
 
 
 def moved(T: Tensor, change: Tensor) -> Tensor:
-    """The pose (4, 4) after a change (6,)."""
+    """The pose (4, 4) after a change (6,), both float64 on the host."""
     out = T.clone()
-    out[:3, :3] = torch.linalg.matrix_exp(se3.hat(change[3:])) @ T[:3, :3]
-    out[:3, 3] = T[:3, 3] + change[:3]
+    x, y, z = change[3:].tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    sine, cosine = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > _TINY else (1.0, 0.5)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out.numpy()[:3, :3] = (np.eye(3) + sine * K + cosine * K @ K) @ T[:3, :3].numpy()  # Rodrigues
+    out[:3, 3] += change[:3]
     return out
 
 
 def change_between(T: Tensor, other: Tensor) -> Tensor:
-    """The change (6,) from a pose to another one: moved(T, change) = other."""
-    turn = Rotation.from_matrix((other[:3, :3] @ T[:3, :3].T).numpy()).as_rotvec()
+    """The change (6,) from a pose to another one, both (4, 4) float64 on the host: moved(T, change) = other."""
+    R = other[:3, :3].numpy() @ T[:3, :3].numpy().T
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2  # times the sine of the angle
+    sine, cosine = math.sqrt(float(axis @ axis)), (float(np.trace(R)) - 1) / 2
+    exact = cosine > _OPPOSITE  # beyond, the axis is not
+    turn = axis * (math.atan2(sine, cosine) / sine if sine > _TINY else 1.0) if exact else Rotation.from_matrix(R).as_rotvec()
     return torch.cat([other[:3, 3] - T[:3, 3], torch.from_numpy(turn)])
 
 
