@@ -13,13 +13,15 @@ from idfslam.adjustment.camera_findings import doubts, findings
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.self_calibration import Estimate, confirmed, fitting
 from idfslam.cli.command_line import main
+from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.datasets.provenance import Provenance
 from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
-from idfslam.runs.calibration import Keyframes, calibrate_from, camera_values, in_a_row
+from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row
+from idfslam.runs.result_folder import Source
 from idfslam.sensing.depth_deformation import DepthDeformation
 
 
@@ -168,6 +170,17 @@ def test_too_few_views_are_one_line(box_recording: Path, capsys: pytest.CaptureF
         main(["calibrate", str(box_recording), "--frames", "2"])
     assert end.value.code == 1
     assert "too few landmarks in common" in capsys.readouterr().err
+
+
+def test_a_camera_that_does_not_explain_the_images_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    shaken, source = replace(estimate(focal=0.11), noise=0.64), Source("somewhere")
+    assert not shaken.explains_images and estimate().explains_images
+    monkeypatch.setattr("idfslam.runs.calibration.calibrate", lambda *args, **flags: (shaken, None))
+    assert calibrated(source, FAST, tmp_path / "camera.json", None) is source
+    assert not (tmp_path / "camera.json").exists()
+    assert "no camera explains the images to better than 0.64 px of 640, expected 0.3" in caplog.text
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from idfslam.adjustment.camera_findings import findings
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import View
-from idfslam.adjustment.self_calibration import Estimate, Footage, confirmed, of_size, self_calibrate, with_scale
+from idfslam.adjustment.self_calibration import EXPLAINED, Estimate, Footage, confirmed, of_size, self_calibrate, with_scale
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.calibration import TIMES
@@ -86,6 +86,12 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
     return replace(estimate, model=of_size(estimate.model, first.camera)), first
 
 
+def unexplained(estimate: Estimate) -> str:
+    """What to say of an estimate that does not explain the images."""
+    found = f"no camera explains the images to better than {estimate.noise:.2f} px of 640, expected {EXPLAINED}"
+    return f"{found}: blur or a shutter bends them, or objects move; record a still scene slowly"
+
+
 def calibrated(source: result_folder.Source, config: Config, path: Path, console: Console | None) -> result_folder.Source:
     """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
 
@@ -95,6 +101,9 @@ def calibrated(source: result_folder.Source, config: Config, path: Path, console
         estimate, recording = calibrate([source], config, truth=False, console=console)
     except RecordingError as error:
         log.warning("%s; the camera stays as it is stated", error)
+        return source
+    if not estimate.explains_images:
+        log.warning("%s; the camera stays as it is stated", unexplained(estimate))
         return source
     write_camera(path, estimate, recording)
     for finding in findings(estimate):

@@ -25,10 +25,6 @@ _EARLY = 12  # stored keyframes at the early check; more: surer and later. This 
 _STRETCH = 12  # keyframes in a row that are checked together; more: surer, slower
 _STRETCHES = 2  # such stretches at the end of a run, one of them its last keyframes; more: surer, slower
 _ROUNDS = 2  # times that tracks are searched; more: slower, a very wrong camera is told more exactly
-# [px] of 640 pixels' width: largest noise of the landmarks in adjusted views that are believed. Where blur or a shutter leave more, the
-# camera alone does not explain the images. More: false doubts of shaken cameras. Calm generated recordings have 0.15 to 0.2, shaken blurred
-# ones with a right camera 0.4, with a principal point that looked 6 px off
-_EXPLAINED = 0.3
 _SECONDS = 10.0  # [s] after which no further round begins; more: surer on slow machines
 
 
@@ -57,7 +53,7 @@ class CameraCheck(KeyframeHook):
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
         self._estimate = self_calibrate(_footage([[keyframes[i] for i in chosen]]), rounds=_ROUNDS, seconds=_SECONDS)
-        if self._estimate is not None and self._estimate.noise > _EXPLAINED:
+        if self._estimate is not None and not self._estimate.explains_images:
             self._estimate = None
         if self._estimate is not None and not told:
             _tell(self._estimate)
@@ -81,7 +77,7 @@ def _footage(parts: Sequence[Sequence[Keyframe]]) -> list[Footage]:
 def _told(footage: Sequence[Footage]) -> bool:
     """Checks the camera, and says whether doubts were told."""
     estimate = self_calibrate(footage, rounds=_ROUNDS, seconds=_SECONDS)
-    return estimate is not None and estimate.noise <= _EXPLAINED and _tell(estimate)
+    return estimate is not None and estimate.explains_images and _tell(estimate)
 
 
 def _tell(estimate: Estimate) -> bool:

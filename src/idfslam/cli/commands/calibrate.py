@@ -1,5 +1,6 @@
 """`idf-slam calibrate`."""
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,9 @@ from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Calibrate:
         from idfslam.adjustment.camera_findings import findings
         from idfslam.cli.tables import print_calibration
         from idfslam.datasets.generated import absolute_path
-        from idfslam.runs.calibration import calibrate, write_camera
+        from idfslam.runs.calibration import calibrate, unexplained, write_camera
         from idfslam.runs.result_folder import Source
 
         camera, part = self.camera.given(), self.recording
@@ -65,6 +69,8 @@ class Calibrate:
         sources = [Source(absolute_path(str(path)), *given) for path in self.recordings]
         estimate, recording = calibrate(sources, values, truth=self.truth, console=console)
         print_calibration(findings(estimate), estimate.landmarks, estimate.sightings, estimate.noise, output())
+        if not estimate.explains_images:
+            log.warning("%s; do not rely on these values", unexplained(estimate))
         if self.out is not None:
             write_camera(self.out, estimate, recording)
             output().print(f"{self.out}: give it to `idf-slam run --camera-file`", highlight=False, soft_wrap=True, markup=False)
