@@ -6,15 +6,14 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.constants import LEAST_SLOPE, MAPPED, SLOPE_FLOOR
-from idfslam.alignment.row_moments import RowMoments
+from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 
 
 @dataclass(frozen=True)
-class DepthTerm:
-    """Normal equations H delta = b of a pose; delta is a shift and a turn about the camera's centre, both along world axes."""
+class DepthTerm(PoseEquations):
+    """The equations of the distances of a frame's points to the map."""
 
-    sums: RowMoments
     weight: float  # sum of the robust weights
     overlap: float  # share of the points that take part
     rmse: float  # [m] of the distances, weighted by their noise
@@ -25,16 +24,6 @@ class DepthTerm:
     def absent(cls, *, weight: float, radius: float, moments: bool) -> "DepthTerm":
         """The term of a frame without depth. It says nothing; weight and radius [m] give the scale of what images say."""
         return cls(RowMoments.zeros(moments=moments), weight, 1.0, 0.0, 0.0, radius)
-
-    @property
-    def H(self) -> Tensor:
-        """(6, 6) float64."""
-        return self.sums.H[0]
-
-    @property
-    def b(self) -> Tensor:
-        """(6,) float64."""
-        return self.sums.b[0]
 
 
 def depth_term(

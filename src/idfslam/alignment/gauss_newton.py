@@ -11,7 +11,7 @@ from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, dist
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.row_moments import RowMoments
+from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.sensing.rectification import RowTimes
 
@@ -21,18 +21,12 @@ INDEPENDENT = 0.02
 
 
 @dataclass(frozen=True)
-class ImageTerm:
+class ImageTerm(PoseEquations):
     """The photometric part of the normal equations, in units of the depth's."""
 
-    sums: RowMoments
     photometric_error: float  # scale of the brightness differences [1]
     in_view: float  # share of the references' landmarks that are in view
     parts: tuple[RowMoments, ...] = ()  # of each reference; `sums` is their sum
-
-    @property
-    def H(self) -> Tensor:
-        """(6, 6) float64."""
-        return self.sums.H[0]
 
 
 class Solver(Protocol):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE, ROW_STEPS
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.row_moments import RowMoments
+from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
@@ -172,22 +172,11 @@ class Appearance:
 
 
 @dataclass(frozen=True)
-class Term:
-    """The photometric part of the normal equations of a pose (shift, and turn about the camera, both along world axes)."""
+class Term(PoseEquations):
+    """The equations of the brightness of one keyframe's landmarks."""
 
-    sums: RowMoments
     seen: int  # landmarks in view
     noise: float  # scale of the brightness differences [1]
-
-    @property
-    def H(self) -> Tensor:
-        """(6, 6) float64."""
-        return self.sums.H[0]
-
-    @property
-    def b(self) -> Tensor:
-        """(6,) float64."""
-        return self.sums.b[0]
 
 
 def photometric_term(

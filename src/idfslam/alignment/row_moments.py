@@ -36,3 +36,20 @@ class RowMoments:
     def scaled(self, factor: float) -> "RowMoments":
         """All sums times a factor."""
         return RowMoments(factor * self.H, factor * self.b)
+
+
+@dataclass(frozen=True)
+class PoseEquations:
+    """Normal equations H delta = b of a pose; delta is a shift and a turn about the camera's centre, both along world axes."""
+
+    sums: RowMoments
+
+    @property
+    def H(self) -> Tensor:
+        """(6, 6) float64."""
+        return self.sums.H[0]
+
+    @property
+    def b(self) -> Tensor:
+        """(6,) float64."""
+        return self.sums.b[0]

@@ -199,6 +199,14 @@ def _bilinear(image: Floats, u: float, v: float) -> float:
 
 
 @_inlined
+def _brightness(image, u, v):  # type: ignore[no-untyped-def]
+    """The brightness of an image at a pixel, and its derivatives along u and v [1/px]."""
+    along_u = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
+    along_v = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
+    return _bilinear(image, u, v), along_u, along_v
+
+
+@_inlined
 def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
     """A point carried by a velocity (6,) for s seconds: exp(s velocity) p to second order, as `frame_motion.plain_carried` has it."""
     wx, wy, wz = velocity[3], velocity[4], velocity[5]
@@ -231,7 +239,7 @@ def _along_axes(R, x, y, z):  # type: ignore[no-untyped-def]
 def _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera):  # type: ignore[no-untyped-def]
     """Fills d (M, 3), landmarks from the camera's centre along world axes, and camera (M, 3), the same along its own axes.
 
-    Both are as the rows of colour see them. Returns the landmarks as the rows of depth see them (M, 3): `photometric._at_their_rows`.
+    Both are as the rows of colour see them. Returns the landmarks as the rows of depth see them (M, 3): `photometric.at_their_rows`.
     """
     moves = times[0] != 0 or times[1] != 0 or times[2] != 0
     of_depth = np.empty_like(camera) if moves else camera
@@ -295,9 +303,7 @@ def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes
         if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             continue
         inside[i] = True
-        values[i, 0] = _bilinear(image, u, v)
-        values[i, 1] = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
-        values[i, 2] = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
+        values[i, 0], values[i, 1], values[i, 2] = _brightness(image, u, v)
         n += 1
         sum_t += target[i]
         sum_v += values[i, 0]
@@ -353,9 +359,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
         if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             hidden += 1
             continue
-        found[n, 0] = _bilinear(image, u, v)
-        found[n, 1] = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
-        found[n, 2] = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
+        found[n, 0], found[n, 1], found[n, 2] = _brightness(image, u, v)
         found[n, 3] = i
         sum_t += target[i]
         sum_v += found[n, 0]
