@@ -152,7 +152,8 @@ def test_names(box_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RecordingError, match="nowhere: no such file or folder, expected a recording, synthetic"):
         open_recording("kidnap:nowhere")
     with pytest.raises(
-        RecordingError, match=r"corridor:fine: not a corridor recording, expected corridor\[:SEED\]\[:kinect or :handheld.*\]\[:Nlaps\]"
+        RecordingError,
+        match=r"corridor:fine: not a corridor recording, expected corridor\[:SEED\]\[:people or .*\]\[:kinect or :handheld.*\]\[:Nlaps\]",
     ):
         open_recording("corridor:fine", format="corridor")
     with pytest.raises(ConfigError, match="own camera"):
@@ -173,7 +174,7 @@ def test_corridors_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(open_recording("corridor", start=10, frames=20, stride=2)) == 20
     assert open_recording("kidnap:corridor:2laps").name == "kidnap-round"
     assert built == [
-        {"seed": 3, "laps": 5, "frames": 0, "noise": True},
-        {"seed": 0, "laps": 1, "frames": 49, "noise": False},
-        {"seed": 0, "laps": 2, "frames": 0, "noise": False},
+        {"seed": 3, "laps": 5, "frames": 0, "noise": True, "movers": None},
+        {"seed": 0, "laps": 1, "frames": 49, "noise": False, "movers": None},
+        {"seed": 0, "laps": 2, "frames": 0, "noise": False, "movers": None},
     ]

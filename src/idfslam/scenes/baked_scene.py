@@ -35,6 +35,14 @@ class BakedScene:
     inner: Sequence[Sequence[int]]
     """The charts that face the inside, for each of the first shapes (floors, walls, ceilings)."""
 
+    def at(self, seconds: float) -> "BakedScene":
+        """The scene at a time: nothing in it moves."""
+        return self
+
+    def moving(self, camera: Camera, T_wc: Array, seconds: float) -> NDArray[np.bool_]:
+        """(H, W) the pixels that show something that moves: none."""
+        return np.zeros((camera.height, camera.width), np.bool_)
+
     def render(self, camera: Camera, T_wc: Array) -> Rendering:
         """Exact colour, depth and normals from a camera-to-world pose (4, 4), or from one for each row (H, 4, 4)."""
         return render(self.shapes, self.materials, self.nodes, self.lightmap, self.exposure, camera, T_wc)

@@ -264,10 +264,10 @@ def table(scene: Scene, T: Array, width: float, depth: float, height: float) -> 
         scene.ball(T, (-0.6 * a + 0.045 * np.cos(2.1 * k), -0.3 * b + 0.045 * np.sin(2.1 * k), height + 0.075), (0.035,) * 3, fruit)
 
 
-def chair(scene: Scene, T: Array, timber: int) -> None:
-    """Seat, legs and a back of slats; it looks towards -y."""
+def chair(scene: Scene, T: Array, timber: int, cushion: int | None = None) -> None:
+    """Seat, legs and a back of slats; it looks towards -y. cushion: the material of the seat; None: any cloth."""
     scene.box(T, (-0.21, -0.21, 0.42), (0.21, 0.21, 0.45), timber)
-    scene.box(T, (-0.19, -0.19, 0.45), (0.19, 0.17, 0.48), cloth(scene))
+    scene.box(T, (-0.19, -0.19, 0.45), (0.19, 0.17, 0.48), cloth(scene) if cushion is None else cushion)
     for x in (-0.18, 0.18):
         scene.tube(T, (x, -0.18, 0), 0.42, (0.016, 0.022), timber)
         scene.tube(T, (x, 0.19, 0), 0.9, (0.018, 0.018), timber)

@@ -32,7 +32,7 @@ class Lightmap:
 
 def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightmap:
     """Bakes the light of `lights` (L, 9) on `shapes` (P, 17). A light is position [m], normal (zero: shines to all sides), power (RGB)."""
-    layout = _layout(shapes)
+    layout = layout_of(shapes)
     direct = np.zeros((int(layout[-1, -1, 0] + layout[-1, -1, 1] * layout[-1, -1, 2]), 3))
     bounced = np.zeros_like(direct)
     seen = np.zeros(len(direct), np.bool_)
@@ -42,7 +42,8 @@ def bake(shapes: Array, materials: Array, nodes: Array, lights: Array) -> Lightm
     return Lightmap(layout, (direct + _blurred(layout, _blurred(layout, bounced, seen), seen)).astype(np.float32))
 
 
-def _layout(shapes: Array) -> NDArray[np.int64]:
+def layout_of(shapes: Array) -> NDArray[np.int64]:
+    """The `Lightmap.layout` of shapes (P, 17)."""
     layout = np.zeros((len(shapes), CHARTS, 3), np.int64)
     offset = 0
     for p in range(len(shapes)):
@@ -52,6 +53,23 @@ def _layout(shapes: Array) -> NDArray[np.int64]:
             layout[p, chart] = offset, columns, rows
             offset += columns * rows
     return layout
+
+
+def normals(shapes: Array, layout: NDArray[np.int64]) -> Array:
+    """(T, 3) the outward normals at the middles of all texels."""
+    out = np.zeros((int(layout[-1, -1, 0] + layout[-1, -1, 1] * layout[-1, -1, 2]), 3))
+    _normals(shapes, layout, out)
+    return out
+
+
+@compiled
+def _normals(shapes: Array, layout: NDArray[np.int64], out: Array) -> None:
+    for shape in range(shapes.shape[0]):
+        for chart in range(CHARTS):
+            offset, columns, rows = layout[shape, chart]
+            for k in range(columns * rows):
+                x, y, z = point_on(shapes, shape, chart, (k % columns + 0.5) / columns, (k // columns + 0.5) / rows)
+                _, _, _, out[offset + k, 0], out[offset + k, 1], out[offset + k, 2] = surface_at(shapes, shape, x, y, z)
 
 
 def _blurred(layout: NDArray[np.int64], light: Array, seen: NDArray[np.bool_]) -> Array:

@@ -13,12 +13,13 @@ from idfslam.storage.plain_values import one_line, shown
 
 SYNTHETIC, CORRIDOR = "synthetic", "corridor"
 SENSOR = ":kinect or :handheld[-FAULT[=STRENGTH][+...]]"
-NAMES = {SYNTHETIC: f"synthetic[:SEED][{SENSOR}]", CORRIDOR: f"corridor[:SEED][{SENSOR}][:Nlaps]"}
+MOVING = ":people or :movers"
+NAMES = {SYNTHETIC: f"synthetic[:SEED][{MOVING}][{SENSOR}]", CORRIDOR: f"corridor[:SEED][{MOVING}][{SENSOR}][:Nlaps]"}
 FORMS = f"{NAMES[SYNTHETIC]}, {NAMES[CORRIDOR]} or kidnap:RECORDING"
 """The names, for messages and help."""
 KIDNAP = "kidnap:"
 
-_SENSOR = r"(?:(?P<noise>:kinect)|(?P<handheld>:handheld)(?:-(?P<faults>[^:]*))?)?"
+_SENSOR = r"(?::(?P<movers>people|movers))?(?:(?P<noise>:kinect)|(?P<handheld>:handheld)(?:-(?P<faults>[^:]*))?)?"
 _PATTERNS = {
     SYNTHETIC: re.compile(rf"synthetic(?::(?P<seed>\d{{1,9}}))?{_SENSOR}"),
     CORRIDOR: re.compile(rf"corridor(?::(?P<seed>\d{{1,9}}))?{_SENSOR}(?::(?P<laps>\d{{1,3}})laps?)?"),
@@ -66,15 +67,15 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
 
         faults = _faults(path, name["faults"])
         if kind == SYNTHETIC:
-            return handheld.handheld_room(faults, seed, max(handheld.TOUR, length), known=times)
-        return handheld.handheld_corridor(faults, seed, int(name["laps"] or 1), length, known=times)
+            return handheld.handheld_room(faults, seed, max(handheld.TOUR, length), known=times, movers=name["movers"])
+        return handheld.handheld_corridor(faults, seed, int(name["laps"] or 1), length, known=times, movers=name["movers"])
     if kind == SYNTHETIC:
         from idfslam.datasets.generated.room import TOUR, SyntheticRoom  # imported here: it compiles a ray caster
 
-        return SyntheticRoom(seed=seed, frames=max(TOUR, length), noise=noise)
+        return SyntheticRoom(seed=seed, frames=max(TOUR, length), noise=noise, movers=name["movers"])
     from idfslam.datasets.generated.corridor import SyntheticCorridor
 
-    return SyntheticCorridor(seed=seed, laps=int(name["laps"] or 1), frames=length, noise=noise)
+    return SyntheticCorridor(seed=seed, laps=int(name["laps"] or 1), frames=length, noise=noise, movers=name["movers"])
 
 
 def _faults(path: str, text: str | None) -> Faults:

@@ -9,7 +9,7 @@ from idfslam.datasets.generated.rendered import FPS
 from idfslam.datasets.generated.sensor_noise import GRAIN
 from idfslam.datasets.generated.shutter import row_times
 from idfslam.geometry.camera import Camera
-from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.moving_scene import AnyScene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -25,7 +25,7 @@ _METER = 32, 24  # [px] size of the image whose brightness is measured; raised, 
 class ColourCamera:
     """A camera with an infinitely short exposure. `readout` is that of its shutter [s]."""
 
-    def __init__(self, scene: BakedScene, camera: Camera, motion: HandheldMotion, readout: float) -> None:
+    def __init__(self, scene: AnyScene, camera: Camera, motion: HandheldMotion, readout: float) -> None:
         self.scene, self.camera, self.motion, self.readout = scene, camera, motion, readout
 
     def poses(self, timestamp: float) -> Array:
@@ -34,7 +34,7 @@ class ColourCamera:
 
     def image(self, shot: int) -> Image:
         """(H, W, 3) image number `shot` without noise."""
-        return self.scene.render(self.camera, self.poses(shot / FPS)).colour
+        return self.scene.at(shot / FPS).render(self.camera, self.poses(shot / FPS)).colour
 
     def grain(self, shot: int) -> float:
         """[1] standard deviation of its noise."""
@@ -44,7 +44,7 @@ class ColourCamera:
 class AutomaticColourCamera(ColourCamera):
     """A camera that exposes by itself: light gathers while the camera moves, and the lens darkens the corners."""
 
-    def __init__(self, scene: BakedScene, camera: Camera, motion: HandheldMotion, readout: float, seed: int, strength: float) -> None:
+    def __init__(self, scene: AnyScene, camera: Camera, motion: HandheldMotion, readout: float, seed: int, strength: float) -> None:
         super().__init__(scene, camera, motion, readout)
         rng = np.random.default_rng([seed, 73])
         self.vignette = _vignette(camera, min(float(rng.uniform(*_VIGNETTE)) * strength, 1.0))
@@ -69,7 +69,7 @@ class AutomaticColourCamera(ColourCamera):
         moments = self.moments(shot)
         light = np.zeros((self.camera.height, self.camera.width, 3), np.float32)
         for moment in moments:
-            light += radiance(self.scene.render(self.camera, self.poses(moment)).colour)
+            light += radiance(self.scene.at(float(moment)).render(self.camera, self.poses(moment)).colour)
         light *= (self.vignette * (self.exposure(shot).brightness / len(moments)))[..., None].astype(np.float32)
         return developed(light, self.gamma)
 
@@ -79,7 +79,7 @@ class AutomaticColourCamera(ColourCamera):
 
     def _brightness(self, shot: int) -> float:
         """What the meter sees: the mean logarithm of the light of a small image."""
-        small = self.scene.render(self.camera.resized(*_METER), self.motion.pose_at(np.array([shot / FPS])))
+        small = self.scene.at(shot / FPS).render(self.camera.resized(*_METER), self.motion.pose_at(np.array([shot / FPS])))
         return float(np.exp(np.log(np.maximum(radiance(small.colour).mean(-1), 1e-3)).mean()))
 
 

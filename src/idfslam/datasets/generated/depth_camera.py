@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.generated.sensor_noise import BASELINE_FOCAL, noisy_depth
 from idfslam.geometry.camera import Camera
-from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.moving_scene import AnyScene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -24,35 +24,39 @@ _SMALLER = 4  # how many times smaller the image is in which dark surfaces are f
 class DepthCamera:
     """A structured-light camera (Kinect) with the noise of `sensor_noise`."""
 
-    def __init__(self, scene: BakedScene, camera: Camera) -> None:
+    def __init__(self, scene: AnyScene, camera: Camera) -> None:
         self.scene, self.camera = scene, camera
 
-    def image(self, poses: Array, rng: Generator, faults: Generator) -> Image:
-        """(H, W) depth [m], 0: no reading, from `poses` (4, 4) or one for each row (H, 4, 4). `rng` draws the noise, `faults` the rest."""
-        return noisy_depth(*self.scene.render_depth(self.camera, poses), self.camera, rng)
+    def image(self, poses: Array, seconds: float, rng: Generator, faults: Generator) -> Image:
+        """(H, W) depth [m], 0: no reading, from `poses` (4, 4) or one for each row (H, 4, 4), at a time.
+
+        `rng` draws the noise, `faults` the rest.
+        """
+        depth, normals = self.scene.at(seconds).render_depth(self.camera, poses)
+        return noisy_depth(depth, normals, self.camera, rng)
 
 
 class ImperfectDepthCamera(DepthCamera):
     """Such a camera with shadows of its projector, holes in dark and slanted surfaces, and flying pixels."""
 
-    def __init__(self, scene: BakedScene, camera: Camera, strength: float) -> None:
+    def __init__(self, scene: AnyScene, camera: Camera, strength: float) -> None:
         super().__init__(scene, camera)
         self._strength = strength
 
-    def image(self, poses: Array, rng: Generator, faults: Generator) -> Image:
+    def image(self, poses: Array, seconds: float, rng: Generator, faults: Generator) -> Image:
         """Depth as of `DepthCamera`, with these faults."""
-        exact, normals = self.scene.render_depth(self.camera, poses)
+        exact, normals = self.scene.at(seconds).render_depth(self.camera, poses)
         lost = projector_shadow(exact, self._strength * self.camera.width / 640)
-        lost |= patches(exact.shape, self.camera.width, faults) < self._strength * self._weakness(normals, poses)
+        lost |= patches(exact.shape, self.camera.width, faults) < self._strength * self._weakness(normals, poses, seconds)
         depth = noisy_depth(with_flying_pixels(exact, self._strength, faults), normals, self.camera, rng)
         return np.where(lost, np.float32(0), depth)
 
-    def _weakness(self, normals: Image, poses: Array) -> Array:
+    def _weakness(self, normals: Image, poses: Array, seconds: float) -> Array:
         """(H, W) probability that a reading is lost since its surface is dark or slanted."""
         rows, columns = normals.shape[:2]
         small = self.camera.resized(max(columns // _SMALLER, 1), max(rows // _SMALLER, 1))
         seen = poses if len(poses) == 1 else poses[((np.arange(small.height) + 0.5) * rows / small.height).astype(int)]
-        bright = cv2.resize(self.scene.render(small, seen).colour.mean(-1), (columns, rows), interpolation=cv2.INTER_LINEAR)
+        bright = cv2.resize(self.scene.at(seconds).render(small, seen).colour.mean(-1), (columns, rows), interpolation=cv2.INTER_LINEAR)
         x = (np.arange(columns) - self.camera.cx) / self.camera.fx
         y = (np.arange(rows)[:, None] - self.camera.cy) / self.camera.fy
         cosine = np.abs(normals[..., 0] * x + normals[..., 1] * y + normals[..., 2]) / np.sqrt(x * x + y * y + 1)

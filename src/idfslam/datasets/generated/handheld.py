@@ -17,6 +17,7 @@ from idfslam.datasets.generated.depth_camera import DepthCamera, ImperfectDepthC
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld_motion import HandheldMotion, Walk
 from idfslam.datasets.generated.miscalibration import Miscalibration
+from idfslam.datasets.generated.movers import with_movers
 from idfslam.datasets.generated.rendered import FPS, pinhole
 from idfslam.datasets.generated.room import TOUR, tour_at
 from idfslam.datasets.generated.sensor_noise import noisy_colour
@@ -25,8 +26,8 @@ from idfslam.datasets.provenance import GENERATED, Provenance
 from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.sensor_timing import SYNCHRONISED, UNKNOWN, SensorTiming
-from idfslam.scenes.baked_scene import BakedScene
 from idfslam.scenes.corridor import build_corridor
+from idfslam.scenes.moving_scene import AnyScene
 from idfslam.scenes.room import build_room
 from idfslam.scenes.shading import Rendering
 
@@ -47,7 +48,7 @@ class HandheldRecording:
     def __init__(
         self,
         name: str,
-        scene: BakedScene,
+        scene: AnyScene,
         walk: Walk,
         size: tuple[int, int],
         *,
@@ -89,7 +90,7 @@ class HandheldRecording:
             raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
         shot = int(self.shots[index])
         noise, faults = np.random.default_rng([self._seed, shot]), np.random.default_rng([self._seed, 79, shot])
-        depth = self.miscalibration.depth(self._depth_camera.image(self.depth_poses(index), noise, faults))
+        depth = self.miscalibration.depth(self._depth_camera.image(self.depth_poses(index), self._depth_taken(index), noise, faults))
         colour = self.colour_camera.image(shot)
         colour = noisy_colour(colour, self.timestamps[index], noise, self.colour_camera.grain(shot))
         stamps = float(self.timestamps[index]), float(self.depth_timestamps[index])
@@ -101,12 +102,15 @@ class HandheldRecording:
 
     def depth_poses(self, index: int) -> Array:
         """True camera-to-world poses of the rows of a depth image, (H, 4, 4); (1, 4, 4) of a global shutter."""
-        taken = self.depth_timestamps[index] + (self.true_timing.depth_delay or 0.0)
-        return self.motion.pose_at(row_times(taken, self._depth_readout, self.camera.height))
+        return self.motion.pose_at(row_times(self._depth_taken(index), self._depth_readout, self.camera.height))
+
+    def _depth_taken(self, index: int) -> float:
+        """[s] the true time of a depth image's middle row."""
+        return float(self.depth_timestamps[index] + (self.true_timing.depth_delay or 0.0))
 
     def exact_depth(self, index: int) -> NDArray[np.float32]:
         """(H, W) [m] what the depth camera scanned, row by row at its true times, without noise, holes and errors of calibration."""
-        return self._scene.render_depth(self.true_camera, self.depth_poses(index))[0]
+        return self._scene.at(self._depth_taken(index)).render_depth(self.true_camera, self.depth_poses(index))[0]
 
     def velocity(self, index: int) -> Array:
         """(6,) [m/s, rad/s] the true shift and turn in the camera's frame at a colour image's middle row."""
@@ -114,7 +118,11 @@ class HandheldRecording:
 
     def exact(self, index: int) -> Rendering:
         """What a camera without any fault or noise sees at `ground_truth[index]`: colour, depth and normals, through `true_camera`."""
-        return self._scene.render(self.true_camera, self.ground_truth[index])
+        return self._scene.at(float(self.timestamps[index])).render(self.true_camera, self.ground_truth[index])
+
+    def moving(self, index: int) -> NDArray[np.bool_]:
+        """(H, W) the pixels of `exact(index)` that show something that moves at some time: people and things, not the scene."""
+        return self._scene.moving(self.true_camera, self.ground_truth[index], float(self.timestamps[index]))
 
     def surface(self) -> trimesh.Trimesh:
         """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""
@@ -122,9 +130,19 @@ class HandheldRecording:
 
 
 def handheld_room(
-    faults: Faults, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480, known: SensorTiming = UNKNOWN
+    faults: Faults,
+    seed: int = 0,
+    frames: int = TOUR,
+    width: int = 640,
+    height: int = 480,
+    known: SensorTiming = UNKNOWN,
+    *,
+    movers: str | None = None,
 ) -> HandheldRecording:
-    """The walk around the room of `SyntheticRoom(seed)` with a shaking hand. Raises ConfigError for a negative seed or too small a size."""
+    """The walk around the room of `SyntheticRoom(seed, movers=movers)` with a shaking hand.
+
+    Raises ConfigError for a negative seed or too small a size.
+    """
     if seed < 0 or frames < 1 or width < 8 or height < 8:
         found = f"handheld room {seed} of {frames} frames, {width}x{height} px"
         raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 frame of 8x8 px")
@@ -133,14 +151,23 @@ def handheld_room(
     def walk(t: Array) -> Array:
         return tour_at(t * FPS, seed, room.half)
 
-    name = f"synthetic-{seed}"
-    return HandheldRecording(name, room, walk, (width, height), seed=seed, frames=frames, faults=faults, known=known)
+    name = f"synthetic-{seed}{'-' + movers if movers else ''}"
+    scene = with_movers(movers, room, walk, seed, _longest(seed, faults, frames))
+    return HandheldRecording(name, scene, walk, (width, height), seed=seed, frames=frames, faults=faults, known=known)
 
 
 def handheld_corridor(
-    faults: Faults, seed: int = 0, laps: int = 1, frames: int = 0, width: int = 320, height: int = 240, known: SensorTiming = UNKNOWN
+    faults: Faults,
+    seed: int = 0,
+    laps: int = 1,
+    frames: int = 0,
+    width: int = 320,
+    height: int = 240,
+    known: SensorTiming = UNKNOWN,
+    *,
+    movers: str | None = None,
 ) -> HandheldRecording:
-    """The walk through `SyntheticCorridor(seed)` with a shaking hand: `laps` rounds, or `frames` frames if these are more.
+    """The walk through `SyntheticCorridor(seed, movers=movers)` with a shaking hand: `laps` rounds, or `frames` frames if these are more.
 
     Raises ConfigError for a negative seed, and for a size or a number of laps that is not positive.
     """
@@ -148,6 +175,15 @@ def handheld_corridor(
         found = f"handheld corridor {seed}, {laps} laps, {width}x{height} px"
         raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 lap and 8x8 px")
     corridor = build_corridor(seed)
-    walk, name = corridor_walk.Walk(seed, corridor.plan), f"corridor-{seed}{f'-{laps}laps' if laps > 1 else ''}"
+    walk, name = (
+        corridor_walk.Walk(seed, corridor.plan),
+        f"corridor-{seed}{'-' + movers if movers else ''}{f'-{laps}laps' if laps > 1 else ''}",
+    )
     frames = max(frames, corridor_walk.lap_frames(corridor.plan.half, laps))
-    return HandheldRecording(name, corridor, walk.pose_at, (width, height), seed=seed, frames=frames, faults=faults, known=known)
+    scene = with_movers(movers, corridor, walk.pose_at, seed, _longest(seed, faults, frames))
+    return HandheldRecording(name, scene, walk.pose_at, (width, height), seed=seed, frames=frames, faults=faults, known=known)
+
+
+def _longest(seed: int, faults: Faults, frames: int) -> float:
+    """[s] the length of a recording of this many frames, with those that are missing."""
+    return float(kept_shots(seed, faults.drops, frames)[-1] + 1) / FPS

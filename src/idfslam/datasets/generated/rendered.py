@@ -9,7 +9,7 @@ from idfslam.datasets.provenance import GENERATED, Provenance
 from idfslam.errors import FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.scenes.baked_scene import BakedScene
+from idfslam.scenes.moving_scene import AnyScene
 from idfslam.scenes.shading import Rendering
 
 FPS = 30.0  # [Hz] of generated recordings; raised, a walk through the corridor has more frames
@@ -26,7 +26,14 @@ class RenderedRecording:
     reading_threads = 2  # rendering a frame takes several times as long as SLAM does
 
     def __init__(
-        self, name: str, scene: BakedScene, ground_truth: NDArray[np.float64], size: tuple[int, int], *, seed: int, noise: bool
+        self,
+        name: str,
+        scene: AnyScene,
+        ground_truth: NDArray[np.float64],
+        size: tuple[int, int],
+        *,
+        seed: int,
+        noise: bool,
     ) -> None:
         self.name = name
         self.camera = pinhole(size)
@@ -41,7 +48,7 @@ class RenderedRecording:
         """Frame `index`, rendered at each call with the same result. Raises FrameError outside the recording."""
         if not 0 <= index < len(self):
             raise FrameError(f"{self.name}: frame {index} does not exist; it has 0 to {len(self) - 1}")
-        rendering = self.render(self.ground_truth[index])
+        rendering = self.render(self.ground_truth[index], seconds=self.timestamps[index])
         colour, depth = rendering.colour, rendering.depth
         if self._noise:
             rng = np.random.default_rng([self._seed, index])
@@ -49,9 +56,13 @@ class RenderedRecording:
             colour = noisy_colour(colour, self.timestamps[index], rng)
         return Frame(index, float(self.timestamps[index]), colour, depth, self.camera)
 
-    def render(self, T_wc: NDArray[np.float64], camera: Camera | None = None) -> Rendering:
-        """Exact colour, depth and normals from any camera-to-world pose (4, 4)."""
-        return self._scene.render(camera or self.camera, T_wc)
+    def render(self, T_wc: NDArray[np.float64], camera: Camera | None = None, *, seconds: float = 0.0) -> Rendering:
+        """Exact colour, depth and normals from any camera-to-world pose (4, 4), at a time if something moves."""
+        return self._scene.at(seconds).render(camera or self.camera, T_wc)
+
+    def moving(self, index: int) -> NDArray[np.bool_]:
+        """(H, W) the pixels of frame `index` that show something that moves at some time: people and things, not the scene."""
+        return self._scene.moving(self.camera, self.ground_truth[index], float(self.timestamps[index]))
 
     def surface(self) -> trimesh.Trimesh:
         """The true surface in the frame of `ground_truth` [m]; round shapes to within 0.5 mm."""

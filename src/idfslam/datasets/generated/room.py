@@ -7,7 +7,8 @@ sway. Fewer frames are the beginning of the same tour; more go around again.
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam.datasets.generated.rendered import RenderedRecording, poses_looking
+from idfslam.datasets.generated.movers import with_movers
+from idfslam.datasets.generated.rendered import FPS, RenderedRecording, poses_looking
 from idfslam.errors import ConfigError
 from idfslam.scenes.room import BARE_WALL, build_room, wall_frame
 
@@ -21,19 +22,33 @@ class SyntheticRoom(RenderedRecording):
 
     `seed` determines the room (size, furniture, colours, textures) and the sway. `frames` is the length of the tour. `noise` adds a
     Kinect's noise to depth and colour. With `bare_wall` the tour faces an empty wall of one colour in frames `BARE_PASSAGE`.
+    `movers` (`movers.PEOPLE` or `MOVERS`) has people or things move before the camera; `surface` leaves them out.
     Raises ConfigError for a negative seed and for a size or length that is too small.
     """
 
     def __init__(
-        self, seed: int = 0, frames: int = TOUR, width: int = 640, height: int = 480, noise: bool = False, *, bare_wall: bool = False
+        self,
+        seed: int = 0,
+        frames: int = TOUR,
+        width: int = 640,
+        height: int = 480,
+        noise: bool = False,
+        *,
+        bare_wall: bool = False,
+        movers: str | None = None,
     ) -> None:
         if seed < 0 or frames < 1 or width < 8 or height < 8:
             raise ConfigError(
                 f"synthetic room {seed} of {frames} frames, {width}x{height} px; expected a seed >= 0 and at least 1 frame of 8x8 px"
             )
         self.room = build_room(seed, bare_wall=bare_wall)
-        name = f"synthetic-{seed}{'-noise' if noise else ''}{'-bare' if bare_wall else ''}"
-        super().__init__(name, self.room, tour(seed, frames, self.room.half, bare_wall=bare_wall), (width, height), seed=seed, noise=noise)
+        name = f"synthetic-{seed}{'-' + movers if movers else ''}{'-noise' if noise else ''}{'-bare' if bare_wall else ''}"
+
+        def walk(t: NDArray[np.float64]) -> NDArray[np.float64]:
+            return tour_at(t * FPS, seed, self.room.half, bare_wall=bare_wall)
+
+        scene, poses = with_movers(movers, self.room, walk, seed, frames / FPS), tour(seed, frames, self.room.half, bare_wall=bare_wall)
+        super().__init__(name, scene, poses, (width, height), seed=seed, noise=noise)
 
 
 def tour(seed: int, frames: int, half: tuple[float, float], *, bare_wall: bool = False) -> NDArray[np.float64]:
