@@ -57,7 +57,7 @@ def options_in_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monk
 
 VALUES_IN_HELP = {
     *("--preset", "--seed", "--device", "--refine", "--calibrate", "--config", "--keyframes.translation", "--tracker.weights"),
-    *("--finetune.enabled", "--loops.enabled", "--mesh.resolution"),
+    *("--finetune.enabled", "--loops.enabled", "--mesh.resolution", "--archive"),
 }
 
 

@@ -17,12 +17,14 @@ from safetensors import safe_open
 from helpers.small_config import small
 from idfslam.datasets import open_recording
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError
+from idfslam.evaluation.view_error import ViewError, summary
 from idfslam.frame import Status
 from idfslam.geometry.camera import Camera
 from idfslam.mapping import saved_map
 from idfslam.runs import checkpoint, result_folder
 from idfslam.runs.result_folder import EarlierKeyframe, KeyframeRecord, Source
 from idfslam.runs.runner import run
+from idfslam.views import image_archive
 
 PAGE = (Path(__file__).parent.parent / "docs/formats.md").read_text(encoding="utf-8")
 NAMED = {re.sub(r"\d+", "N", name) for name in re.findall(r"`([\w.*-]+)`", PAGE)}
@@ -94,12 +96,25 @@ def test_map(finished: Path) -> None:
     names = {re.sub(r"\.\d+\.", ".N.", name.replace("views.0.", "views.C.")) for name in tensors}
     assert names <= NAMED
     for line in PAGE.splitlines():
-        if line.startswith(("| `field.", "| `views.")):
+        if line.startswith(("| `field.", "| `views.C.")):
             name, dtype = line.split("`")[1].replace(".C.", ".0.").replace(".N.", ".0."), line.split("|")[2].split(",")[0].strip()
             assert str(tensors[name].dtype) == f"torch.{dtype}", name
+
+
+def test_archive(finished: Path) -> None:
+    with safe_open(finished / result_folder.ARCHIVE, "pt") as file:
+        metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
+    assert set(metadata) <= NAMED
+    assert set(tensors) <= NAMED
+    assert set(tensors) == {"index", "T_wc", "colour", "colour_ends", "depth", "depth_ends", "exposures", "sharpness"}
+
+
+def test_views() -> None:
+    assert unnamed(summary([ViewError(0, 30.0, 0.9, 31.0, 0.0, 0.1)])) == set()
 
 
 def test_versions() -> None:
     rows = {cells[1].strip(): cells[3].strip() for cells in (line.split("|") for line in PAGE.splitlines()) if len(cells) == 5}
     assert rows["`map.safetensors`"] == str(saved_map.FORMAT)
+    assert rows["`archive.safetensors`"] == str(image_archive.FORMAT)
     assert rows["`checkpoint.safetensors`"] == str(checkpoint.FORMAT)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from helpers.box_room import BOX_FRAMES, box_poses
+from helpers.grey_archive import grey_archive
 from helpers.visible_files import visible_files
 from idfslam.cli.tables import print_evaluation
 from idfslam.compute.torch_threads import limit_torch_threads
@@ -31,6 +32,7 @@ from idfslam.runs.meter import speed_by_block
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.storage import atomic_files
+from idfslam.views.image_archive import ImageArchive
 
 
 class KnownSlam:
@@ -75,6 +77,9 @@ class KnownSlam:
         return trimesh.creation.box((3.0, 2.2, 3.6))
 
     def archive_in(self, folder: Path) -> None: ...
+
+    def archive(self) -> ImageArchive:
+        return grey_archive()
 
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")
@@ -196,7 +201,9 @@ def test_divergence_keeps_the_poses(box_recording: Path, tmp_path: Path) -> None
     with pytest.raises(DivergedError, match="keyframe 6"):
         run_known(box_recording, tmp_path, DivergingSlam)
     assert len(load_tum(tmp_path / result_folder.TRAJECTORY)) == 6
-    assert visible_files(tmp_path) == sorted({*result_folder.FILES} - {result_folder.MESH, result_folder.MAP, result_folder.METRICS})
+    assert visible_files(tmp_path) == sorted(
+        {*result_folder.FILES} - {result_folder.MESH, result_folder.MAP, result_folder.ARCHIVE, result_folder.METRICS}
+    )
 
 
 def test_a_recording_without_any_usable_frame_is_an_error(tmp_path: Path, box_recording: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from helpers.grey_archive import grey_archive
 from helpers.recordings import pose
 from idfslam.config import FAST, FieldConfig
 from idfslam.frame import FrameResult, Status
@@ -17,6 +18,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import Checkpoints
 from idfslam.runs.frame_log import FrameLog
 from idfslam.storage import atomic_files
+from idfslam.views.image_archive import save_archive
 
 CAMERA = Camera(16, 12, 15.0, 15.0, 7.5, 5.5)
 _FINGERPRINT = {"version of idf-slam": "0", "camera": str(CAMERA)}
@@ -45,6 +47,12 @@ def write_map(path: Path) -> Path:
     torch.manual_seed(0)
     field = Field(FieldConfig(levels=1, features=1, width=4, colour_width=4, table_log2=4, table_log2_max=4, coarsest=0.5, finest=0.5))
     save_map(path, field, [DepthView(pose(0), np.ones((12, 16), np.float32), CAMERA)])
+    return path
+
+
+def write_archive(path: Path) -> Path:
+    """An archive of two images."""
+    save_archive(path, grey_archive())
     return path
 
 

@@ -221,6 +221,19 @@ def _read_map(path: Path) -> object:
     return load_map(path)
 
 
+def _image_archive(folder: Path) -> Path:
+    from fuzz import small_run
+
+    return small_run.write_archive(folder / "archive.safetensors")
+
+
+def _read_image_archive(path: Path) -> object:
+    from idfslam.views.image_archive import load_archive
+
+    archive = load_archive(path)
+    return [archive.colour(i) for i in range(len(archive.views))], archive.depths
+
+
 def _read_weights(path: Path) -> object:
     from idfslam.tracking.features import load_extractor
 
@@ -383,6 +396,7 @@ TARGETS: dict[str, Target] = {
         Target("config.yaml", partial(_text, "config.yaml", _CONFIG), load, 2.0),
         Target("result folder", _run, use_run, 1.0, "run/*"),
         Target("map.safetensors", _map, _read_map, 0.3),
+        Target("archive.safetensors", _image_archive, _read_image_archive, 0.3),
         Target("weights", _weights, _read_weights, 0.3),
         Target("checkpoint", _checkpoint, _read_checkpoint, 0.3),
         Target("mesh.ply", _mesh, load_mesh),

@@ -9,8 +9,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from helpers.box_room import box_poses
+from helpers.grey_archive import grey_archive
 from idfslam.config import Config
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
+from idfslam.views.image_archive import ImageArchive
 
 LOST, DEGENERATE = 6, 9  # frames
 RED = (220, 30, 30, 255)
@@ -62,6 +64,9 @@ class KnownSlam:
         return box
 
     def archive_in(self, folder: Path) -> None: ...
+
+    def archive(self) -> ImageArchive:
+        return grey_archive()
 
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")

@@ -14,6 +14,8 @@ from idfslam.downloads import catalogue
 from idfslam.errors import pip_install
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.evaluation.table import table
+from idfslam.evaluation.view_error import ViewError, summary
+from idfslam.pictures.view_comparison import PICTURE, VIEWS
 from idfslam.runs import result_folder
 from idfslam.runs.metrics import ate_rmse, measured_ate_rmse
 from idfslam.runs.runner import Run
@@ -53,6 +55,15 @@ def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> 
     """Prints the errors, and the paths of JSON and pictures."""
     console.print(table(evaluation))
     print_files(folder, result_folder.EVALUATION_FILES, console)
+
+
+def print_views(errors: Sequence[ViewError], folder: Path, console: Console) -> None:
+    """Prints the means over held-out views, and the paths of JSON and picture."""
+    mean = summary(errors)
+    text = f"{mean['count']} held-out views: PSNR {mean['psnr']:.2f} dB ({mean['psnr_matched']:.2f} at the exposure of each image)"
+    rest = f"SSIM {mean['ssim']:.3f}, holes {mean['holes'] * 100:.2f} %, {mean['seconds']:.2f} s a view"
+    console.print(f"{text}, {rest}", highlight=False, soft_wrap=True)
+    print_files(folder, (VIEWS, PICTURE), console)
 
 
 def print_batch(rows: list[Row], folder: Path, console: Console) -> None:

@@ -456,6 +456,13 @@ class Config:
     calibrate: UserOption[Literal["off", "warn", "on"]] = "warn"
     """Whether the camera is checked. `warn` says so where the views show that it is not as stated. `on` first calibrates it from the whole
     recording (`idf-slam calibrate`), and then runs with what was found, which takes twice as long."""
+    archive: UserOption[bool] = True
+    """Keep images of the recording beside the map (archive.safetensors), which views, videos and the colours of meshes are made of."""
+    archive_megabytes: Positive = 20.0
+    """Size of that archive [MB] at most. A room takes 20; in larger scenes more is sharper away from the few images that are left."""
+    hold_out: int = 0
+    """Keep every N-th frame from the map, the keyframes and the archive of images, so that `idf-slam eval --views` can compare it with the
+    rendered view; it is tracked like any other. 0: none."""
     field: FieldConfig = FieldConfig()
     mapper: MapperConfig = MapperConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

@@ -51,12 +51,14 @@ def main() -> None:
     from idfslam.evaluation.mesh_error import mesh_error
     from idfslam.mapping.saved_map import SavedMap
     from idfslam.slam.warm_up import warm_up
+    from idfslam.views.image_based_rendering import MapViews
 
     slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"))
     print("ready", flush=True)
     mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
     mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
-    SavedMap(slam.mapper.learnt(), slam.coverage.views()).render(poses[0], camera)
+    saved, archive = SavedMap(slam.mapper.learnt(), slam.coverage.views()), slam.archive()
+    (saved if archive is None else MapViews(saved, archive)).render(poses[0], camera)
 
 
 if __name__ == "__main__":

@@ -12,16 +12,18 @@ from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.demo.compile_ahead import compiling_ahead
 from idfslam.evaluation.evaluation import Evaluation
-from idfslam.mapping.saved_map import SavedMap, load_map
+from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.image_files import View, draw_views
 from idfslam.pictures.overview import draw_overview
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.slam.warm_up import COMPILING, will_compile
 from idfslam.storage.ledger import Ledger
+from idfslam.views.image_based_rendering import MapViews, without
 
 OVERVIEW, VIEWS = "overview.png", "views.png"
 _VIEWS = 4
@@ -59,9 +61,9 @@ def demo(
         done = run(prerendered, config, folder, source=source, overwrite=overwrite, console=console)
     tell("evaluating")
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
-    saved, poses = load_map(folder / result_folder.MAP), done.trajectory.poses
+    renderer, poses = FinishedRun(folder).views, done.trajectory.poses
     keyframes = result_folder.read_keyframes(folder).indices
-    view = _view(recording, poses, saved, int(len(poses) * _SHOWN), _WIDE)
+    view = _view(recording, poses, renderer, int(len(poses) * _SHOWN), _WIDE)
     with Ledger(folder).replacing(OVERVIEW) as part:
         draw_overview(part, done.mesh, poses, keyframes, recording.camera, view)
     tell("writing the report" if report else "drawing pictures")
@@ -70,13 +72,13 @@ def demo(
         return done, evaluation, [folder / OVERVIEW, folder / result_folder.PICTURES]
     chosen = np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist()
     with Ledger(folder).replacing(VIEWS) as part:
-        draw_views(part, [_view(recording, poses, saved, i, _SMALL) for i in chosen])
+        draw_views(part, [_view(recording, poses, renderer, i, _SMALL) for i in chosen])
     return done, evaluation, [folder / OVERVIEW, folder / VIEWS]
 
 
-def _view(recording: Dataset, poses: NDArray[np.float64], saved: SavedMap, i: int, width: int) -> View:
-    """Frame i, and the saved map rendered from its estimated pose in images `width` pixels wide."""
+def _view(recording: Dataset, poses: NDArray[np.float64], renderer: MapViews | SavedMap, i: int, width: int) -> View:
+    """Frame i, and the map rendered from its estimated pose in images `width` pixels wide."""
     camera = recording.camera.resized(width, round(width * recording.camera.height / recording.camera.width))
-    colour, depth = saved.render(poses[i], camera)
+    colour, depth = without(renderer, i).render(poses[i], camera)
     frame = recording[i]
     return View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))

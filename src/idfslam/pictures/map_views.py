@@ -64,18 +64,21 @@ def view_points(run: FinishedRun, *, frames: Sequence[int] = (), poses: Path | N
     return ViewPoints(names, found, camera)
 
 
-def write_views(run: FinishedRun, points: ViewPoints, out: Path | None = None, *, console: Console | None = None) -> list[Path]:
+def write_views(
+    run: FinishedRun, points: ViewPoints, out: Path | None = None, *, of_map: bool = False, console: Console | None = None
+) -> list[Path]:
     """Renders colour (8 bit) and depth (16 bit, mm) from the view points to PNG files. Returns their paths.
 
-    console: where a progress bar is shown. Raises ResultError if the run has no map, or if another's picture would be replaced.
+    of_map: the map's own colour is shown instead of the archive's images. console: where a progress bar is shown.
+    Raises ResultError if the run has no map, or if another's picture would be replaced.
     """
-    target, saved = out or run.folder / "render", run.map
+    target, renderer = out or run.folder / "render", run.map if of_map else run.views
     ledger = Ledger(target)
     ledger.refuse_foreign([f"{name}-{kind}.png" for name in points.names for kind in ("colour", "depth")])
     atomic_files.prepare(target)
     paths = []
     for name, T_wc in _bar(list(zip(points.names, points.poses)), console):
-        colour, depth = saved.render(T_wc, points.camera)
+        colour, depth = renderer.render(T_wc, points.camera)
         pair = [target / f"{name}-colour.png", target / f"{name}-depth.png"]
         write_colour(pair[0], np.asarray(colour))
         write_depth(pair[1], np.asarray(depth))
@@ -93,13 +96,15 @@ def write_flight(
     camera: Camera,
     seconds: float,
     fps: float,
+    of_map: bool = False,
     overwrite: bool = False,
     console: Console | None = None,
 ) -> Path:
     """Renders a video of the map: a smooth flight along T_wc (N, 4, 4), or an orbit in the middle of the room. Returns `path`.
 
-    overwrite: a video that is there already is replaced; one that the program wrote into the result folder always is. console: where a
-    progress bar is shown. Raises ConfigError for an invalid length or frame rate, ResultError if the file exists.
+    of_map: the map's own colour is shown instead of the archive's images. overwrite: a video that is there already is replaced; one that
+    the program wrote into the result folder always is. console: where a progress bar is shown.
+    Raises ConfigError for an invalid length or frame rate, ResultError if the file exists.
     """
     frames = round(seconds * fps) if 0 < seconds < np.inf and 0 < fps <= 240 else 0
     if frames < 2:
@@ -108,12 +113,12 @@ def write_flight(
     own = path.parent == run.folder and Ledger(run.folder).owns(path.name)
     if not own and not overwrite:
         output_folder.refuse_existing(path)
-    saved = run.map
+    renderer = run.map if of_map else run.views
     atomic_files.prepare(path.parent)
 
     def images() -> Iterator[NDArray[np.uint8]]:
         for T_wc in _bar(list(flight), console):
-            yield (np.clip(saved.render(T_wc, camera)[0], 0, 1) * 255 + 0.5).astype(np.uint8)
+            yield (np.clip(renderer.render(T_wc, camera)[0], 0, 1) * 255 + 0.5).astype(np.uint8)
 
     with atomic_files.replacing(path) as part:
         write_video(part, images(), fps=fps)

@@ -22,6 +22,7 @@ from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
 from idfslam.report.figures import Plan
 from idfslam.sensing.matched_exposure import matched_exposure
+from idfslam.views.image_based_rendering import MapViews, without
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -107,8 +108,8 @@ def evenly_spread(count: int, wanted: int) -> list[int]:
     return sorted({round(float(i)) for i in np.linspace(0, count - 1, wanted + 2)[1:-1]})
 
 
-def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
-    """Comparisons of frames spread over the run. Unreadable frames are left out."""
+def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
+    """Comparisons of frames spread over the run, rendered without their own images. Unreadable frames are left out."""
     own = recording.camera
     small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
     for i in evenly_spread(len(poses), _FRAMES):
@@ -116,7 +117,7 @@ def comparisons(saved: SavedMap, recording: Dataset, poses: Sequence[Floats] | F
             frame = recording[i]
         except FrameError:
             continue
-        colour, depth = saved.render(poses[i], small)
+        colour, depth = without(renderer, i).render(poses[i], small)
         size = (small.width, small.height)
         seen = np.asarray(cv2.resize(frame.colour, size, interpolation=cv2.INTER_AREA), np.float32)
         measured = np.asarray(cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST))

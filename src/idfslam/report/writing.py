@@ -222,7 +222,7 @@ def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> d
     if recording is None or not (run.folder / result_folder.MAP).is_file():
         return {"views": []}
     rows = []
-    for n, comparison in enumerate(comparisons(run.map, recording, run.trajectory.poses), 1):
+    for n, comparison in enumerate(comparisons(run.views, recording, run.trajectory.poses), 1):
         shown = [
             gallery.picture(f"view_{n}_{caption.replace(', ', '_').replace(' ', '_')}", caption, image)
             for caption, image in comparison.pictures.items()

@@ -18,6 +18,8 @@ from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.lost_frames import of_all_frames
 from idfslam.runs.metrics import corrected_frames, read_metrics
 from idfslam.runs.source import open_source
+from idfslam.views.image_archive import ImageArchive, load_archive
+from idfslam.views.image_based_rendering import MapViews
 
 
 class FinishedRun:
@@ -51,6 +53,17 @@ class FinishedRun:
     def map(self) -> SavedMap:
         """The neural map."""
         return load_map(result_folder.existing(self.folder, result_folder.MAP))
+
+    @cached_property
+    def archive(self) -> ImageArchive | None:
+        """The images that views of the map are made of; None if the run kept none."""
+        path = self.folder / result_folder.ARCHIVE
+        return load_archive(path) if path.is_file() else None
+
+    @cached_property
+    def views(self) -> MapViews | SavedMap:
+        """What renders views: the map with the images of the run, or the map alone where the run kept none."""
+        return self.map if self.archive is None else MapViews(self.map, self.archive)
 
     @cached_property
     def frames(self) -> FrameLog | None:

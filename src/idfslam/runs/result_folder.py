@@ -27,9 +27,20 @@ from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
 TRAJECTORY, LIVE, MESH, MAP = "trajectory.txt", "live_trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", evaluation_files.TRAJECTORY_PICTURE
-FRAMES, REPORT, PICTURES = "frames.csv", "report.html", "pictures"
+ARCHIVE, FRAMES, REPORT, PICTURES = "archive.safetensors", "frames.csv", "report.html", "pictures"
 CHECKPOINT = "checkpoint.safetensors"  # of an unfinished run
-FILES = (TRAJECTORY, LIVE, MESH, MAP, KEYFRAMES, CONFIG, METRICS, FRAMES, PICTURE)  # of a complete run
+FILES = (
+    TRAJECTORY,
+    LIVE,
+    MESH,
+    MAP,
+    ARCHIVE,
+    KEYFRAMES,
+    CONFIG,
+    METRICS,
+    FRAMES,
+    PICTURE,
+)  # of a run
 EVALUATION, EVALUATION_FILES = evaluation_files.EVALUATION, evaluation_files.FILES
 _PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # a picture of a report
 SCHEMA = 1  # of keyframes.json and metrics.json; counts up when a reader of the older form would misread a file

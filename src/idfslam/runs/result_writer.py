@@ -17,6 +17,7 @@ from idfslam.runs.metrics import pose_errors
 from idfslam.runs.prior_map import PriorMap
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
+from idfslam.views.image_archive import save_archive
 
 
 class ResultWriter:
@@ -60,13 +61,16 @@ class ResultWriter:
             self._draw_trajectory(part, keyframes)
 
     def write_map(self, mesh: trimesh.Trimesh) -> None:
-        """The mesh and the neural map."""
+        """The mesh, the neural map, and the images that views of it are made of."""
         data = mesh.export(file_type="ply")
         assert isinstance(data, bytes)
         with atomic_files.replacing(self._folder / result_folder.MESH) as part:
             part.write_bytes(data)  # not by its path: a full disk would leave the file open, and its room taken
         with atomic_files.replacing(self._folder / result_folder.MAP) as part:
             self._slam.save_map(part)
+        if (archive := self._slam.archive()) is not None:
+            with atomic_files.replacing(self._folder / result_folder.ARCHIVE) as part:
+                save_archive(part, archive)
 
     def write_frames(self, frame_log: FrameLog) -> None:
         """The log of frames, with each frame's final status."""

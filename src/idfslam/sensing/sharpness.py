@@ -32,6 +32,11 @@ class Sharpness(Stateful):
         """Takes over `state`."""
         self._before = deque(state["before"], maxlen=_NEIGHBOURS)
 
+    @property
+    def latest(self) -> float | None:
+        """The sharpness of the frame measured last [1]; None before the first."""
+        return self._before[-1] if self._before else None
+
     def of_next(self, colour: NDArray[np.float32]) -> float:
         """The next frame's sharpness as a share of the median of the frames before it [1]; colour (H, W, 3) in [0, 1]."""
         of_image = sharpness(colour)

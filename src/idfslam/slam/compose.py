@@ -40,6 +40,7 @@ from idfslam.slam.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.submap_merger import SubmapMerger
 from idfslam.tracking.tracker import Tracker
+from idfslam.views.view_selection import ViewSelection
 
 Part = TypeVar("Part")
 
@@ -65,6 +66,7 @@ class System:
         self.tracker, self.mapper = self._networks()
         self.graph = KeyframeGraph(config.keyframes, verify=self.closes_loops)
         self.frames, self.coverage = FramePoses(self.graph), Coverage(self.graph)
+        self.views = ViewSelection(self.frames, config.archive_megabytes if config.archive else 0.0)
         self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
         if self.config.mapper.light:

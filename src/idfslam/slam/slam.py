@@ -15,6 +15,7 @@ from torch import Tensor
 from idfslam.config import FAST, Config
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
+from idfslam.graph.held_out import is_held_out
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
@@ -24,6 +25,7 @@ from idfslam.slam.history import History
 from idfslam.slam.recovery import EXAMPLES, Mode
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of
+from idfslam.views.image_archive import ImageArchive, archive_of
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +58,7 @@ class Slam:
         self.graph, self.frames, self.coverage, self.motion = system.graph, system.frames, system.coverage, system.motion
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
+        self.views = system.views
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
@@ -70,6 +73,8 @@ class Slam:
         with self.back_end.foreground():
             view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
             tracked = self._track(view, mode)  # Sec. V
+            if is_held_out(frame.index, self.config.hold_out):
+                tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
             view.T_wk = tracked.T_wc
             self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
             self.recovery.close_gap(frame.index, mode)
@@ -80,6 +85,9 @@ class Slam:
             mappable = tracked.may_be_mapped and view.has_depth and not selected
             self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
             losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
+            if tracked.may_be_mapped and view.has_depth:
+                with self.timer.stage("archive"):
+                    self.views.add(view, self.keyframe_selection.sharpness.latest)
             return self.history.report(frame, tracked, losses, keyframe=selected)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
@@ -130,6 +138,7 @@ class Slam:
         if self.config.refine and self._pending is not None:
             self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
         self.back_end.finish()
+        self.views.finish()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m], with vertex colours. None: the config's resolution.
@@ -146,6 +155,14 @@ class Slam:
         """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads. Raises ResultError if nothing was mapped yet."""
         self._check_mapped()
         save_map(path, self.mapper.learnt(), self.coverage.views())
+
+    def archive(self) -> ImageArchive | None:
+        """The images that views of the map are made of, at the present poses; None if none was kept."""
+        statuses = self.statuses()
+        kept = [view for view in self.views.views if statuses[view.index].trusted]
+        if not kept:
+            return None
+        return archive_of(kept, self.graph.keyframes[0].camera, np.stack([self.frames.T_wc(view.index).numpy() for view in kept]))
 
     def _check_mapped(self) -> None:
         if not self.graph.keyframes:

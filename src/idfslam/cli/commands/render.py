@@ -28,6 +28,8 @@ class Render:
     """Length of the video [s]."""
     fps: float = 30.0
     """Frame rate of the video [1/s]."""
+    colour: Literal["images", "map"] = "images"
+    """Colours of the `images` that the run kept in its archive, over the map, or those that the `map` has learnt."""
     out: Path | None = None
     """Folder of the pictures, or file of the video (.mp4). Default: render/ or video.mp4 in the result folder."""
     overwrite: bool = False
@@ -43,10 +45,11 @@ class Render:
             raise ConfigError("--seconds, --fps and --overwrite belong to a video: give --video along or --video orbit as well")
         run = FinishedRun(self.folder)
         points = view_points(run, frames=self.frames, poses=self.poses, width=self.width)
+        of_map = self.colour == "map"
         if self.video is None:
-            print(*write_views(run, points, self.out, console=console), sep="\n")
+            print(*write_views(run, points, self.out, of_map=of_map, console=console), sep="\n")
             return
         path = self.out or self.folder / "video.mp4"
         along = points.poses if self.frames or self.poses else run.trajectory.poses
-        times: dict[str, Any] = {"seconds": self.seconds, "fps": self.fps, "overwrite": self.overwrite}
+        times: dict[str, Any] = {"seconds": self.seconds, "fps": self.fps, "of_map": of_map, "overwrite": self.overwrite}
         print(write_flight(run, path, self.video, poses=along, camera=points.camera, **times, console=console))

@@ -1,0 +1,97 @@
+"""The colours of places from the images that see them: a weighted mean of those whose rays are nearest to the view's."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.compute.backend import pick
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.projection import intrinsics_of
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, LEAST_OFF_EDGE, NEAREST, OFF_EDGE, UNREAD
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class BlendedImages:
+    """K images as they are blended."""
+
+    camera: Camera  # of colour
+    colours: NDArray[np.uint8]  # (K, H, W, 3)
+    depths: Floats  # (K, h, w) [m], 0: no reading
+    off_edges: Floats  # (K, h, w) weights by the distance to silhouettes (`off_edge`)
+    T_kw: Floats  # (K, 3, 4) from the world to each camera
+    centres: Floats  # (K, 3) [m] of the cameras in the world
+    base: Floats  # (K,) weights of the images
+    gains: Floats  # (K, 3), and
+    offsets: Floats  # (K, 3): gains * colour + offsets has the exposure of the view
+
+
+def blended(points: Floats, centre: Floats, images: BlendedImages) -> tuple[Floats, Floats]:
+    """Colours (N, 3) of points (N, 3) [m] in the world, seen from `centre` (3,), and their weights (N,): 0 where no image sees one.
+
+    A point that is not finite has the weight 0.
+    """
+    return pick(torch.empty(0), compiled=compiled_blended, plain=plain_blended)(points, centre, images)
+
+
+def compiled_blended(points: Floats, centre: Floats, images: BlendedImages) -> tuple[Floats, Floats]:
+    """`blended`, compiled by Numba."""
+    from idfslam.views.kernels import numba_views
+
+    colour, weights = np.zeros((len(points), 3), np.float32), np.empty(len(points), np.float32)
+    intrinsics = np.array(intrinsics_of(images.camera), np.float32)
+    shown = images.colours, images.depths, images.off_edges, intrinsics, images.T_kw, images.centres
+    numba_views.blend(points, centre, *shown, images.base, images.gains, images.offsets, colour, weights)
+    return colour, weights
+
+
+def plain_blended(points: Floats, centre: Floats, images: BlendedImages) -> tuple[Floats, Floats]:
+    """`blended` in numpy."""
+    finite = np.asarray(np.isfinite(points).all(axis=-1))
+    colour, total = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+    for k in range(len(images.colours)):
+        weight, of_image = _of_image(np.where(finite[:, None], points, 0), centre, images, k)
+        weight = np.where(finite, weight, 0)
+        colour += weight[:, None] * (of_image * images.gains[k] + images.offsets[k])
+        total += weight
+    return np.where(total[:, None] > 0, colour / np.maximum(total, 1e-30)[:, None], 0).astype(np.float32), total
+
+
+def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> tuple[Floats, Floats]:
+    """The weights (N,) of the k-th image at points (N, 3), and its colours (N, 3) there."""
+    camera, depth = images.camera, images.depths[k]
+    local = points @ images.T_kw[k, :, :3].T + images.T_kw[k, :, 3]
+    uv, z = (part.numpy() for part in camera.project(torch.from_numpy(local)))
+    border = np.minimum(np.minimum(uv[:, 0], camera.width - 1 - uv[:, 0]), np.minimum(uv[:, 1], camera.height - 1 - uv[:, 1]))
+    shown = (z >= NEAREST) & (border >= 0)
+    u, v = (np.where(shown, part, 0) for part in uv.T)
+    h, w = depth.shape
+    column = np.minimum(((u + 0.5) * w / camera.width).astype(int), w - 1)
+    row = np.minimum(((v + 0.5) * h / camera.height).astype(int), h - 1)
+    around = np.pad(depth, 1)
+    near = np.stack([around[row + 1 + i, column + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    off = np.where(near > 0, np.abs(near - z), np.inf).min(0)
+    agrees = off < AGREES + AGREES_SHARE * z**2
+    weight = np.where(np.isinf(off), UNREAD, np.where(agrees, images.off_edges[k][row, column], 0))
+    weight = weight * np.minimum(1, (border + 1) / BORDER) * shown * images.base[k]
+    to_view, to_image = points - centre, points - images.centres[k]
+    from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
+    cosine = (to_view * to_image).sum(1) / (from_view * from_image)
+    angle = np.sqrt(np.maximum(0, 2 * (1 - cosine))) + COARSE * np.maximum(0, 1 - from_view / from_image)
+    place = np.stack([u, v]).astype(np.float32)
+    colour = cv2.remap(images.colours[k].astype(np.float32), place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return (weight * np.exp(-angle / ANGLE)).astype(np.float32), colour.reshape(-1, 3)
+
+
+def off_edge(depth: Floats) -> Floats:
+    """The weight (h, w) of each pixel of a depth image (h, w) [m] by its distance from silhouettes, in [LEAST_OFF_EDGE, 1]."""
+    window = np.ones((3, 3), np.uint8)
+    farthest, nearest = cv2.dilate(depth, window), cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), window)
+    edge = farthest - nearest > EDGE + EDGE_SHARE * nearest
+    distance = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 3) if edge.any() else np.full(depth.shape, np.inf)
+    return np.clip(LEAST_OFF_EDGE + distance / OFF_EDGE, 0, 1).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Kernels of views, compiled by Numba for the CPU."""

@@ -1,0 +1,113 @@
+"""Which frames of a run the archive keeps: the sharpest of each stretch of motion, thinned out when they exceed the budget."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.frame import Frame
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.sensing.rectification import Rectification, rectified
+from idfslam.sensing.sharpness import sharpness
+from idfslam.storage.state import State, Stateful
+from idfslam.views.encoded_view import EncodedView, encode
+
+# [rad] Motion of the image over a stretch of frames of which the sharpest is kept. More: fewer images, farther from one another. It is a
+# few frames of a camera in the hand; the budget decides in most recordings. Chosen by hand
+_STRETCH = 0.04
+_AHEAD = 2.0  # [m] at which a shift of the camera counts as motion of the image. More: shifts count less against turns. Chosen by hand
+_THINNED = 0.9  # [1] share of the budget down to which the images are thinned out. Less: done less often, more is lost. Chosen by hand
+_MEGABYTE = 1e6  # [bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """The sharpest frame of a stretch so far, as it was taken."""
+
+    frame: Frame
+    rectification: Rectification | None
+    sharpness: float
+
+    def encoded(self) -> EncodedView:
+        return encode(self.frame if self.rectification is None else rectified(self.frame, self.rectification), self.sharpness)
+
+
+class ViewSelection(Stateful):
+    """Chooses and compresses images while a run goes on. Their poses are those of the frames, so they move with the keyframes."""
+
+    def __init__(self, frames: FramePoses, megabytes: float) -> None:
+        """megabytes: the budget [MB]; 0: no image is kept."""
+        self.frames, self._budget = frames, megabytes * _MEGABYTE
+        self.views: list[EncodedView] = []
+        self._best: _Candidate | EncodedView | None = None  # of the present stretch
+        self._begun_at: NDArray[np.float64] | None = None  # T_wc (4, 4) at which the present stretch began
+
+    def state(self) -> State:
+        """The images, compressed, with the best of the present stretch last."""
+        if isinstance(self._best, _Candidate):
+            self._best = self._best.encoded()
+        kept = [*self.views, *([] if self._best is None else [self._best])]
+        views = [{"index": v.index, "colour": _tensor(v.colour), "depth": _tensor(v.depth), "sharpness": v.sharpness} for v in kept]
+        begun = None if self._begun_at is None else torch.from_numpy(self._begun_at)
+        return {"views": views, "begun_at": begun, "pending": self._best is not None}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        views = [EncodedView(v["index"], _bytes(v["colour"]), _bytes(v["depth"]), v["sharpness"]) for v in state["views"]]
+        self._best = views.pop() if state["pending"] else None
+        self.views = views
+        self._begun_at = None if state["begun_at"] is None else state["begun_at"].numpy().copy()
+
+    def add(self, view: Keyframe, of_view: float | None) -> None:
+        """Takes the last frame into account, whose pose is trusted and whose image may be shown; of_view: its sharpness, if known."""
+        if not self._budget:
+            return
+        T_wc = self.frames.T_wc(-1).numpy()
+        of_view = sharpness(view.taken.frame.colour) if of_view is None else of_view
+        if self._best is None or of_view > self._best.sharpness:
+            self._best = _Candidate(view.taken.frame, view.rectification, of_view)
+        if self._begun_at is None or float(image_motion(self._begun_at, T_wc[None])[0]) > _STRETCH:
+            self._keep()
+            self._begun_at = T_wc
+
+    def finish(self) -> None:
+        """Ends the last stretch."""
+        if self._best is not None:
+            self._keep()
+
+    def _keep(self) -> None:
+        assert self._best is not None
+        self.views.append(self._best.encoded() if isinstance(self._best, _Candidate) else self._best)
+        self._best = None
+        if sum(view.size for view in self.views) > self._budget:
+            self._thin()
+
+    def _thin(self) -> None:
+        """Drops the less sharp one of the two most similar views, again and again."""
+        poses = np.stack([self.frames.T_wc(view.index).numpy() for view in self.views])
+        apart = np.stack([image_motion(T, poses) for T in poses])
+        np.fill_diagonal(apart, np.inf)
+        left, size = np.full(len(poses), True), sum(view.size for view in self.views)
+        while size > _THINNED * self._budget and left.sum() > 1:
+            pair = np.unravel_index(int(apart.argmin()), apart.shape)
+            worse = int(min(pair, key=lambda i: self.views[i].sharpness))
+            left[worse] = False
+            apart[worse] = apart[:, worse] = np.inf
+            size -= self.views[worse].size
+        self.views = [view for view, keep in zip(self.views, left) if keep]
+
+
+def image_motion(T_wa: NDArray[np.float64], T_wb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far the image moves [rad] from a camera at T_wa (4, 4) to cameras at T_wb (N, 4, 4): the turn, and the shift seen 2 m ahead."""
+    cosine = (np.einsum("nij,ij->n", T_wb[:, :3, :3], T_wa[:3, :3]) - 1) / 2
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)) + np.linalg.norm(T_wb[:, :3, 3] - T_wa[:3, 3], axis=1) / _AHEAD)
+
+
+def _tensor(data: bytes) -> torch.Tensor:
+    return torch.from_numpy(np.frombuffer(data, np.uint8).copy())
+
+
+def _bytes(data: torch.Tensor) -> bytes:
+    return data.numpy().tobytes()
