@@ -38,14 +38,14 @@ def test_a_camera_at_rest_gives_two_images() -> None:
 
 
 def test_a_moving_camera_gives_one_in_each_stretch() -> None:
-    indices = [view.index for view in filmed([0.018 * i for i in range(40)]).views]
-    assert len(indices) == 9  # the first frame, seven stretches of five frames (0.045 rad), and the rest
+    indices = [view.index for view in filmed([0.013 * i for i in range(40)]).views]
+    assert len(indices) == 9  # the first frame, seven stretches of five frames (0.0325 rad), and the rest
     assert indices[0] == 0
 
 
 def test_the_sharp_frame_of_a_stretch_is_kept() -> None:
     blurred = tuple(i for i in range(40) if i % 5)
-    views = filmed([0.018 * i for i in range(40)], blurred).views[:-1]  # without the rest after the last stretch
+    views = filmed([0.013 * i for i in range(40)], blurred).views[:-1]  # without the rest after the last stretch
     assert [view.index for view in views] == [0, 5, 10, 15, 20, 25, 30, 35]
 
 

@@ -23,8 +23,9 @@ from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.point_cloud import PointCloud, fuse
 from idfslam.export.record import RECORD, note_axes
 from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
+from idfslam.export.splats import write_splats
 from idfslam.export.surface import turned
-from idfslam.export.texture import Floats, from_images, textured
+from idfslam.export.texture import textured
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs import result_folder
@@ -32,6 +33,8 @@ from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.prior_map import earlier_keyframes
 from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
+from idfslam.views.blending import Floats
+from idfslam.views.surface_colour import Shade, as_exposed, from_images, of_archive, of_frames
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +50,7 @@ _TARGETS: dict[Format, tuple[str, ...]] = {
     "obj": ("mesh.obj", "mesh.mtl", "mesh.png"),
     "glb": ("mesh.glb",),
     "points": ("points.ply",),
+    "splats": ("splats.ply",),
     "grid": ("grid.npz",),
     "blocks": ("blocks.npz",),
 }
@@ -80,7 +84,7 @@ class Exporter:
         atomic_files.prepare(self.out)
         writers: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
-            "obj": self._obj, "glb": self._glb, "points": self._points, "grid": self._grid, "blocks": self._blocks,
+            "obj": self._obj, "glb": self._glb, "points": self._points, "splats": self._splats, "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
         ledger = self._ledger(formats)
         paths: list[Path] = []
@@ -166,6 +170,9 @@ class Exporter:
             self._cloud(self._posed_images()).save(part)
         return [self.out / "points.ply"]
 
+    def _splats(self) -> list[Path]:
+        return write_splats(self.out / "splats.ply", turned(self._mesh, self._axes.T_ew), self.resolution)
+
     def _grid(self) -> list[Path]:
         with atomic_files.replacing(self.out / "grid.npz") as part:
             tsdf_grid.save_grid(part, self.run.map, self.resolution, self._axes.T_ew)
@@ -224,7 +231,13 @@ class Exporter:
             return self._mesh
         if self.texture == "map":
             return textured(self._mesh, self._map_colour)
-        return textured(self._mesh, from_images(((image.frame, image.T_wc) for image in self._images()), self._map_colour))
+        if self.images is not None or self.run.archive is None:
+            return textured(
+                self._mesh, from_images(lambda: of_frames((image.frame, image.T_wc) for image in self._images()), self._map_colour)
+            )
+        archive = self.run.archive
+        exposed: Shade = lambda points, normals: as_exposed(archive, self._map_colour(points, normals))  # noqa: E731
+        return textured(self._mesh, from_images(lambda: of_archive(archive), exposed))
 
     @torch.no_grad()
     def _map_colour(self, points: Floats, normals: Floats) -> Floats:

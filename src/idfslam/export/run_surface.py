@@ -9,6 +9,7 @@ from idfslam.export import memory_need
 from idfslam.export.surface import cleaned
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.views.surface_colour import recoloured
 
 _ROUGH = 0.08  # [m] cells of a mesh that is only measured. Larger: faster, and small objects do not count
 
@@ -32,8 +33,10 @@ def check_resolution(resolution: float) -> None:
         raise ConfigError(f"--resolution {resolution}, expected metres above 0, such as 0.02")
 
 
-def mesh_of_map(run: FinishedRun, resolution: float) -> trimesh.Trimesh:
-    """The surface of the run's map in cells of `resolution` [m], cleaned, in the run's world.
+def mesh_of_map(run: FinishedRun, resolution: float, *, of_map: bool = False) -> trimesh.Trimesh:
+    """The surface of the run's map in cells of `resolution` [m], cleaned, in the run's world, in the colours of its archive.
+
+    of_map: in those that the map has learnt.
 
     Raises ConfigError for a resolution that is no length or needs too much memory, ResultError if the map is missing or has no surface.
     """
@@ -41,6 +44,8 @@ def mesh_of_map(run: FinishedRun, resolution: float) -> trimesh.Trimesh:
     memory_need.check_mesh(surface_area(run), resolution)
     memory_need.tell_finest_cells(run.map, resolution)
     mesh = run.map.mesh(resolution)
+    if run.archive is not None and not of_map and len(mesh.faces):
+        mesh = recoloured(mesh, run.archive)
     if not len(mesh.faces):
         raise ResultError(f"{run.folder}: its map has no surface in cells of {resolution} m; choose a smaller --resolution")
     return cleaned(mesh)

@@ -21,10 +21,13 @@ _WRITERS: dict[str, Callable[[Path, trimesh.Trimesh], list[Path]]] = {
 }  # fmt: skip
 
 
-def write_mesh(folder: Path, out: Path | None = None, *, resolution: float, up: Up | None = None, overwrite: bool = False) -> list[Path]:
+def write_mesh(
+    folder: Path, out: Path | None = None, *, resolution: float, of_map: bool = False, up: Up | None = None, overwrite: bool = False
+) -> list[Path]:
     """Writes the mesh of a result folder's map, in cells of `resolution` [m]. Returns the paths.
 
-    out: None replaces the folder's mesh.ply, whose axes are always those of trajectory.txt. up: None is z for a file of one's own.
+    of_map: in the colours that the map has learnt, instead of the archive's. out: None replaces the folder's mesh.ply, whose axes are
+    always those of trajectory.txt. up: None is z for a file of one's own.
     Raises ResultError if the map is missing or a file would be replaced, ConfigError for invalid options.
     """
     path = out or folder / result_folder.MESH
@@ -39,7 +42,7 @@ def write_mesh(folder: Path, out: Path | None = None, *, resolution: float, up: 
     check_resolution(resolution)
     run = FinishedRun(folder)
     with _own_mesh(folder) if own else nullcontext():
-        mesh = mesh_of_map(run, resolution)
+        mesh = mesh_of_map(run, resolution, of_map=of_map)
         atomic_files.prepare(path.parent)
         axes = Axes.of(run, "camera" if own else up or "z")
         written = _WRITERS[kind](path, turned(mesh, axes.gltf.T_ew if kind == ".glb" else axes.T_ew))

@@ -5,28 +5,20 @@ bilinear sampling inside a triangle never mixes in another triangle's colour. Th
 order of blocks in space. Coarse mip levels mix neighbouring squares, which are therefore also neighbours in the room.
 """
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numba import njit, prange
 from numpy.typing import NDArray
 from PIL import Image
 
 from idfslam.errors import ConfigError
-from idfslam.frame import Frame
-from idfslam.geometry.projection import intrinsics_of, project
+from idfslam.views.blending import Floats
+from idfslam.views.surface_colour import Shade
 
 _SQUARE = 8  # texels along the edge of a square; raised, the texture is larger and sharper. Chosen by hand
 _LEG = _SQUARE - 3  # texels along a triangle's leg; raised, the two triangles of a square would touch
 _LARGEST = 16384  # texels along the edge of an atlas; larger ones exceed the limit of common graphics cards
-_SHARPNESS = 4  # exponent of a view's weight; larger: the best view of a point dominates, smaller: views are blended
-_DEPTH_TOLERANCE = 0.02  # a measured depth may differ from the surface's by 2 cm + 2 %; larger: colours leak past occluding edges
-_NEAREST = 0.05  # [m] points nearer to the camera are not coloured by it; raised, close-ups colour less. Chosen by hand
-
-Floats = NDArray[np.float32]
-Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N, 3) -> RGB (N, 3) in [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,49 +70,3 @@ def textured(mesh: trimesh.Trimesh, shade: Shade) -> trimesh.Trimesh:
     smooth = np.asarray(mesh.vertex_normals)[mesh.faces].reshape(-1, 3)
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
     return trimesh.Trimesh(corners.reshape(-1, 3), faces, vertex_normals=smooth, visual=visual, process=False)
-
-
-def from_images(frames: Iterable[tuple[Frame, NDArray[np.float64]]], otherwise: Shade) -> Shade:
-    """Colours from frames with their T_wc (4, 4). Near, frontal views weigh most. `otherwise` colours the points that no frame sees."""
-
-    def shade(points: Floats, normals: Floats) -> Floats:
-        colours, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
-        for frame, T_wc in frames:
-            pose = np.linalg.inv(T_wc).astype(np.float32), T_wc[:3, 3].astype(np.float32)
-            intrinsics = tuple(np.float32(value) for value in intrinsics_of(frame.camera))
-            _gather(points, normals, *pose, intrinsics, frame.colour, frame.depth, colours, weights)
-        seen = weights > 0
-        colours[seen] /= weights[seen, None]
-        if not seen.all():
-            colours[~seen] = otherwise(points[~seen], normals[~seen])
-        return colours
-
-    return shade
-
-
-@njit(parallel=True, cache=True, fastmath=True)
-def _gather(points, normals, T_cw, centre, intrinsics, image, depth, colours, weights):  # type: ignore[no-untyped-def]
-    """Adds the weighted colours of points (N, 3) in one image to `colours` (N, 3), and the weights to `weights` (N,)."""
-    height, width = depth.shape
-    for i in prange(len(points)):
-        x, y, z = points[i]
-        u, v, z_c = project(T_cw, points[i], intrinsics)
-        if z_c <= _NEAREST or not (0 <= u < width - 1 and 0 <= v < height - 1):
-            continue
-        measured = depth[int(v + 0.5), int(u + 0.5)]
-        if not (measured > 0 and abs(measured - z_c) < _DEPTH_TOLERANCE * (1 + z_c)):
-            continue
-        dx, dy, dz = centre[0] - x, centre[1] - y, centre[2] - z
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
-        border = min(u, v, width - 1 - u, height - 1 - v) / (0.1 * width)  # fades out towards the border: no seam there
-        if cosine <= 0.05 or border <= 0:
-            continue
-        weight = (cosine / distance) ** _SHARPNESS * min(border, 1.0)
-        column, row = int(u), int(v)
-        a, b = u - column, v - row
-        for channel in range(3):
-            top = image[row, column, channel] * (1 - a) + image[row, column + 1, channel] * a
-            bottom = image[row + 1, column, channel] * (1 - a) + image[row + 1, column + 1, channel] * a
-            colours[i, channel] += weight * (top * (1 - b) + bottom * b)
-        weights[i] += weight

@@ -26,6 +26,7 @@ from idfslam.slam.recovery import EXAMPLES, Mode
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of
 from idfslam.views.image_archive import ImageArchive, archive_of
+from idfslam.views.surface_colour import recoloured
 
 log = logging.getLogger(__name__)
 
@@ -62,6 +63,7 @@ class Slam:
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
+        self._archive: ImageArchive | None = None  # once the poses are final
         self.order = FrameOrder()
 
     def process(self, frame: Frame) -> FrameResult:
@@ -141,7 +143,9 @@ class Slam:
         self.views.finish()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
-        """The observed surface in cells of `resolution` [m], with vertex colours. None: the config's resolution.
+        """The observed surface in cells of `resolution` [m], with vertex colours: the map's own, after `finish` those of the archive.
+
+        None: the config's resolution.
 
         Raises ResultError if nothing was mapped yet, ConfigError if the resolution is not positive.
         """
@@ -149,7 +153,8 @@ class Slam:
         if not 0 < cells < np.inf:
             raise ConfigError(f"resolution is {resolution}, expected metres above 0, such as {self.config.mesh.resolution}")
         self._check_mapped()
-        return mesh_of(self.mapper.learnt(), self.coverage.views(), cells)
+        mesh, archive = mesh_of(self.mapper.learnt(), self.coverage.views(), cells), self.archive() if self._finished else None
+        return mesh if archive is None or not len(mesh.vertices) else recoloured(mesh, archive)
 
     def save_map(self, path: Path) -> None:
         """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads. Raises ResultError if nothing was mapped yet."""
@@ -158,11 +163,16 @@ class Slam:
 
     def archive(self) -> ImageArchive | None:
         """The images that views of the map are made of, at the present poses; None if none was kept."""
+        if self._archive is not None:
+            return self._archive
         statuses = self.statuses()
         kept = [view for view in self.views.views if statuses[view.index].trusted]
         if not kept:
             return None
-        return archive_of(kept, self.graph.keyframes[0].camera, np.stack([self.frames.T_wc(view.index).numpy() for view in kept]))
+        poses = np.stack([self.frames.T_wc(view.index).numpy() for view in kept])
+        archive = archive_of(kept, self.graph.keyframes[0].camera, poses)
+        self._archive = archive if self._finished else None
+        return archive
 
     def _check_mapped(self) -> None:
         if not self.graph.keyframes:

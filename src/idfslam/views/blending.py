@@ -11,7 +11,7 @@ from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import intrinsics_of
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, LEAST_OFF_EDGE, NEAREST, OFF_EDGE, UNREAD
+from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, LEAST_OFF_EDGE, NEAREST, NEGLIGIBLE, OFF_EDGE, UNREAD
 
 Floats = NDArray[np.float32]
 
@@ -55,15 +55,15 @@ def plain_blended(points: Floats, centre: Floats, images: BlendedImages) -> tupl
     finite = np.asarray(np.isfinite(points).all(axis=-1))
     colour, total = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
     for k in range(len(images.colours)):
-        weight, of_image = _of_image(np.where(finite[:, None], points, 0), centre, images, k)
-        weight = np.where(finite, weight, 0)
+        most, weight, of_image = _of_image(np.where(finite[:, None], points, 0), centre, images, k)
+        weight = np.where(finite & (most > NEGLIGIBLE * total), weight, 0)
         colour += weight[:, None] * (of_image * images.gains[k] + images.offsets[k])
         total += weight
     return np.where(total[:, None] > 0, colour / np.maximum(total, 1e-30)[:, None], 0).astype(np.float32), total
 
 
-def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> tuple[Floats, Floats]:
-    """The weights (N,) of the k-th image at points (N, 3), and its colours (N, 3) there."""
+def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> tuple[Floats, Floats, Floats]:
+    """The weights (N,) of the k-th image at points (N, 3) if it saw them well, as it sees them, and its colours (N, 3) there."""
     camera, depth = images.camera, images.depths[k]
     local = points @ images.T_kw[k, :, :3].T + images.T_kw[k, :, 3]
     uv, z = (part.numpy() for part in camera.project(torch.from_numpy(local)))
@@ -78,14 +78,15 @@ def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> 
     off = np.where(near > 0, np.abs(near - z), np.inf).min(0)
     agrees = off < AGREES + AGREES_SHARE * z**2
     weight = np.where(np.isinf(off), UNREAD, np.where(agrees, images.off_edges[k][row, column], 0))
-    weight = weight * np.minimum(1, (border + 1) / BORDER) * shown * images.base[k]
+    weight = weight * np.minimum(1, (border + 1) / BORDER) * shown
     to_view, to_image = points - centre, points - images.centres[k]
     from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
     cosine = (to_view * to_image).sum(1) / (from_view * from_image)
     angle = np.sqrt(np.maximum(0, 2 * (1 - cosine))) + COARSE * np.maximum(0, 1 - from_view / from_image)
     place = np.stack([u, v]).astype(np.float32)
     colour = cv2.remap(images.colours[k].astype(np.float32), place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return (weight * np.exp(-angle / ANGLE)).astype(np.float32), colour.reshape(-1, 3)
+    most = (images.base[k] * np.exp(-angle / ANGLE)).astype(np.float32)
+    return most, weight * most, colour.reshape(-1, 3)
 
 
 def off_edge(depth: Floats) -> Floats:

@@ -4,7 +4,7 @@ Each image is compared with the nearest ones at the places that both see (`sensi
 together (`sensing/light_solution.py`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -19,13 +19,13 @@ from idfslam.views.view_selection import image_motion
 
 Floats = NDArray[np.float64]
 
-_NEAREST = 3  # earlier and later images with which each is compared. More: slower, and surer where some do not overlap. Chosen by hand
-_STEP = 2  # [px] of the depth images: every second place is compared. More: faster, and less sure. Chosen by hand
+_NEAREST = 2  # earlier and later images with which each is compared. More: slower, and surer where some do not overlap. Chosen by hand
+_STEP = 3  # [px] of the depth images: every third place is compared. More: faster, and less sure. Chosen by hand
 _NOISE = 0.01  # [1] standard deviation of a colour of such a small image. More: flat places count less against slopes. Chosen by hand
 _SLIP = 0.7  # [px] by which two views miss one another. More: places on slopes of brightness count less. As in the estimation of light
 
 
-def solve_exposures(colours: Sequence[NDArray[np.uint8]], depths: Sequence[DepthView]) -> Floats:
+def solve_exposures(colours: Iterable[NDArray[np.uint8]], depths: Sequence[DepthView]) -> Floats:
     """The logarithm of the gain, and the offset, of each channel of V images, (V, 3, 2): colour = gain (scene + offset).
 
     Those of the first image are 0, and so are all where the exposure does not change. colours: (H, W, 3). depths: of the same cameras.

@@ -60,7 +60,7 @@ class ImageArchive:
 def archive_of(views: Sequence[EncodedView], camera: Camera, T_wc: NDArray[np.float64]) -> ImageArchive:
     """The archive of images with poses (V, 4, 4), whose exposures are worked out."""
     plain = ImageArchive(views, camera, T_wc, np.zeros((len(views), 3, 2)))
-    found = solve_exposures([plain.colour(i) for i in range(len(views))], plain.depths)
+    found = solve_exposures((plain.colour(i) for i in range(len(views))), plain.depths)
     return ImageArchive(views, camera, T_wc, found)
 
 

@@ -14,12 +14,13 @@ from idfslam.views.image_archive import ImageArchive
 from idfslam.views.push_pull import push_pull
 from idfslam.views.view_selection import image_motion
 from idfslam.views.warping import fused_depth
-from idfslam.views.weights import AGREES, AGREES_SHARE, MOTION
+from idfslam.views.weights import AGREES, AGREES_SHARE, MOTION, SAME, SAME_SHARE
 
 # All of these were chosen by hand.
 _NEAREST = 8  # images that lie nearest to the view. More: slower; far ones hardly count
 _MOST = 12  # images at most, with those that see what the nearest do not. More: fewer holes, slower
 _REDUCED = 4  # [1] the map is rendered in so many times fewer rows and columns. More: faster, coarser where no image has depth
+_FUSED = 2  # [1] depth images are fused in so many times fewer rows and columns: they are small themselves. More: faster, coarser
 _PLACES = 20  # rows and columns of places at which images are asked what they see. More: small places count, slower
 _DECODED = 64  # images kept decoded, 1 MB each. More: videos need less time, more memory
 _GAP = 8  # [px] from known colours up to which holes that the map does not show either are filled. More: smears instead of black
@@ -124,7 +125,10 @@ class MapViews:
         """Depth (H, W) [m] by the images, the map where these have none, and by what is around elsewhere; and where it is not the last."""
         views = [self.archive.depths[i] for i in chosen]
         T_vk = np.stack([(np.linalg.inv(T_wc) @ view.T_wc)[:3] for view in views]).astype(np.float32)
-        depth = fused_depth(np.stack([view.depth for view in views]), views[0].camera, T_vk, camera, closeness)
+        half = camera.resized(-(-camera.width // _FUSED), -(-camera.height // _FUSED))
+        small = fused_depth(np.stack([view.depth for view in views]), views[0].camera, T_vk, half, closeness)
+        depth, smooth = _enlarged(small, camera), _enlarged(small, camera, cv2.INTER_LINEAR)
+        depth = np.where(np.abs(smooth - depth) < SAME + SAME_SHARE * depth**2, smooth, depth)
         depth = np.where(depth > 0, depth, _enlarged(depth_of_map, camera))
         known = depth > 0
         inverse = push_pull((1 / np.where(known, depth, 1)).astype(np.float32), known)  # planes have linear inverse depths

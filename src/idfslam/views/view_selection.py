@@ -1,5 +1,9 @@
-"""Which frames of a run the archive keeps: the sharpest of each stretch of motion, thinned out when they exceed the budget."""
+"""Which frames of a run the archive keeps: the sharpest of each stretch of motion, thinned out when they exceed the budget.
 
+An image is rectified and compressed in a thread of its own while the next frames are tracked. What is kept does not depend on its speed.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +20,7 @@ from idfslam.views.encoded_view import EncodedView, encode
 
 # [rad] Motion of the image over a stretch of frames of which the sharpest is kept. More: fewer images, farther from one another. It is a
 # few frames of a camera in the hand; the budget decides in most recordings. Chosen by hand
-_STRETCH = 0.04
+_STRETCH = 0.03
 _AHEAD = 2.0  # [m] at which a shift of the camera counts as motion of the image. More: shifts count less against turns. Chosen by hand
 _THINNED = 0.9  # [1] share of the budget down to which the images are thinned out. Less: done less often, more is lost. Chosen by hand
 _MEGABYTE = 1e6  # [bytes]
@@ -41,11 +45,14 @@ class ViewSelection(Stateful):
         """megabytes: the budget [MB]; 0: no image is kept."""
         self.frames, self._budget = frames, megabytes * _MEGABYTE
         self.views: list[EncodedView] = []
+        self._pool = ThreadPoolExecutor(1)
+        self._running: Future[EncodedView] | None = None  # the image after `views`
         self._best: _Candidate | EncodedView | None = None  # of the present stretch
         self._begun_at: NDArray[np.float64] | None = None  # T_wc (4, 4) at which the present stretch began
 
     def state(self) -> State:
         """The images, compressed, with the best of the present stretch last."""
+        self._settle()
         if isinstance(self._best, _Candidate):
             self._best = self._best.encoded()
         kept = [*self.views, *([] if self._best is None else [self._best])]
@@ -76,11 +83,20 @@ class ViewSelection(Stateful):
         """Ends the last stretch."""
         if self._best is not None:
             self._keep()
+        self._settle()
 
     def _keep(self) -> None:
-        assert self._best is not None
-        self.views.append(self._best.encoded() if isinstance(self._best, _Candidate) else self._best)
-        self._best = None
+        self._settle()
+        best, self._best = self._best, None
+        assert best is not None
+        self._running = self._pool.submit(best.encoded if isinstance(best, _Candidate) else lambda: best)
+
+    def _settle(self) -> None:
+        """Waits for the image that is being compressed, and sees to the budget."""
+        if self._running is None:
+            return
+        self.views.append(self._running.result())
+        self._running = None
         if sum(view.size for view in self.views) > self._budget:
             self._thin()
 

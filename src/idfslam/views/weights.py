@@ -11,6 +11,7 @@ ANGLE = 0.015  # [rad] between the rays of view and image to a place, over which
 COARSE = 0.15  # [rad] of angle that an image counts worse if it is much farther from the place. More: near images win
 MOTION = 0.06  # [rad] of motion from the view to an image over which its weight falls by e. More: images of other poses' errors are mixed
 BORDER = 20.0  # [px] from an image's border over which its weight falls to nothing. Less: seams. More: fewer images at borders
+NEGLIGIBLE = 0.01  # [1] share of the weights so far below which a further image is left out. More: faster, and steps where one leaves
 UNREAD = 1.0  # [1] weight of an image without depth around a place, against one with. Less: where depth is missing others count more
 SAME = 0.02  # [m] difference of two depths of a view up to which they are of one surface, plus
 SAME_SHARE = 0.01  # [1/m] this share of the squared depth. More: thin things melt into what is behind them

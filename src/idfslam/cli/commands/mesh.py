@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
@@ -21,6 +21,8 @@ class Mesh:
     resolution: float = 0.02
     """Edge of the marching-cubes cells [m]. The map's own finest cells are 4 cm in the preset `fast`; edges below half of that add
     vertices, not detail."""
+    colour: Literal["images", "map"] = "images"
+    """Colours of the vertices: of the `images` that the run kept in its archive, or those that the `map` has learnt, which are softer."""
     out: Path | None = None
     """Mesh file (.ply, .obj, .glb, .off, .stl). Default: mesh.ply in the result folder."""
     up: Up | None = None
@@ -32,4 +34,5 @@ class Mesh:
     def __call__(self, console: "Console") -> None:
         from idfslam.export.single_mesh import write_mesh
 
-        print(*write_mesh(self.folder, self.out, resolution=self.resolution, up=self.up, overwrite=self.overwrite), sep="\n")
+        of_map = self.colour == "map"
+        print(*write_mesh(self.folder, self.out, resolution=self.resolution, of_map=of_map, up=self.up, overwrite=self.overwrite), sep="\n")

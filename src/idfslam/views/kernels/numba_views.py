@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from idfslam.geometry.projection import project
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, NEAREST, SAME, SAME_SHARE, UNREAD
+from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, NEAREST, NEGLIGIBLE, SAME, SAME_SHARE, UNREAD
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 _parallel = njit(parallel=True, **_OPTIONS)
@@ -17,6 +17,7 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 _EDGE, _EDGE_SHARE, _NEAREST = np.float32(EDGE), np.float32(EDGE_SHARE), np.float32(NEAREST)
 _AGREES, _AGREES_SHARE, _SAME, _SAME_SHARE = (np.float32(x) for x in (AGREES, AGREES_SHARE, SAME, SAME_SHARE))
 _ANGLE, _COARSE, _BORDER, _UNREAD = (np.float32(x) for x in (ANGLE, COARSE, BORDER, UNREAD))
+_NEGLIGIBLE = np.float32(NEGLIGIBLE)
 _INSIDE = np.float32(-1e-4)  # [1] least barycentric coordinate of a pixel in a triangle: edges between triangles leave no gaps
 
 
@@ -98,10 +99,10 @@ def fuse(warped, weights, depth):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def _weight(depth, off_edge, z, u, v, width, height):  # type: ignore[no-untyped-def]
+def weight_of_image(depth, off_edge, z, u, v, width, height, unread):  # type: ignore[no-untyped-def]
     """The weight of an image at its pixel (u, v), for a place at depth z [m] in it: 0 where something hides the place.
 
-    depth, off_edge (h, w): its own depth [m], and its weight by the distance to silhouettes.
+    depth, off_edge (h, w): its own depth [m], and its weight by the distance to silhouettes. unread: the weight without depth there.
     """
     border = min(min(u, width - 1 - u), min(v, height - 1 - v))
     if border < _ZERO:
@@ -115,12 +116,12 @@ def _weight(depth, off_edge, z, u, v, width, height):  # type: ignore[no-untyped
                 off = min(off, abs(depth[i, j] - z))
     fade = min(_ONE, (border + _ONE) / _BORDER)
     if off == np.inf:
-        return fade * _UNREAD
+        return fade * unread
     return fade * off_edge[row, column] if off < _AGREES + _AGREES_SHARE * z * z else _ZERO
 
 
 @_inlined
-def _sample(image, u, v, channel):  # type: ignore[no-untyped-def]
+def sample(image, u, v, channel):  # type: ignore[no-untyped-def]
     """A channel of an image (H, W, 3) at (u, v), bilinear."""
     column, row = int(u), int(v)
     right, below = min(column + 1, image.shape[1] - 1), min(row + 1, image.shape[0] - 1)
@@ -135,7 +136,7 @@ def blend(points, centre, colours, depths, off_edges, intrinsics, T_kw, centres,
     """Fills colour (N, 3) with the weighted mean of the K images at points (N, 3) [m] in the world, and weights (N,) with the sums.
 
     Points that are not finite are left out. centre (3,): of the view. colours (K, H, W, 3) uint8; depths, off_edges (K, h, w): see
-    `_weight`. T_kw (K, 3, 4), centres (K, 3), base (K,): poses and weights of the images. gains, offsets (K, 3): to one exposure.
+    `weight_of_image`. T_kw (K, 3, 4), centres (K, 3), base (K,): poses and weights of the images. gains, offsets (K, 3): to one exposure.
     """
     K, height, width = colours.shape[:3]
     for i in prange(len(points)):
@@ -150,17 +151,19 @@ def blend(points, centre, colours, depths, off_edges, intrinsics, T_kw, centres,
             u, v, z = project(T_kw[k], (X, Y, Z), (intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]))
             if z < _NEAREST:
                 continue
-            weight = _weight(depths[k], off_edges[k], z, u, v, width, height)
-            if weight <= _ZERO:
-                continue
             ex, ey, ez = X - centres[k, 0], Y - centres[k, 1], Z - centres[k, 2]
             from_image = np.sqrt(ex * ex + ey * ey + ez * ez)
             cosine = (ex * dx + ey * dy + ez * dz) / (from_image * from_view)
             angle = np.sqrt(max(_ZERO, 2 * (_ONE - cosine))) + _COARSE * max(_ZERO, _ONE - from_view / from_image)
-            weight *= base[k] * np.exp(-angle / _ANGLE)
-            r += weight * (_sample(colours[k], u, v, 0) * gains[k, 0] + offsets[k, 0])
-            g += weight * (_sample(colours[k], u, v, 1) * gains[k, 1] + offsets[k, 1])
-            b += weight * (_sample(colours[k], u, v, 2) * gains[k, 2] + offsets[k, 2])
+            most = base[k] * np.exp(-angle / _ANGLE)
+            if most <= _NEGLIGIBLE * total:
+                continue
+            weight = most * weight_of_image(depths[k], off_edges[k], z, u, v, width, height, _UNREAD)
+            if weight <= _ZERO:
+                continue
+            r += weight * (sample(colours[k], u, v, 0) * gains[k, 0] + offsets[k, 0])
+            g += weight * (sample(colours[k], u, v, 1) * gains[k, 1] + offsets[k, 1])
+            b += weight * (sample(colours[k], u, v, 2) * gains[k, 2] + offsets[k, 2])
             total += weight
         if total > _ZERO:
             colour[i, 0], colour[i, 1], colour[i, 2], weights[i] = r / total, g / total, b / total, total
