@@ -45,7 +45,7 @@ def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: 
 
 USER_OPTIONS = {
     *("preset", "seed", "device", "refine", "calibrate", "keyframes.translation", "tracker.weights", "finetune.enabled"),
-    *("loops.enabled", "mesh.resolution", "archive"),
+    *("loops.enabled", "mesh.resolution", "archive", "movers"),
     *("steps", "batch", "height", "crop", "gap", "learning_rate", "augmentation"),  # of pretrain
 }
 

@@ -12,13 +12,16 @@ from idfslam.frame import FrameResult, Status
 from idfslam.geometry.trajectory import Trajectory
 from idfslam.runs.frame_log import FrameLog
 
+MOVING = np.arange(8).reshape(2, 4) == 3
+
 
 def test_it_comes_back(tmp_path: Path) -> None:
     known_log().save(tmp_path / "frames.csv")
     text = (tmp_path / "frames.csv").read_text().splitlines()
-    assert text[0] == "index,timestamp,status,keyframe,ms,live_status,sigma_position_cm,sigma_rotation_deg,total,photometric,finetune_depth"
-    assert text[1] == "0,0.000000,ok,1,100.00,ok,,,0.5,0.125,"
-    assert text[5] == "4,0.133333,lost,0,104.00,lost,,,,,"
+    fixed = "index,timestamp,status,keyframe,ms,live_status,sigma_position_cm,sigma_rotation_deg,moving_percent"
+    assert text[0] == f"{fixed},total,photometric,finetune_depth"
+    assert text[1] == "0,0.000000,ok,1,100.00,ok,,,0,0.5,0.125,"
+    assert text[5] == "4,0.133333,lost,0,104.00,lost,,,0,,,"
     kept = FrameLog.load(tmp_path / "frames.csv")
     assert kept.lines[4].status is Status.LOST
     assert [line.index for line in kept.lines if line.keyframe] == [0, 6, 13]
@@ -42,15 +45,16 @@ def test_statuses_of_the_end_take_the_place_of_those_told() -> None:
 def test_how_far_a_pose_may_be_off(tmp_path: Path) -> None:
     """Variances of 1, 4 and 4 cm^2: 3 cm; of 0.01 rad^2 each: 0.1 times the root of 3."""
     log = FrameLog()
-    log.add(FrameResult(0, 0.0, np.eye(4), Status.DOUBTFUL, False, {}, np.diag([1e-4, 4e-4, 4e-4, 1e-2, 1e-2, 1e-2])), ms=1.0)
+    log.add(FrameResult(0, 0.0, np.eye(4), Status.DOUBTFUL, False, {}, np.diag([1e-4, 4e-4, 4e-4, 1e-2, 1e-2, 1e-2]), MOVING), ms=1.0)
     log.add(FrameResult(1, 0.1, np.eye(4), Status.LOST, False, {}), ms=1.0)
     assert (log.lines[0].sigma_position, log.lines[0].sigma_rotation) == pytest.approx((0.03, np.rad2deg(0.03**0.5)))
     log.set_final_statuses([Status.DOUBTFUL, Status.INTERPOLATED])
     log.save(tmp_path / "frames.csv")
     text = (tmp_path / "frames.csv").read_text().splitlines()
-    assert text[1:] == ["0,0.000000,doubtful,0,1.00,doubtful,3,9.924", "1,0.100000,interpolated,0,1.00,lost,,"]
+    assert text[1:] == ["0,0.000000,doubtful,0,1.00,doubtful,3,9.924,12.5", "1,0.100000,interpolated,0,1.00,lost,,,0"]
     kept = FrameLog.load(tmp_path / "frames.csv").lines
     assert (kept[0].sigma_position, kept[0].sigma_rotation) == pytest.approx((0.03, 9.924))
+    assert (kept[0].moving, kept[1].moving) == (0.125, 0.0)
     assert (kept[1].sigma_position, kept[1].sigma_rotation, kept[1].live_status) == (None, None, Status.LOST)
     again = FrameLog()
     again.restore(log.state())

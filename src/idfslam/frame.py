@@ -155,6 +155,12 @@ class FrameResult:
     keyframe: bool
     losses: dict[str, float]
     covariance: NDArray[np.float64] | None = None  # (6, 6) of the pose's error in the map, see `Tracked.covariance`; None: not estimated
+    moving: NDArray[np.bool_] | None = None  # (H, W) pixels that show what moves; None: none
+
+    @property
+    def moving_share(self) -> float:
+        """[1] share of the pixels that show what moves."""
+        return 0.0 if self.moving is None else float(self.moving.mean())
 
     @property
     def sigma_position(self) -> float | None:

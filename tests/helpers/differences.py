@@ -13,7 +13,7 @@ from idfslam.storage.state import Stateful
 
 # from keyframes' images
 WORKED_OUT_AGAIN = {
-    *("_images", "_images_at", "_features", "_features_at", "_archive", "archive", "farthest", "has_depth"),  # of a keyframe
+    *("_images", "_images_at", "_features", "_features_at", "_archive", "archive", "farthest", "has_depth", "_shown"),  # of a keyframe
     *("_appearances", "_landmarks"),  # of the aligner
     "_pixels",  # of the mapper
     "_thumbnails",  # of the estimation of light

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.constants import MASKED
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm, depth_term
 from idfslam.alignment.displacement import displacement
@@ -60,6 +61,13 @@ _Normals = tuple[Tensor, Tensor]  # unit normals (N, 3), and the slope (N,) of t
 
 MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
+
+
+def sight(images: Images) -> Tensor:
+    """(H, W) [m] how far a view sees: its depth, and nothing behind what moves."""
+    if images.moving is None:
+        return images.depth
+    return images.depth.masked_fill(torch.from_numpy(images.moving).to(images.depth.device), MASKED)
 
 
 class MapAligner(Stateful):
@@ -300,7 +308,7 @@ class MapAligner(Stateful):
         if images not in self._appearances:
             height, levels = self.config.image_height, self.config.image_levels
             of_view = pyramid(images.colour, camera, height=height, levels=levels, vignette=self.vignette)
-            self._appearances[images] = Appearance(of_view, images.depth, camera)
+            self._appearances[images] = Appearance(of_view, sight(images), camera)
         return self._appearances[images]
 
     def landmarks(self, keyframe: Keyframe) -> Landmarks:

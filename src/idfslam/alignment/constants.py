@@ -13,6 +13,7 @@ SLOPE_FLOOR = 0.7  # [1] least slope by which a distance is divided. Less: dista
 NEAREST = 0.05  # [m] least depth of a landmark in the frame. More: landmarks close to the camera drop out
 OCCLUSION = 0.05  # [m] difference to the frame's own depth from which a landmark is hidden. More: hidden landmarks take part
 OCCLUSION_SHARE = 0.05  # [1] share of the depth, added to `OCCLUSION`. More: hidden landmarks that are far away take part
+MASKED = 1e-3  # [m] depth that a pixel has which shows what moves: it hides all landmarks. More: nothing, up to the nearest surface
 ROW_STEPS = 2  # [1] of the search for the row that sees a landmark. More: nothing; each divides the error by more than ten
 LEAST_SPREAD = 1e-3  # [1] least standard deviation of the landmarks' brightness, which divides the gain. More: smaller gains of bare images
 LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4  # [1] range of the change of exposure. Wider: other differences pass as a change of exposure

@@ -2,8 +2,9 @@
 
 A landmark whose brightness differs by r, where the image has the gradient g, lies about |r| / |g| pixels off (optical flow: Lucas and
 Kanade 1981). g is the mean of the gradients in both images (Malis 2004: then this is exact to second order). A landmark whose depth
-contradicts the frame's lies farther off than any other. At a wrong pose all landmarks lie off, so their median is large. It is taken on a
-coarse image: blur and noise are gone there, and an error of two degrees is still larger than a pixel.
+contradicts the frame's lies farther off than any other; one that is hidden by what moves says nothing. At a wrong pose all landmarks lie
+off, so their median is large. It is taken on a coarse image: blur and noise are gone there, and an error of two degrees is still larger
+than a pixel.
 """
 
 import math
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from idfslam.alignment.constants import LEAST_GRADIENT, NEAREST
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.photometric import Appearance, Landmarks, at_their_rows, exposure, unoccluded
+from idfslam.alignment.photometric import Appearance, Landmarks, at_their_rows, exposure, masked, unoccluded
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 
@@ -65,7 +66,7 @@ def plain_displacement(
     d, depth_points = (d, d) if motion is None else at_their_rows(d, motion, T_wc, image.camera)
     uv, z = image.camera.project(d @ T_wc[:3, :3])
     size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1)
+    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & ~masked(frame, uv, image.camera)
     seen = inside & unoccluded(frame, *image.camera.project(depth_points @ T_wc[:3, :3]), image.camera)
     if not bool(inside.any()):
         return 0, 0.0

@@ -12,7 +12,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from idfslam.alignment.constants import DEVIATION, LARGEST_GAIN, LEAST_GAIN, LEAST_SPREAD, NEAREST, OCCLUSION, OCCLUSION_SHARE, ROW_STEPS
+from idfslam.alignment.constants import (
+    DEVIATION,
+    LARGEST_GAIN,
+    LEAST_GAIN,
+    LEAST_SPREAD,
+    MASKED,
+    NEAREST,
+    OCCLUSION,
+    OCCLUSION_SHARE,
+    ROW_STEPS,
+)
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.compute.backend import pick
@@ -167,7 +177,7 @@ class Appearance:
     """A frame's image and depth, with which landmarks are compared."""
 
     levels: list[Level]
-    depth: Tensor  # (H, W) [m]
+    depth: Tensor  # (H, W) [m]; MASKED where the frame shows what moves
     camera: Camera  # of the depth
 
 
@@ -289,10 +299,21 @@ def _median(values: Tensor) -> Tensor:
 
 def unoccluded(frame: Appearance, uv: Tensor, z: Tensor, camera: Camera) -> Tensor:
     """Whether a landmark's depth z agrees with the frame's own depth at its pixel, or the frame has none there."""
+    depth = _depth_at(frame, uv, camera)
+    return (depth <= 0) | ((depth - z).abs() < OCCLUSION + OCCLUSION_SHARE * z)
+
+
+def masked(frame: Appearance, uv: Tensor, camera: Camera) -> Tensor:
+    """Whether pixels (N, 2) of an image of this camera show what moves."""
+    depth = _depth_at(frame, uv, camera)
+    return (depth > 0) & (depth <= MASKED)
+
+
+def _depth_at(frame: Appearance, uv: Tensor, camera: Camera) -> Tensor:
+    """The frame's own depth (N,) [m] at pixels (N, 2) of an image of this camera."""
     u = ((uv[:, 0] + 0.5) * (frame.camera.width / camera.width)).long().clamp(0, frame.camera.width - 1)
     v = ((uv[:, 1] + 0.5) * (frame.camera.height / camera.height)).long().clamp(0, frame.camera.height - 1)
-    depth = frame.depth[v, u]
-    return (depth <= 0) | ((depth - z).abs() < OCCLUSION + OCCLUSION_SHARE * z)
+    return frame.depth[v, u]
 
 
 def exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:

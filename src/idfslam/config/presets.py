@@ -18,6 +18,7 @@ PAPER = Config(
     front_end="registration",
     refine=False,
     calibrate="off",
+    movers="off",
     field=FieldConfig(encoding="positional", truncation=0.10, direction_frequencies=4, layers=8, width=256, skip=5, colour_width=128),
     mapper=MapperConfig(
         supervision="rendering",

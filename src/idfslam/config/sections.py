@@ -463,6 +463,9 @@ class Config:
     hold_out: int = 0
     """Keep every N-th frame from the map, the keyframes and the archive of images, so that `idf-slam eval --views` can compare it with the
     rendered view; it is tracked like any other. 0: none."""
+    movers: UserOption[Literal["mask", "off"]] = "mask"
+    """What moves before the camera (people, doors, things that are carried). `mask` finds it by the free space that earlier views saw, and
+    leaves it out of tracking and of the map. `off` takes everything for static."""
     field: FieldConfig = FieldConfig()
     mapper: MapperConfig = MapperConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

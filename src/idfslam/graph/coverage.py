@@ -15,6 +15,7 @@ from idfslam.storage.state import State, Stateful
 
 # Both were chosen by hand.
 _ROWS = 120  # [px] of a view's reduced depth image. More: finer outlines of the observed surface, more memory (77 kB a view at 120 x 160)
+_SAME_POSE = 1e-9  # [m], [rad] of a view in its host, below which it is the host itself. More: a view beside it passes for it
 _MOST = 1000  # views, beyond which every other one is dropped. More: more memory, and more time for a mesh
 
 
@@ -46,6 +47,12 @@ class Coverage(Stateful):
         self._views.append((host, reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _ROWS)))
         if len(self._views) > _MOST:
             del self._views[1::2]  # the views left are still spread over the whole run
+
+    def replace(self, keyframe: Keyframe) -> None:
+        """Replaces the view of a stored keyframe, whose depth has changed."""
+        for i, (host, view) in enumerate(self._views):
+            if host == keyframe.host and np.allclose(view.T_wc, np.eye(4), atol=_SAME_POSE):
+                self._views[i] = host, reduced_view(view.T_wc, keyframe.frame.depth, keyframe.camera, _ROWS)
 
     def load(self, views: Sequence[DepthView]) -> None:
         """Adds the views of an earlier run, each relative to the nearest stored keyframe."""

@@ -4,7 +4,7 @@ What other parts compute from a keyframe (image pyramids, landmarks, pixel group
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -37,6 +37,7 @@ class Images:
     frame: Frame
     depth: Tensor  # (H, W) [m] on the map's device, 0 = no reading
     colour: Tensor  # (H, W, 3) in [0, 1] on the map's device
+    moving: NDArray[np.bool_] | None = None  # (H, W) pixels that show what moves, whose depth was taken out; None: none
 
 
 class Keyframe:
@@ -61,6 +62,8 @@ class Keyframe:
         self.velocity_covariance: NDArray[np.float64] | None = None  # (6, 6) of it
         self.rectification: Rectification | None = None  # what its images are rectified with; None: they are as they were taken
         self.registered = False  # whether a registration gave or confirmed its pose in a wide step: the map does not move it
+        self.moving: NDArray[np.bool_] | None = None  # (H, W) pixels that are hidden since they show what moves; None: none
+        self._shown: dict[str, tuple[Images, Images]] = {}  # the images, and what is left of them without these pixels
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
         self._taken: Images | None = None  # the images before rectification, until the archive gets the keyframe
@@ -72,7 +75,12 @@ class Keyframe:
 
     @property
     def images(self) -> Images:
-        """The images, rectified; they are read from the archive if they are not in memory."""
+        """The images, rectified, without the depth of what moves."""
+        return self._without_movers("images", self.unmasked)
+
+    @property
+    def unmasked(self) -> Images:
+        """The images with what moves, rectified; they are read from the archive if they are not in memory."""
         if self._images is None and self._taken is not None:
             assert self.rectification is not None
             self._images = self._rectified(self._taken, self.rectification)
@@ -90,12 +98,39 @@ class Keyframe:
 
     @property
     def taken(self) -> Images:
-        """The images as they were taken, before rectification. A stored keyframe has the rectified ones alone."""
-        return self._taken or self.images
+        """The images as they were taken, before rectification, without the depth of what moves.
+
+        A stored keyframe has the rectified ones alone.
+        """
+        return self._without_movers("taken", self._as_taken)
+
+    @property
+    def _as_taken(self) -> Images:
+        return self._taken or self.unmasked
+
+    def hide(self, moving: NDArray[np.bool_] | None) -> None:
+        """Hides the pixels (H, W) that show what moves, and no others: their depth is left out everywhere. None: nothing is hidden."""
+        if moving is None and self.moving is None:
+            return
+        self.moving = moving if moving is not None and moving.any() else None
+        self._shown.clear()
+        self._features = self._features_at = None
+        for name in ("farthest", "has_depth"):
+            self.__dict__.pop(name, None)
+
+    def _without_movers(self, name: str, images: Images) -> Images:
+        if self.moving is None:
+            return images
+        if name not in self._shown or self._shown[name][0] is not images:
+            frame = replace(images.frame, depth=np.where(self.moving, np.float32(0), images.frame.depth))
+            shown = Images(frame, torch.from_numpy(frame.depth).to(self._device), images.colour, self.moving)
+            self._shown[name] = images, shown
+        return self._shown[name][1]
 
     def rectify(self, rectification: Rectification) -> None:
         """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
-        self._taken, self._images, self.rectification = self.taken, None, rectification
+        self._taken, self._images, self.rectification = self._as_taken, None, rectification
+        self._shown.clear()
         self._features = self._images_at = self._features_at = self._checksum = None
         for name in ("farthest", "has_depth"):
             self.__dict__.pop(name, None)
@@ -110,7 +145,7 @@ class Keyframe:
 
     def _keep_rectified(self) -> None:
         """Forgets the images as they were taken, after rectification."""
-        self._images, self._taken = self.images, None
+        self._images, self._taken = self.unmasked, None
         self._times = self._images.frame.depth_timestamp, self._images.frame.timing
 
     @property
@@ -171,12 +206,13 @@ class Keyframe:
             stored = self._archive.write(tensors)
             self._features_at = None if stored is None else (stored, unpack)
         self._images = None if self._images_at else self._images
+        self._shown.clear()
         self._features = None if self._features_at else self._features
 
     def state(self) -> State:
         """Pose and relations, and a checksum of the images."""
         if self._checksum is None:
-            self._checksum = self.frame.checksum()
+            self._checksum = self.unmasked.frame.checksum()
         return {
             "index": self.index,
             "images": self._checksum,
@@ -190,6 +226,7 @@ class Keyframe:
             "velocity": None if self.velocity is None else torch.from_numpy(self.velocity),
             "velocity_covariance": None if self.velocity_covariance is None else torch.from_numpy(self.velocity_covariance),
             "registered": self.registered,
+            "moving": None if self.moving is None else torch.from_numpy(np.packbits(self.moving)),
             "rectification": _state_of(self.rectification),
         }
 
@@ -203,6 +240,9 @@ class Keyframe:
             None if state[key] is None else state[key].numpy().copy() for key in ("velocity", "velocity_covariance")
         )
         self.registered = state["registered"]
+        if (moving := state["moving"]) is not None:
+            shape = self.camera.height, self.camera.width
+            self.hide(np.unpackbits(moving.numpy(), count=shape[0] * shape[1]).reshape(shape).astype(np.bool_))
 
     def rectify_again(self, state: State) -> None:
         """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""

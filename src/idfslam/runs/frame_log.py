@@ -2,7 +2,8 @@
 
 Columns: index; timestamp [s]; final status (ok, degenerate, doubtful, lost or interpolated); keyframe (0 or 1); ms, from the end of the
 previous frame to the end of this one; the status as it was reported at the time; by how much position [cm] and rotation [degrees] are
-expected to be off, empty where that was not estimated; then one column for each loss that any frame has, empty for frames without it.
+expected to be off, empty where that was not estimated; the share of pixels that show what moves [%]; then one column for each loss that
+any frame has, empty for frames without it.
 """
 
 import csv
@@ -22,7 +23,7 @@ from idfslam.storage.state import State
 
 _MOST_FRAMES = 1 << 31  # of a run; raised, larger numbers pass than arrays of indices hold everywhere
 _FIXED = ("index", "timestamp", "status", "keyframe", "ms")
-_LATER = ("live_status", "sigma_position_cm", "sigma_rotation_deg")  # columns that files of older versions lack
+_LATER = ("live_status", "sigma_position_cm", "sigma_rotation_deg", "moving_percent")  # columns that files of older versions lack
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class FrameLine:
     live_status: Status  # as it was reported when the frame was processed
     sigma_position: float | None = None  # [m] as in `FrameResult`
     sigma_rotation: float | None = None  # [degrees]
+    moving: float | None = None  # [1] share of pixels that show what moves
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class FrameLog:
     def add(self, result: FrameResult, ms: float) -> None:
         """Appends a frame, which took `ms`."""
         told, sigmas = (result.index, result.timestamp, result.status, result.keyframe), (result.sigma_position, result.sigma_rotation)
-        self.lines.append(FrameLine(*told, ms, dict(result.losses), result.status, *sigmas))
+        self.lines.append(FrameLine(*told, ms, dict(result.losses), result.status, *sigmas, result.moving_share))
 
     def set_final_statuses(self, statuses: Sequence[Status]) -> None:
         """Replaces the statuses: lost frames may have become interpolated. A frame at which the run broke off has a status but no line."""
@@ -90,7 +92,8 @@ class FrameLog:
             for line in self.lines:
                 losses = [f"{line.losses[name]:.6g}" if name in line.losses else "" for name in names]
                 fixed = (line.index, f"{line.timestamp:.6f}", line.status.value, int(line.keyframe), f"{line.ms:.2f}")
-                sigmas = (line.sigma_position and 100 * line.sigma_position, line.sigma_rotation)
+                moving = None if line.moving is None else 100 * line.moving
+                sigmas = (line.sigma_position and 100 * line.sigma_position, line.sigma_rotation, moving)
                 later = (line.live_status.value, *("" if sigma is None else f"{sigma:.4g}" for sigma in sigmas))
                 writer.writerow([*fixed, *later, *losses])
 
@@ -115,6 +118,7 @@ def _line(row: dict[str, str]) -> FrameLine:
     index, timestamp, ms = int(row["index"]), float(row["timestamp"]), float(row["ms"])
     if not 0 <= index < _MOST_FRAMES:
         raise ValueError(f"frame {row['index'][:20]}")
-    position, rotation = (float(row[name]) if row.get(name) else None for name in _LATER[1:])
+    position, rotation, moving = (float(row[name]) if row.get(name) else None for name in _LATER[1:])
     live_status, metres = Status(row.get(_LATER[0]) or row["status"]), None if position is None else position / 100
-    return FrameLine(index, timestamp, Status(row["status"]), bool(int(row["keyframe"])), ms, losses, live_status, metres, rotation)
+    told, later = (index, timestamp, Status(row["status"]), bool(int(row["keyframe"])), ms, losses), (live_status, metres, rotation)
+    return FrameLine(*told, *later, None if moving is None else moving / 100)

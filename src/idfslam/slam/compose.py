@@ -16,6 +16,7 @@ from idfslam.config import Config
 from idfslam.errors import ConfigError
 from idfslam.graph.coverage import Coverage
 from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.graph.replay import Replay
@@ -31,6 +32,7 @@ from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.loop_closer import LoopCloser
+from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
 from idfslam.slam.polish import NoPolish, Polish, Polishing
 from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
 from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
@@ -119,6 +121,20 @@ class System:
         if not self.relocalises:
             return NoRecovery(self.graph, self.frames)
         return Relocalisation(self.config.loops, self.relocaliser, self.relocalisation_check, self.graph, self.frames, self.timer)
+
+    @cached_property
+    def segmentation(self) -> MotionSegmentation:
+        if self.config.movers == "off":
+            return NoSegmentation()
+        references = lambda: self.graph.references(self.config.alignment.references)  # noqa: E731
+        return FreeSpaceSegmentation(self.graph, self.timer, self._learn_masked, references)
+
+    def _learn_masked(self, keyframe: Keyframe) -> None:
+        """Has all parts take up the changed mask of a stored keyframe."""
+        if self.aligns:
+            self.aligner.forget(keyframe)
+        self.coverage.replace(keyframe)
+        self.relearn.add([keyframe])
 
     @cached_property
     def keyframe_selection(self) -> KeyframeSelection:

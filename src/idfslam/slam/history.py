@@ -9,6 +9,8 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
+Mask = NDArray[np.bool_]
+
 
 class History(Stateful):
     """Reports each frame, and keeps the reported poses."""
@@ -29,7 +31,9 @@ class History(Stateful):
         """(N, 4, 4) the reported camera-to-world poses."""
         return np.stack(self._reported) if self._reported else np.zeros((0, 4, 4))
 
-    def report(self, frame: Frame, tracked: Tracked, losses: dict[str, float], *, keyframe: bool) -> FrameResult:
+    def report(
+        self, frame: Frame, tracked: Tracked, losses: dict[str, float], *, keyframe: bool, moving: Mask | None = None
+    ) -> FrameResult:
         """The result for the frame added last. A frame outside the first submap has no known pose in the world: it counts as lost."""
         if self.frames.submap(-1) == 0:
             self._reported.append(self.frames.T_wc(-1).numpy())
@@ -37,4 +41,4 @@ class History(Stateful):
         else:
             self._reported.append(self._reported[-1] if self._reported else np.eye(4))
             status, covariance = Status.LOST, None
-        return FrameResult(frame.index, frame.timestamp, self._reported[-1], status, keyframe, losses, covariance)
+        return FrameResult(frame.index, frame.timestamp, self._reported[-1], status, keyframe, losses, covariance, moving)

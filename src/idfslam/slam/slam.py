@@ -58,6 +58,7 @@ class Slam:
         self.config, self.device, self.timer = config, system.device, system.timer
         self.graph, self.frames, self.coverage, self.motion = system.graph, system.frames, system.coverage, system.motion
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
+        self.segmentation = system.segmentation
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
         self.views = system.views
         self.history = History(system.frames)
@@ -74,7 +75,8 @@ class Slam:
         self.order.check(frame)
         with self.back_end.foreground():
             view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
-            tracked = self._track(view, mode)  # Sec. V
+            self.segmentation.predict(view)
+            tracked = self.segmentation.segment(view, self._track(view, mode))  # Sec. V
             if is_held_out(frame.index, self.config.hold_out):
                 tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
             view.T_wk = tracked.T_wc
@@ -90,14 +92,16 @@ class Slam:
             if tracked.may_be_mapped and view.has_depth:
                 with self.timer.stage("archive"):
                     self.views.add(view, self.keyframe_selection.sharpness.latest)
-            return self.history.report(frame, tracked, losses, keyframe=selected)
+            self.segmentation.remember(view, tracked)
+            return self.history.report(frame, tracked, losses, keyframe=selected, moving=view.moving)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. The first frame with depth defines the world."""
         if not self.graph.keyframes:
             return Tracked.first(view.T_wk, has_depth=view.has_depth)
         T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
-        tracked = self.recovery.recover(view, self.front_end.track(view))
+        tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end.track)
+        tracked = self.recovery.recover(view, tracked)
         self.front_end.accept(view, tracked)
         if mode is Mode.TRACKING and tracked.continues_motion:
             information = None if tracked.alignment is None else tracked.alignment.information

@@ -17,6 +17,7 @@ from idfslam.alignment.constants import (
     LEAST_SPREAD,
     LEAST_VALUE,
     MAPPED,
+    MASKED,
     NEAREST,
     OCCLUSION,
     OCCLUSION_SHARE,
@@ -27,7 +28,7 @@ from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 Floats = NDArray[np.float32]
 
-_EDGE, _EDGE_SHARE = np.float32(EDGE), np.float32(EDGE_SHARE)
+_EDGE, _EDGE_SHARE, _MASKED = np.float32(EDGE), np.float32(EDGE_SHARE), np.float32(MASKED)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
@@ -273,6 +274,13 @@ def _hidden(point, depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):  # t
     return measured > 0 and abs(measured - z) >= OCCLUSION + OCCLUSION_SHARE * z
 
 
+@_inlined
+def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
+    """Whether a pixel of an image shows what moves, by the frame's depth (H, W), which has `ratio` times as many pixels along each axis."""
+    measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
+    return measured > 0 and measured <= _MASKED
+
+
 @_compiled
 def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
     points, target, R_cw, R_wk, shift, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
@@ -355,6 +363,8 @@ def median_displacement(  # type: ignore[no-untyped-def]
             continue
         u, v = x / z * fx + cx, y / z * fy + cy
         if u < 1 or v < 1 or u > width - 2 or v > height - 2:
+            continue
+        if _masked(u, v, depth, ratio_u, ratio_v):
             continue
         if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             hidden += 1

@@ -1,0 +1,67 @@
+"""A coarse view: the depth and brightness of an image in cells, with what lies around each cell, for comparisons with other views."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.geometry.camera import Camera
+from idfslam.segmentation.constants import ROWS, SAMPLES
+from idfslam.segmentation.plain_form import form
+from idfslam.storage.state import State
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class CoarseView:
+    """An image in h x w cells of `cell` x `cell` pixels. Cells without a reading have depth 0."""
+
+    camera: Camera  # of the cells: its pixels are their middles
+    depth: Image  # (h, w) [m] the median reading of each cell
+    near: Image  # (h, w) [m] the nearest reading within 3 x 3 cells; infinite where too few have one
+    far: Image  # (h, w) [m] the farthest one; 0 without any
+    brightness: Image  # (h, w) mean in [0, 1]
+    dark: Image  # (h, w) least brightness within 3 x 3 cells
+    bright: Image  # (h, w) largest brightness within 3 x 3 cells
+
+    def state(self) -> State:
+        """All of it."""
+        return {"camera": asdict(self.camera)} | {name: torch.from_numpy(getattr(self, name)) for name in _IMAGES}
+
+    @classmethod
+    def from_state(cls, state: State) -> "CoarseView":
+        """The view that `state` was made from."""
+        return cls(Camera(**state["camera"]), **{name: state[name].numpy() for name in _IMAGES})
+
+
+_IMAGES = "depth", "near", "far", "brightness", "dark", "bright"
+
+
+def cell_size(camera: Camera) -> int:
+    """[px] of a cell's side."""
+    return max(1, camera.height // ROWS)
+
+
+def cells_camera(camera: Camera) -> Camera:
+    """The camera whose pixels are the cells."""
+    cell = cell_size(camera)
+    width, height = -(-camera.width // cell), -(-camera.height // cell)
+    return Camera(width, height, camera.fx / cell, camera.fy / cell, (camera.cx + 0.5) / cell - 0.5, (camera.cy + 0.5) / cell - 0.5)
+
+
+def coarse_view(depth: Image, colour: Image, camera: Camera) -> CoarseView:
+    """The coarse view of depth (H, W) [m] and colour (H, W, 3)."""
+    from idfslam.segmentation.kernels import numba_segmentation
+
+    small, cell = cells_camera(camera), cell_size(camera)
+    parts = [np.empty((small.height, small.width), np.float32) for _ in range(6)]
+    form(numba_segmentation.coarsen)(depth, colour, cell, max(1, cell // SAMPLES), *parts)
+    return CoarseView(small, *parts)
+
+
+def in_pixels(cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+    """(H, W) a mask of cells (h, w) in the pixels of the image."""
+    cell = cell_size(camera)
+    return cells.repeat(cell, 0).repeat(cell, 1)[: camera.height, : camera.width]

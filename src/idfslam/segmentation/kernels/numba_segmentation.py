@@ -1,0 +1,185 @@
+"""Segmentation of what moves on the CPU, compiled by Numba. The plain form of the votes is in `free_space.py`."""
+
+import numpy as np
+from numba import njit
+
+from idfslam.segmentation.constants import COMPARABLE, CONTRAST, LEAST_AROUND, NEAREST_SEEN, SIGMAS, SLACK, STEP, USUAL
+from idfslam.sensing.depth_noise import BEST, GROWTH, NEAREST
+
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_compiled
+def coarsen(depth, colour, cell, step, middle, near, far, brightness, dark, bright) -> None:  # type: ignore[no-untyped-def] # noqa: C901 (two passes over cells)
+    """Fills the images (h, w) of a `CoarseView` from depth (H, W) and colour (H, W, 3), from every `step`-th pixel of each cell."""
+    rows, columns = middle.shape
+    nearest, farthest = np.full((rows, columns), np.float32(np.inf)), np.zeros((rows, columns), np.float32)
+    least, most = np.ones((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
+    values = np.empty(cell * cell, np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            count, total, number = 0, np.float32(0), 0
+            for v in range(i * cell + step // 2, min((i + 1) * cell, depth.shape[0]), step):
+                for u in range(j * cell + step // 2, min((j + 1) * cell, depth.shape[1]), step):
+                    light = (colour[v, u, 0] + colour[v, u, 1] + colour[v, u, 2]) * np.float32(1 / 3)
+                    total, number = total + light, number + 1
+                    least[i, j], most[i, j] = min(least[i, j], light), max(most[i, j], light)
+                    z = depth[v, u]
+                    if z > 0:
+                        k = count
+                        while k > 0 and values[k - 1] > z:
+                            values[k] = values[k - 1]
+                            k -= 1
+                        values[k] = z
+                        count += 1
+            brightness[i, j] = total / max(number, 1)
+            middle[i, j] = values[count // 2] if count else 0
+            if count:
+                nearest[i, j], farthest[i, j] = values[0], values[count - 1]
+    for i in range(rows):
+        for j in range(columns):
+            around = 0
+            near[i, j], far[i, j], dark[i, j], bright[i, j] = np.inf, 0, 1, 0
+            for v in range(max(i - 1, 0), min(i + 2, rows)):
+                for u in range(max(j - 1, 0), min(j + 2, columns)):
+                    around += middle[v, u] > 0
+                    near[i, j], far[i, j] = min(near[i, j], nearest[v, u]), max(far[i, j], farthest[v, u])
+                    dark[i, j], bright[i, j] = min(dark[i, j], least[v, u]), max(bright[i, j], most[v, u])
+            if around < LEAST_AROUND:
+                near[i, j] = np.inf
+
+
+@_compiled
+def _sigma(z):  # type: ignore[no-untyped-def]
+    beyond = max(z - NEAREST, 0.0)
+    return BEST * (1 + GROWTH * beyond * beyond)
+
+
+@_compiled
+def _seen_at(i, j, z, a, b, T, shape):  # type: ignore[no-untyped-def]
+    """Row and column of the other view in which a cell's point lies, and its depth there; row -1: in none."""
+    x, y = (j - a[2]) / a[0] * z, (i - a[3]) / a[1] * z
+    p = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+    q = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+    r = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    if z <= 0 or r <= NEAREST_SEEN:
+        return -1, -1, r
+    u, v = p / r * b[0] + b[2], q / r * b[1] + b[3]
+    if not (u >= -0.5 and v >= -0.5 and u < shape[1] - 0.5 and v < shape[0] - 0.5):
+        return -1, -1, r
+    return int(np.floor(v + 0.5)), int(np.floor(u + 0.5)), r
+
+
+@_compiled
+def vote(depth, brightness, depth_b, near, far, brightness_b, dark, bright, moving, a, b, T, gone, there, fixed) -> int:  # type: ignore[no-untyped-def]
+    """`free_space.plain_vote`. a, b: fx, fy, cx, cy of the cells of the two views; T (4, 4) from the view to the other one."""
+    rows, columns = depth.shape
+    differences, count, own, others = np.empty((rows // STEP + 1) * (columns // STEP + 1)), 0, 0.0, 0.0
+    for i in range(0, rows, STEP):
+        for j in range(0, columns, STEP):
+            z = float(depth[i, j])
+            row, column, r = _seen_at(i, j, z, a, b, T, depth_b.shape)
+            if row < 0:
+                continue
+            at = float(depth_b[row, column])
+            if at > 0 and abs(r - at) < COMPARABLE:
+                differences[count] = abs(r - at) / (_sigma(z) + _sigma(r))
+                count, own, others = count + 1, own + brightness[i, j], others + brightness_b[row, column]
+    spread = max(1.0, np.median(differences[:count]) / USUAL) if count else 1.0
+    gain = own / max(others, 1e-6) if count else 1.0
+    known = 0
+    for i in range(rows):
+        for j in range(columns):
+            z = float(depth[i, j])
+            row, column, r = _seen_at(i, j, z, a, b, T, depth_b.shape)
+            if row < 0:
+                continue
+            margin = SLACK + SIGMAS * spread * (_sigma(z) + _sigma(r))
+            nearest = float(near[row, column])
+            if np.isfinite(nearest) and r < nearest - margin:
+                gone[i, j] = True
+                known += 1
+                continue
+            nearest = nearest if np.isfinite(nearest) else float(depth_b[row, column])
+            if depth_b[row, column] > 0 and r > nearest - margin and r < far[row, column] + margin:
+                known += 1
+                light = float(brightness[i, j])
+                there[i, j] = gain * dark[row, column] - CONTRAST <= light <= gain * bright[row, column] + CONTRAST
+                fixed[i, j] = there[i, j] and not moving[row, column]
+    return known
+
+
+@_compiled
+def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
+    """`memory.carried`: a cell covers the 3 x 3 cells around the one that its point is seen in."""
+    for i in range(depth.shape[0]):
+        for j in range(depth.shape[1]):
+            if not cells[i, j]:
+                continue
+            row, column, r = _seen_at(i, j, float(depth[i, j]), a, b, T, near.shape)
+            for v in range(max(row - 1, 0), min(row + 2, near.shape[0]) if row >= 0 else 0):
+                for u in range(max(column - 1, 0), min(column + 2, near.shape[1])):
+                    if r < near[v, u]:
+                        near[v, u], out[v, u] = r, ages[i, j]
+
+
+@_compiled
+def grow(seeds, stays, depth, friends, reach, jump, slope, out) -> None:  # type: ignore[no-untyped-def] # noqa: C901
+    """`region_growing.grown`: breadth first from the seeds."""
+    rows, columns = seeds.shape
+    distance = np.full((rows, columns), -1, np.int32)
+    queue = np.empty((rows * columns, 2), np.int32)
+    head, tail = 0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if not seeds[i, j]:
+                continue
+            around = -1
+            for v in range(max(i - 1, 0), min(i + 2, rows)):
+                for u in range(max(j - 1, 0), min(j + 2, columns)):
+                    around += seeds[v, u]
+            if around >= friends:
+                distance[i, j] = 0
+                queue[tail] = i, j
+                tail += 1
+    while head < tail:
+        i, j = queue[head]
+        head += 1
+        out[i, j] = True
+        for k in range(4):
+            v, u = i + (k == 0) - (k == 1), j + (k == 2) - (k == 3)
+            if v < 0 or u < 0 or v >= rows or u >= columns or distance[v, u] >= 0:
+                continue
+            z = depth[v, u]
+            far = 0 if seeds[v, u] else distance[i, j] + 1
+            if z <= 0 or stays[v, u] or far > reach or abs(z - depth[i, j]) > jump + slope * min(z, depth[i, j]):
+                continue
+            distance[v, u] = far
+            queue[tail] = v, u
+            tail += 1
+
+
+@_compiled
+def drop_small(out, least) -> None:  # type: ignore[no-untyped-def]
+    """Clears connected regions of fewer cells than `least`; neighbours touch by sides or corners."""
+    rows, columns = out.shape
+    visited, queue = np.zeros((rows, columns), np.bool_), np.empty((rows * columns, 2), np.int32)
+    for i in range(rows):
+        for j in range(columns):
+            if not out[i, j] or visited[i, j]:
+                continue
+            queue[0] = i, j
+            visited[i, j] = True
+            head, tail = 0, 1
+            while head < tail:
+                y, x = queue[head]
+                head += 1
+                for v in range(max(y - 1, 0), min(y + 2, rows)):
+                    for u in range(max(x - 1, 0), min(x + 2, columns)):
+                        if out[v, u] and not visited[v, u]:
+                            visited[v, u] = True
+                            queue[tail] = v, u
+                            tail += 1
+            if tail < least:
+                for k in range(tail):
+                    out[queue[k, 0], queue[k, 1]] = False

@@ -1,0 +1,27 @@
+"""Regions grown from seeds: over neighbouring cells of about the same depth, as long as nothing says that they stay."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.segmentation.plain_form import form
+
+Cells = NDArray[np.bool_]
+
+# All of them were chosen by hand on generated rooms.
+_FRIENDS = 3  # seeds of eight neighbours that a seed must have. More: smaller things are missed, and less noise is taken for a thing
+_REACH = 8  # [cells] from a seed that a region grows. More: whole bodies in space that no view knows, and more of the floor with them
+_JUMP, _SLOPE = (
+    0.03,
+    0.02,
+)  # [m], and per metre of depth: largest step to a neighbour of the same body. More: bodies merge with what is behind
+_LEAST = 16  # [cells] of a region. More: small things are missed, and less noise is taken for a thing
+
+
+def grown(seeds: Cells, stays: Cells, depth: NDArray[np.float32]) -> Cells:
+    """(h, w) the regions around seeds (h, w). They spread over cells of depth (h, w) [m] that do not stay."""
+    from idfslam.segmentation.kernels import numba_segmentation
+
+    out = np.zeros(seeds.shape, np.bool_)
+    form(numba_segmentation.grow)(seeds, stays, depth, _FRIENDS, _REACH, np.float32(_JUMP), np.float32(_SLOPE), out)
+    form(numba_segmentation.drop_small)(out, _LEAST)
+    return out

@@ -1,0 +1,195 @@
+"""What moves before the camera: the pixels of a frame that show it take no part in tracking, in the map and in anything else.
+
+A view is masked before it is tracked by what moved in the frame before, and segmented once its pose is known
+(`idfslam.segmentation.memory`). Stored keyframes are masked later, too, where later views have seen through what they show.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.alignment.motion import image_motion
+from idfslam.frame import Status
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.segmentation.coarse_view import cells_camera, coarse_view, in_pixels
+from idfslam.segmentation.memory import Memory
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import State, Stateful
+
+# [1] Share of the readings that show what moves from which a pose is called degenerate: little of the scene is left, and a body that is
+# not recognised outweighs it. More: fewer frames are told. Chosen by hand.
+_CROWDED = 0.6
+
+
+# [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
+_UNUSUAL = 1.3
+_BETTER = 0.8  # [1] photometric error without the nearest layer, over that with it, at which the layer moves. More: more often
+_DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
+_WAITS = 4  # [frames] before the next trial after one that did not help. More: faster, and movement is noticed later
+_RATE = 0.05  # [1] of the running mean of photometric errors. More: what is usual follows the last frames faster
+_LAYER = 0.04, 0.7  # [1] least and largest share of the nearest layer. Wider: smaller and larger bodies are tried
+
+
+class MotionSegmentation(Stateful, ABC):
+    """Finds what moves in each view."""
+
+    @abstractmethod
+    def predict(self, view: Keyframe) -> None:
+        """Hides what moved last in a view at its predicted pose."""
+
+    @abstractmethod
+    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
+        """Checks the result of tracking a view: did something that moves draw the pose away? `track` tracks it again."""
+
+    @abstractmethod
+    def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
+        """Hides what moves in a view whose pose was tracked; returns the result, whose status may change."""
+
+    @abstractmethod
+    def remember(self, view: Keyframe, tracked: Tracked) -> None:
+        """Called after a view was added to the frames, and to the graph if it is a keyframe."""
+
+
+class NoSegmentation(MotionSegmentation):
+    """Everything is taken for static."""
+
+    def predict(self, view: Keyframe) -> None:
+        """Leaves the view as it is."""
+
+    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
+        return tracked
+
+    def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
+        return tracked
+
+    def remember(self, view: Keyframe, tracked: Tracked) -> None:
+        """Remembers nothing."""
+
+
+class FreeSpaceSegmentation(MotionSegmentation):
+    """What lies in space that earlier views saw through moves; so does what later views see through."""
+
+    def __init__(
+        self,
+        graph: KeyframeGraph,
+        timer: StageTimer,
+        masked: Callable[[Keyframe], None],
+        references: Callable[[], Sequence[Keyframe]],
+    ) -> None:
+        """masked: is called with a stored keyframe whose mask has changed. references: the keyframes that frames are tracked against."""
+        self.graph, self.timer, self._masked, self._references = graph, timer, masked, references
+        self.memory = Memory(lambda host: graph.keyframes[host].T_wk.numpy())
+        self._usual_error = 0.0  # photometric error of frames [1]; 0: not known yet
+        self._waits = 0  # frames before the nearest layer is left out again on trial
+
+    def state(self) -> State:
+        """The remembered views, the usual photometric error, and the frames before the next trial."""
+        return {"memory": self.memory.state(), "usual_error": self._usual_error, "waits": self._waits}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self.memory.restore(state["memory"])
+        self._usual_error, self._waits = state["usual_error"], state["waits"]
+
+    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
+        """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
+        error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
+        if self._waits or not self._usual_error or (error <= _UNUSUAL * self._usual_error and not tracked.is_lost):
+            return tracked
+        frame, hidden = view.unmasked.frame, view.moving
+        depth = coarse_view(frame.depth, frame.colour, frame.camera).depth
+        layer = nearest_layer(depth)
+        if layer is None:
+            return tracked
+        pixels = in_pixels(layer, view.camera)
+        view.hide(pixels if hidden is None else pixels | hidden)
+        without = track(view)
+        if not without.is_lost and _photometric_error(without) < _BETTER * (error or np.inf) and _drawn_away(tracked, without):
+            self.memory.suspect(layer)
+            return without
+        view.hide(hidden)
+        self._waits = _WAITS
+        return tracked
+
+    def predict(self, view: Keyframe) -> None:
+        with self.timer.stage("segment"):
+            cells = self.memory.predicted(cells_camera(view.camera), view.T_wk.numpy())
+            view.hide(in_pixels(cells, view.camera) if cells.any() else None)
+
+    def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
+        if tracked.is_lost:
+            self.memory.forget_last()
+            view.hide(None)
+            return tracked
+        with self.timer.stage("segment"):
+            frame = view.unmasked.frame
+            cells = self.memory.segment(coarse_view(frame.depth, frame.colour, frame.camera), tracked.T_wc.numpy())
+            view.hide(in_pixels(cells, view.camera) if cells.any() else None)
+            self._learn_usual(_photometric_error(tracked))
+            self.memory.look_back_at_recent()
+            for keyframe in self._references():
+                if (shown := self.memory.look_back(keyframe.host)) is not None:
+                    self._mask(keyframe, shown)
+            return crowded(view, tracked)
+
+    def _learn_usual(self, error: float) -> None:
+        if error > 0:
+            bounded = min(error, _UNUSUAL * self._usual_error) if self._usual_error else error
+            self._usual_error += (bounded - self._usual_error) * (_RATE if self._usual_error else 1.0)
+
+    def _mask(self, keyframe: Keyframe, cells: NDArray[np.bool_]) -> None:
+        keyframe.hide(in_pixels(cells, keyframe.camera))
+        self._masked(keyframe)
+
+    def remember(self, view: Keyframe, tracked: Tracked) -> None:
+        if not self.graph.keyframes or not tracked.status.trusted:
+            return
+        with self.timer.stage("segment"):
+            stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
+            host, T_kc = (view.host, np.eye(4)) if stored else _relative(*self.graph.relative_to_host(view.T_wk))
+            self.memory.remember(host, T_kc, stored=stored)
+            if (news := self.memory.look_again()) is not None:
+                self._mask(self.graph.keyframes[news[0]], news[1])
+
+
+def _relative(host: int, T_kc: object) -> tuple[int, NDArray[np.float64]]:
+    return host, np.asarray(T_kc)
+
+
+def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
+    """The result for a view: degenerate, with a larger covariance, if what moves leaves little of it."""
+    readings = view.unmasked.frame.depth > 0
+    share = 0.0 if view.moving is None else float((view.moving & readings).sum() / max(readings.sum(), 1))
+    if share < _CROWDED or tracked.status is not Status.OK:
+        return tracked
+    covariance = None if tracked.covariance is None else tracked.covariance / (1 - share) ** 2
+    return replace(tracked, status=Status.DEGENERATE, covariance=covariance)
+
+
+def _drawn_away(tracked: Tracked, without: Tracked) -> bool:
+    """Whether the pose is another one without the layer."""
+    radius = 1.0 if without.alignment is None else without.alignment.radius
+    return tracked.is_lost or image_motion(tracked.T_wc, without.T_wc, radius) > _DRAWN
+
+
+def _photometric_error(tracked: Tracked) -> float:
+    """[1] of the alignment that gave the pose; 0 if none did."""
+    return 0.0 if tracked.alignment is None else tracked.alignment.photometric_error
+
+
+def nearest_layer(depth: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """The near part (h, w) of depth (h, w) [m], split where the parts differ most (Otsu 1979, inverse depth); None: too small or large."""
+    measured = depth > 0
+    inverse = np.sort(1 / depth[measured])
+    if len(inverse) < 2:
+        return None
+    count, total = np.arange(1, len(inverse)), inverse.cumsum()
+    below, above = total[:-1] / count, (total[-1] - total[:-1]) / (len(inverse) - count)
+    best = int((count * (len(inverse) - count) * (above - below) ** 2).argmax())
+    layer = measured & (depth < 1 / inverse[best])
+    return layer if _LAYER[0] <= layer.mean() <= _LAYER[1] else None
