@@ -136,6 +136,17 @@ class Memory:
                 out |= np.abs(view.depth - carried(kept.view, T, kept.left, view.camera, T_wc)[0]) < _FOLLOWED
         return out
 
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves, as far as is known: not in the last view, and nothing has left its place in the recent ones."""
+        suspected = self._suspected is not None
+        return self._last is not None and not (suspected or self._last.moving.any() or any(kept.left.any() for kept in self.recent))
+
+    def pass_over(self) -> None:
+        """Counts a view that is not segmented."""
+        self._number += 1
+        self._since += 1
+
     def suspect(self, cells: Cells) -> None:
         """Takes cells (h, w) of the view that is segmented next for moving, and for a while what is carried on from them."""
         self._suspected = cells

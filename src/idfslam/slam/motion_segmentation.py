@@ -15,7 +15,7 @@ from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.segmentation.coarse_view import cells_camera, coarse_view, in_pixels
+from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels
 from idfslam.segmentation.memory import Memory
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
@@ -31,6 +31,8 @@ _UNUSUAL = 1.3
 _BETTER = 0.8  # [1] photometric error without the nearest layer, over that with it, at which the layer moves. More: more often
 _DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
 _WAITS = 4  # [frames] before the next trial after one that did not help. More: faster, and movement is noticed later
+# [frames] passed over between two that are segmented while nothing moves. More: faster, and what begins to move is found later.
+_PASSED_OVER = 2
 _RATE = 0.05  # [1] of the running mean of photometric errors. More: what is usual follows the last frames faster
 _LAYER = 0.04, 0.7  # [1] least and largest share of the nearest layer. Wider: smaller and larger bodies are tried
 
@@ -86,30 +88,31 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self.memory = Memory(lambda host: graph.keyframes[host].T_wk.numpy())
         self._usual_error = 0.0  # photometric error of frames [1]; 0: not known yet
         self._waits = 0  # frames before the nearest layer is left out again on trial
+        self._passed_over = 0  # frames since one was segmented
 
     def state(self) -> State:
-        """The remembered views, the usual photometric error, and the frames before the next trial."""
-        return {"memory": self.memory.state(), "usual_error": self._usual_error, "waits": self._waits}
+        """The remembered views, the usual photometric error, and the frames before the next trial and since the last segmentation."""
+        counts = {"waits": self._waits, "passed_over": self._passed_over}
+        return {"memory": self.memory.state(), "usual_error": self._usual_error, **counts}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self.memory.restore(state["memory"])
-        self._usual_error, self._waits = state["usual_error"], state["waits"]
+        self._usual_error, self._waits, self._passed_over = state["usual_error"], state["waits"], state["passed_over"]
 
     def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
         """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
         error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
         if self._waits or not self._usual_error or (error <= _UNUSUAL * self._usual_error and not tracked.is_lost):
             return tracked
-        frame, hidden = view.unmasked.frame, view.moving
-        depth = coarse_view(frame.depth, frame.colour, frame.camera).depth
-        layer = nearest_layer(depth)
+        layer, hidden = nearest_layer(_coarse(view).depth), view.moving
         if layer is None:
             return tracked
         pixels = in_pixels(layer, view.camera)
         view.hide(pixels if hidden is None else pixels | hidden)
         without = track(view)
-        if not without.is_lost and _photometric_error(without) < _BETTER * (error or np.inf) and _drawn_away(tracked, without):
+        found = without.status.trusted if tracked.is_lost else not without.is_lost
+        if found and _photometric_error(without) < _BETTER * (error or np.inf) and _drawn_away(tracked, without):
             self.memory.suspect(layer)
             return without
         view.hide(hidden)
@@ -126,11 +129,16 @@ class FreeSpaceSegmentation(MotionSegmentation):
             self.memory.forget_last()
             view.hide(None)
             return tracked
+        self._learn_usual(_photometric_error(tracked))
+        if self.memory.still and self._passed_over < _PASSED_OVER:
+            self._passed_over += 1
+            self.memory.pass_over()
+            view.hide(None)
+            return tracked
+        self._passed_over = 0
         with self.timer.stage("segment"):
-            frame = view.unmasked.frame
-            cells = self.memory.segment(coarse_view(frame.depth, frame.colour, frame.camera), tracked.T_wc.numpy())
+            cells = self.memory.segment(_coarse(view), tracked.T_wc.numpy())
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
-            self._learn_usual(_photometric_error(tracked))
             self.memory.look_back_at_recent()
             for keyframe in self._references():
                 if (shown := self.memory.look_back(keyframe.host)) is not None:
@@ -151,10 +159,19 @@ class FreeSpaceSegmentation(MotionSegmentation):
             return
         with self.timer.stage("segment"):
             stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
+            if self._passed_over and not stored:
+                return
+            if self._passed_over and (cells := self.memory.segment(_coarse(view), view.T_wk.numpy())).any():
+                self._mask(view, cells)
             host, T_kc = (view.host, np.eye(4)) if stored else _relative(*self.graph.relative_to_host(view.T_wk))
             self.memory.remember(host, T_kc, stored=stored)
             if (news := self.memory.look_again()) is not None:
                 self._mask(self.graph.keyframes[news[0]], news[1])
+
+
+def _coarse(view: Keyframe) -> CoarseView:
+    frame = view.unmasked.frame
+    return coarse_view(frame.depth, frame.colour, frame.camera)
 
 
 def _relative(host: int, T_kc: object) -> tuple[int, NDArray[np.float64]]:

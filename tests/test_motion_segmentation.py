@@ -1,0 +1,87 @@
+"""The part that masks what moves: what a masked view still shows, the trial without the nearest layer, crowded views, and a whole run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.three_walls import CORNER, EYE, view
+from idfslam.config import FAST, PAPER
+from idfslam.datasets.generated.room import SyntheticRoom
+from idfslam.frame import Status
+from idfslam.graph.keyframe import Keyframe
+from idfslam.slam import Slam
+from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded, nearest_layer
+from idfslam.slam.tracked import Source, Tracked
+
+
+def half(shown: Keyframe, share: float = 0.5) -> np.ndarray:
+    """The left part of a view's pixels."""
+    mask = np.zeros((shown.camera.height, shown.camera.width), np.bool_)
+    mask[:, : round(share * shown.camera.width)] = True
+    return mask
+
+
+def test_a_masked_view_has_no_depth_there_until_it_is_shown_again() -> None:
+    shown = view(CORNER, EYE)
+    depth, mask = shown.depth.clone(), half(shown)
+    shown.keep_features(object())  # type: ignore[arg-type]
+    shown.hide(mask)
+    assert not shown.depth[:, torch.from_numpy(mask[0])].any()
+    np.testing.assert_array_equal(shown.frame.depth, shown.depth.numpy())
+    torch.testing.assert_close(shown.depth[:, ~torch.from_numpy(mask[0])], depth[:, ~torch.from_numpy(mask[0])])
+    assert shown.features is None  # they were those of the whole view
+    assert shown.images is shown.images
+    torch.testing.assert_close(shown.unmasked.depth, depth)
+    kept = shown.state()
+    again = view(CORNER, EYE)
+    again.restore(kept)
+    np.testing.assert_array_equal(again.frame.depth, shown.frame.depth)
+    assert kept["images"] == view(CORNER, EYE).frame.checksum()  # of the whole view
+    shown.hide(None)
+    torch.testing.assert_close(shown.depth, depth)
+
+
+def test_the_nearest_layer() -> None:
+    depth = np.full((20, 30), 3.0, np.float32)
+    depth[:5], depth[5:15, 10:20], depth[0, 0] = 2.5, 1.0, 0.0
+    layer = nearest_layer(depth)
+    assert layer is not None
+    assert layer.sum() == 100
+    assert layer[5:15, 10:20].all()
+    assert nearest_layer(np.zeros((20, 30), np.float32)) is None
+    depth[:, 3:] = 1.0
+    assert nearest_layer(depth) is None  # nine tenths of the view
+
+
+@pytest.mark.parametrize(("share", "status"), [(0.5, Status.OK), (0.75, Status.DEGENERATE)])
+def test_a_crowded_view_is_degenerate(share: float, status: Status) -> None:
+    shown = view(CORNER, EYE)
+    shown.hide(half(shown, share))
+    tracked = Tracked(torch.eye(4, dtype=torch.float64), Status.OK, Source.ALIGNED, covariance=torch.eye(6, dtype=torch.float64))
+    found = crowded(shown, tracked)
+    assert found.status is status
+    assert found.covariance is not None
+    assert float(found.covariance[0, 0]) == pytest.approx(1.0 if status is Status.OK else 16.0, rel=0.1)
+
+
+def test_it_can_be_switched_off() -> None:
+    assert isinstance(Slam(FAST).segmentation, FreeSpaceSegmentation)
+    assert isinstance(Slam(replace(FAST, movers="off")).segmentation, NoSegmentation)
+    assert isinstance(Slam(PAPER).segmentation, NoSegmentation)
+
+
+@pytest.mark.slow
+def test_who_walks_through_does_not_draw_the_pose_away() -> None:
+    """The person of this room stands for 60 frames and then walks off: without a mask, the pose is off by 11 cm at frame 63."""
+    recording = SyntheticRoom(1, 80, 320, 240, noise=True, movers="people")
+    slam, off, shares = Slam(FAST), [], []
+    T_wc = np.linalg.inv(recording.ground_truth[0]) @ recording.ground_truth
+    for i in range(len(recording)):
+        result = slam.process(recording[i])
+        off.append(float(np.linalg.norm(result.T_wc[:3, 3] - T_wc[i, :3, 3])))
+        shares.append(result.moving_share)
+    assert max(off) < 0.02
+    assert max(shares[:50]) == 0.0
+    assert 0.15 < np.mean(shares[62:70]) < 0.35
