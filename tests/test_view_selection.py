@@ -5,11 +5,15 @@ import numpy as np
 import torch
 
 from helpers.flat_wall import wall_graph
+from helpers.grey_archive import grey_archive
 from helpers.painted_wall import at, painted
 from idfslam.frame import Frame, Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
-from idfslam.views.view_selection import ViewSelection, image_motion
+from idfslam.views.encoded_view import encode
+from idfslam.views.image_archive import archive_of
+from idfslam.views.image_motion import image_motion
+from idfslam.views.view_selection import ViewSelection
 
 
 def view_of(frame: Frame, T_wc: np.ndarray) -> Keyframe:
@@ -76,6 +80,26 @@ def test_a_restored_selection_goes_on_as_the_first() -> None:
     assert [(v.index, v.colour, v.depth, v.sharpness) for v in second.views] == [
         (v.index, v.colour, v.depth, v.sharpness) for v in whole.views
     ]
+
+
+def test_images_of_an_earlier_run_move_with_their_keyframes() -> None:
+    selection = ViewSelection(FramePoses(wall_graph(places=(0.0, 1.0))), 20.0)
+    frames = [painted(i, at(x)) for i, x in enumerate((0.05, 1.1))]
+    selection.load(archive_of([encode(frame, 0.5) for frame in frames], frames[0].camera, np.stack([at(0.05), at(1.1)])))
+    feed(selection, 0, 0.0)
+    selection.finish()
+    selection.frames.graph.keyframes[0].T_wk = torch.from_numpy(at(0.0, 0.3))  # the only stored one: frames move with it too
+    posed = selection.posed()
+    assert [view.index for view, _ in posed] == [-1, -1, 0]
+    np.testing.assert_allclose([T[:2, 3] for _, T in posed], [(0.05, 0.3), (1.1, 0.3), (0, 0.3)], atol=1e-12)
+
+
+def test_those_of_another_camera_are_left_out() -> None:
+    selection = ViewSelection(FramePoses(wall_graph(places=(0.0, 1.0))), 20.0)
+    selection.load(grey_archive())
+    feed(selection, 0, 0.0)
+    selection.finish()
+    assert [view.index for view, _ in selection.posed()] == [0]
 
 
 def test_motion_of_the_image() -> None:

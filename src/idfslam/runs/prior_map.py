@@ -13,6 +13,7 @@ from idfslam.frame import Frame
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
 from idfslam.runs.source import open_source
+from idfslam.views.image_archive import ImageArchive, load_archive
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +34,7 @@ class PriorMap:
     folder: Path
     saved: SavedMap
     keyframes: Sequence[PriorKeyframe]
+    archive: ImageArchive | None = None  # the images that its views are made of
 
 
 def load_prior(folder: Path) -> PriorMap:
@@ -47,7 +49,8 @@ def load_prior(folder: Path) -> PriorMap:
     found = [*earlier_keyframes([*record.earlier, *own])]
     if not found:
         raise ResultError(f"{folder}: none of its keyframes' images can be read again; expected its recording where it was ({source})")
-    return PriorMap(folder, saved, found)
+    path = folder / result_folder.ARCHIVE
+    return PriorMap(folder, saved, found, load_archive(path) if path.is_file() else None)
 
 
 def earlier_keyframes(records: Sequence[result_folder.EarlierKeyframe]) -> Iterator[PriorKeyframe]:

@@ -150,7 +150,7 @@ def _new_slam(
     slam = make_slam(config if prior is None else replace(config, field=prior.saved.field.config))  # the saved field keeps its own shape
     slam.archive_in(archive)
     if prior is not None:
-        slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes])
+        slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes], prior.archive)
     return slam
 
 

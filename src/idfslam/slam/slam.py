@@ -27,6 +27,7 @@ from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of
 from idfslam.views.image_archive import ImageArchive, archive_of
 from idfslam.views.surface_colour import recoloured
+from idfslam.views.view_selection import EARLIER
 
 log = logging.getLogger(__name__)
 
@@ -121,8 +122,8 @@ class Slam:
         """Makes the archive of images in a folder instead of that of temporary files. To be called before the first frame."""
         self.graph.archive.folder = folder
 
-    def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]]) -> None:
-        """Starts in a saved map with a field of this config, and its keyframes with poses T_wk (4, 4), before the first frame.
+    def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]], archive: ImageArchive | None = None) -> None:
+        """Starts in a saved map with a field of this config, its keyframes with poses T_wk (4, 4), and its images, before the first frame.
 
         The camera counts as lost until it is relocalised in the map. From then on the map is extended.
         """
@@ -130,6 +131,8 @@ class Slam:
         for frame, T_wk in keyframes:
             self.graph.load(self._view(frame, T_wk))
         self.coverage.load(saved.views)
+        if archive is not None:
+            self.views.load(archive)
         self.recovery.start_in_map(self.replay.sample(EXAMPLES))
 
     def finish(self) -> None:
@@ -170,11 +173,10 @@ class Slam:
         if self._archive is not None:
             return self._archive
         statuses = self.statuses()
-        kept = [view for view in self.views.views if statuses[view.index].trusted]
-        if not kept:
+        kept = [(view, T_wc) for view, T_wc in self.views.posed() if view.index == EARLIER or statuses[view.index].trusted]
+        if not kept or self.views.camera is None:
             return None
-        poses = np.stack([self.frames.T_wc(view.index).numpy() for view in kept])
-        archive = archive_of(kept, self.graph.keyframes[0].camera, poses)
+        archive = archive_of([view for view, _ in kept], self.views.camera, np.stack([T_wc for _, T_wc in kept]))
         self._archive = archive if self._finished else None
         return archive
 

@@ -15,7 +15,7 @@ from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light_comparison import Comparison, compare
 from idfslam.sensing.light_solution import exposure_changes, exposures
 from idfslam.sensing.vignette import TERMS
-from idfslam.views.view_selection import image_motion
+from idfslam.views.image_motion import image_motion
 
 Floats = NDArray[np.float64]
 

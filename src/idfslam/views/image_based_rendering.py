@@ -11,8 +11,8 @@ from idfslam.geometry.camera import Camera
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.views.blending import BlendedImages, Floats, blended, off_edge
 from idfslam.views.image_archive import ImageArchive
+from idfslam.views.image_motion import image_motion
 from idfslam.views.push_pull import push_pull
-from idfslam.views.view_selection import image_motion
 from idfslam.views.warping import fused_depth
 from idfslam.views.weights import AGREES, AGREES_SHARE, MOTION, SAME, SAME_SHARE
 

@@ -4,25 +4,28 @@ An image is rectified and compressed in a thread of its own while the next frame
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from idfslam.frame import Frame
+from idfslam.geometry.camera import Camera
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, rectified
 from idfslam.sensing.sharpness import sharpness
 from idfslam.storage.state import State, Stateful
 from idfslam.views.encoded_view import EncodedView, encode
+from idfslam.views.image_archive import ImageArchive
+from idfslam.views.image_motion import image_motion
 
 # [rad] Motion of the image over a stretch of frames of which the sharpest is kept. More: fewer images, farther from one another. It is a
 # few frames of a camera in the hand; the budget decides in most recordings. Chosen by hand
 _STRETCH = 0.03
-_AHEAD = 2.0  # [m] at which a shift of the camera counts as motion of the image. More: shifts count less against turns. Chosen by hand
 _THINNED = 0.9  # [1] share of the budget down to which the images are thinned out. Less: done less often, more is lost. Chosen by hand
+EARLIER = -1  # index of an image that is of no frame of the run, but of the map that it started in
 _MEGABYTE = 1e6  # [bytes]
 
 
@@ -45,6 +48,8 @@ class ViewSelection(Stateful):
         """megabytes: the budget [MB]; 0: no image is kept."""
         self.frames, self._budget = frames, megabytes * _MEGABYTE
         self.views: list[EncodedView] = []
+        self.camera: Camera | None = None  # of the images
+        self._earlier: list[tuple[EncodedView, int, NDArray[np.float64]]] = []  # of an earlier run: host keyframe, pose T_kc in it
         self._pool = ThreadPoolExecutor(1)
         self._running: Future[EncodedView] | None = None  # the image after `views`
         self._best: _Candidate | EncodedView | None = None  # of the present stretch
@@ -67,10 +72,25 @@ class ViewSelection(Stateful):
         self.views = views
         self._begun_at = None if state["begun_at"] is None else state["begun_at"].numpy().copy()
 
+    def load(self, archive: ImageArchive) -> None:
+        """Takes over the images of an earlier run, each relative to the nearest stored keyframe, with index -1."""
+        self.camera, poses = archive.camera, torch.stack([k.T_wk for k in self.frames.graph.keyframes]).numpy()
+        for view, T_wc in zip(archive.views, archive.T_wc):
+            k = int(image_motion(T_wc, poses).argmin())
+            self._earlier.append((replace(view, index=EARLIER), k, np.linalg.inv(poses[k]) @ T_wc))
+
+    def posed(self) -> list[tuple[EncodedView, NDArray[np.float64]]]:
+        """All images with their present poses T_wc (4, 4), those of an earlier run first."""
+        keyframes = self.frames.graph.keyframes
+        earlier = [(view, keyframes[k].T_wk.numpy() @ T_kc) for view, k, T_kc in self._earlier]
+        return [*earlier, *((view, self.frames.T_wc(view.index).numpy()) for view in self.views)]
+
     def add(self, view: Keyframe, of_view: float | None) -> None:
         """Takes the last frame into account, whose pose is trusted and whose image may be shown; of_view: its sharpness, if known."""
         if not self._budget:
             return
+        if self.camera != view.camera:
+            self.camera, self._earlier = view.camera, []  # an archive has images of one camera
         T_wc = self.frames.T_wc(-1).numpy()
         of_view = sharpness(view.taken.frame.colour) if of_view is None else of_view
         if self._best is None or of_view > self._best.sharpness:
@@ -97,28 +117,23 @@ class ViewSelection(Stateful):
             return
         self.views.append(self._running.result())
         self._running = None
-        if sum(view.size for view in self.views) > self._budget:
+        if sum(view.size for view, _ in self.posed()) > self._budget:
             self._thin()
 
     def _thin(self) -> None:
         """Drops the less sharp one of the two most similar views, again and again."""
-        poses = np.stack([self.frames.T_wc(view.index).numpy() for view in self.views])
+        views, poses = [view for view, _ in self.posed()], np.stack([T_wc for _, T_wc in self.posed()])
         apart = np.stack([image_motion(T, poses) for T in poses])
         np.fill_diagonal(apart, np.inf)
-        left, size = np.full(len(poses), True), sum(view.size for view in self.views)
+        left, size = np.full(len(poses), True), sum(view.size for view in views)
         while size > _THINNED * self._budget and left.sum() > 1:
             pair = np.unravel_index(int(apart.argmin()), apart.shape)
-            worse = int(min(pair, key=lambda i: self.views[i].sharpness))
+            worse = int(min(pair, key=lambda i: views[i].sharpness))
             left[worse] = False
             apart[worse] = apart[:, worse] = np.inf
-            size -= self.views[worse].size
-        self.views = [view for view, keep in zip(self.views, left) if keep]
-
-
-def image_motion(T_wa: NDArray[np.float64], T_wb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far the image moves [rad] from a camera at T_wa (4, 4) to cameras at T_wb (N, 4, 4): the turn, and the shift seen 2 m ahead."""
-    cosine = (np.einsum("nij,ij->n", T_wb[:, :3, :3], T_wa[:3, :3]) - 1) / 2
-    return np.asarray(np.arccos(np.clip(cosine, -1, 1)) + np.linalg.norm(T_wb[:, :3, 3] - T_wa[:3, 3], axis=1) / _AHEAD)
+            size -= views[worse].size
+        self._earlier = [kept for kept, keep in zip(self._earlier, left) if keep]
+        self.views = [view for view, keep in zip(views, left) if keep and view.index != EARLIER]
 
 
 def _tensor(data: bytes) -> torch.Tensor:
