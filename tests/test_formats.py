@@ -106,7 +106,7 @@ def test_archive(finished: Path) -> None:
         metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
     assert set(metadata) <= NAMED
     assert set(tensors) <= NAMED
-    assert set(tensors) == {"index", "T_wc", "colour", "colour_ends", "depth", "depth_ends", "exposures", "sharpness"}
+    assert set(tensors) == {"index", "T_wc", "colour", "colour_ends", "depth", "depth_ends", "exposures", "sharpness", "lit"}
 
 
 def test_views() -> None:

@@ -10,6 +10,7 @@ from safetensors.torch import load_file, save_file
 
 from helpers.painted_wall import CAMERA, at, painted
 from idfslam.errors import ResultError
+from idfslam.frame import Frame
 from idfslam.views.encoded_view import encode
 from idfslam.views.image_archive import ImageArchive, archive_of, load_archive, save_archive
 
@@ -56,6 +57,23 @@ def test_images_are_close_to_the_recorded_ones(archive: ImageArchive) -> None:
     assert np.abs(view.depth - frame.depth).max() <= 0.0005001  # millimetres
 
 
+def test_black_borders_are_no_part_of_the_images() -> None:
+    poses, frames = [at(0.1 * i) for i in range(3)], []
+    for i, T in enumerate(poses):
+        frame = painted(i, T)
+        frame.colour[:, :10] = 0
+        frame.colour[50:60, 60:70] = 0  # something black in the middle
+        frames.append(encode(frame, 0.5))
+    lit = archive_of(frames, CAMERA, np.stack(poses)).lit
+    assert not lit[:, :13].any()
+    assert lit[:, 14:].all()
+
+
+def test_a_dark_scene_is_no_border() -> None:
+    dark = Frame(0, 0.0, np.full((120, 160, 3), 0.02, np.float32), np.ones((120, 160), np.float32), CAMERA)
+    assert archive_of([encode(dark, 0.5)], CAMERA, np.eye(4)[None]).lit.all()
+
+
 def test_equal_archives_give_equal_files(archive: ImageArchive, saved: Path, tmp_path: Path) -> None:
     save_archive(tmp_path / "again", archive)
     assert (tmp_path / "again").read_bytes() == saved.read_bytes()
@@ -74,7 +92,7 @@ def test_a_file_of_another_kind_is_refused(saved: Path, changes: dict[str, str],
         load_archive(damaged(saved, **changes))
 
 
-@pytest.mark.parametrize("name", ["colour_ends", "T_wc", "exposures", "index"])
+@pytest.mark.parametrize("name", ["lit", "colour_ends", "T_wc", "exposures", "index"])
 def test_tensors_that_do_not_fit_are_refused(saved: Path, name: str) -> None:
     with pytest.raises(ResultError, match="cannot be read as an archive of images"):
         load_archive(damaged(saved, **{name: load_file(saved)[name][:-1].clone()}))

@@ -46,4 +46,6 @@ def compared_views(run: FinishedRun, renderer: MapViews | SavedMap) -> Iterator[
         begun = time.perf_counter()
         colour, depth = renderer.render(run.trajectory.poses[i], frame.camera)
         seconds = time.perf_counter() - begun
-        yield ComparedView(frame, colour, depth, view_error(i, colour, frame.colour, float((depth == 0).mean()), seconds))
+        lit = np.ones(depth.shape, bool) if run.archive is None else run.archive.lit
+        holes = float((depth[lit] == 0).mean())
+        yield ComparedView(frame, colour, depth, view_error(i, colour, frame.colour, lit, holes, seconds))

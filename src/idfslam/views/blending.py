@@ -15,6 +15,8 @@ from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, L
 
 Floats = NDArray[np.float32]
 
+_FILLED = 0.99  # [1] share of the pixels of colour at a pixel of depth that must be filled. Less: black borders show. Chosen by hand
+
 
 @dataclass(frozen=True, eq=False)
 class BlendedImages:
@@ -77,7 +79,7 @@ def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> 
     near = np.stack([around[row + 1 + i, column + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
     off = np.where(near > 0, np.abs(near - z), np.inf).min(0)
     agrees = off < AGREES + AGREES_SHARE * z**2
-    weight = np.where(np.isinf(off), UNREAD, np.where(agrees, images.off_edges[k][row, column], 0))
+    weight = np.where(np.isinf(off), UNREAD, agrees) * images.off_edges[k][row, column]
     weight = weight * np.minimum(1, (border + 1) / BORDER) * shown
     to_view, to_image = points - centre, points - images.centres[k]
     from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
@@ -89,10 +91,18 @@ def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> 
     return most, weight * most, colour.reshape(-1, 3)
 
 
-def off_edge(depth: Floats) -> Floats:
-    """The weight (h, w) of each pixel of a depth image (h, w) [m] by its distance from silhouettes, in [LEAST_OFF_EDGE, 1]."""
+def off_edge(depth: Floats, lit: NDArray[np.bool_] | None = None) -> Floats:
+    """The weight (h, w) of each pixel of a depth image (h, w) [m] by its distance from silhouettes, in [LEAST_OFF_EDGE, 1].
+
+    lit (H, W): the pixels of colour that the camera fills; others have the weight 0. None: all are.
+    """
     window = np.ones((3, 3), np.uint8)
     farthest, nearest = cv2.dilate(depth, window), cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), window)
     edge = farthest - nearest > EDGE + EDGE_SHARE * nearest
     distance = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 3) if edge.any() else np.full(depth.shape, np.inf)
-    return np.clip(LEAST_OFF_EDGE + distance / OFF_EDGE, 0, 1).astype(np.float32)
+    weight = np.clip(LEAST_OFF_EDGE + distance / OFF_EDGE, 0, 1).astype(np.float32)
+    if lit is None or lit.all():
+        return weight
+    filled = cv2.resize(lit.astype(np.float32), depth.shape[::-1], interpolation=cv2.INTER_AREA) > _FILLED
+    faded = cv2.distanceTransform(np.pad(filled, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1] * lit.shape[1] / depth.shape[1] / BORDER
+    return np.asarray(weight * np.minimum(faded, 1), np.float32)

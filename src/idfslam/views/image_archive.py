@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.storage.safetensors_file import ordered
 from idfslam.views.encoded_view import DEPTH_ROWS, EncodedView, decode_colour, decode_depth
 from idfslam.views.exposures import solve_exposures
+from idfslam.views.lit_area import LitArea
 
 FORMAT = 1  # format of the file, counted up with each change that older versions cannot read
 
@@ -31,6 +32,7 @@ class ImageArchive:
     camera: Camera  # of colour
     T_wc: NDArray[np.float64]  # (V, 4, 4)
     exposures: NDArray[np.float64]  # (V, 3, 2) logarithm of the gain, and the offset, of each channel: colour = gain (scene + offset)
+    lit: NDArray[np.bool_]  # (H, W) whether the images fill a pixel (`lit_area`)
 
     def colour(self, i: int) -> NDArray[np.uint8]:
         """RGB (H, W, 3) of the i-th image. Raises ResultError if its data are damaged."""
@@ -58,10 +60,11 @@ class ImageArchive:
 
 
 def archive_of(views: Sequence[EncodedView], camera: Camera, T_wc: NDArray[np.float64]) -> ImageArchive:
-    """The archive of images with poses (V, 4, 4), whose exposures are worked out."""
-    plain = ImageArchive(views, camera, T_wc, np.zeros((len(views), 3, 2)))
-    found = solve_exposures((plain.colour(i) for i in range(len(views))), plain.depths)
-    return ImageArchive(views, camera, T_wc, found)
+    """The archive of images with poses (V, 4, 4), whose exposures and filled pixels are worked out."""
+    lit = LitArea(camera.height, camera.width)
+    plain = ImageArchive(views, camera, T_wc, np.zeros((len(views), 3, 2)), lit.pixels())
+    found = solve_exposures(lit.watched(plain.colour(i) for i in range(len(views))), plain.depths)
+    return replace(plain, exposures=found, lit=lit.pixels())
 
 
 def save_archive(path: Path, archive: ImageArchive) -> None:
@@ -74,6 +77,7 @@ def save_archive(path: Path, archive: ImageArchive) -> None:
         "sharpness": torch.tensor([view.sharpness for view in archive.views], dtype=torch.float64),
         "T_wc": torch.from_numpy(archive.T_wc),
         "exposures": torch.from_numpy(archive.exposures),
+        "lit": torch.from_numpy(np.packbits(archive.lit)),
     }
     for kind, files in (("colour", [v.colour for v in archive.views]), ("depth", [v.depth for v in archive.views])):
         tensors[kind] = torch.from_numpy(np.frombuffer(b"".join(files), np.uint8).copy())
@@ -104,9 +108,13 @@ def _archive(camera: Camera, tensors: dict[str, Tensor]) -> ImageArchive:
         raise ValueError(f"{len(index)} images, poses {T_wc.shape}, exposures {exposures.shape}")
     if not (np.isfinite(T_wc).all() and np.isfinite(exposures).all()):
         raise ValueError("a pose or an exposure is not finite")
+    pixels, bits = camera.height * camera.width, tensors["lit"].numpy()
+    if bits.dtype != np.uint8 or bits.shape != (-(-pixels // 8),):
+        raise ValueError(f"lit: {bits.shape} bytes for {camera.width} x {camera.height} pixels")
+    lit = np.unpackbits(bits)[:pixels].reshape(camera.height, camera.width).astype(bool)
     colours, depths = (_files(tensors, kind, len(index)) for kind in ("colour", "depth"))
     views = [EncodedView(*columns) for columns in zip(index, colours, depths, sharpness)]
-    return ImageArchive(views, camera, T_wc.astype(np.float64), exposures.astype(np.float64))
+    return ImageArchive(views, camera, T_wc.astype(np.float64), exposures.astype(np.float64), lit)
 
 
 def _files(tensors: dict[str, Tensor], kind: str, count: int) -> list[bytes]:

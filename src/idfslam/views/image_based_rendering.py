@@ -1,7 +1,7 @@
 """Views by image-based rendering over the map: the colours of archived images, at the depth on which these and the map agree."""
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -116,7 +116,7 @@ class MapViews:
 
     def _off_edge(self, i: int) -> Floats:
         if i not in self._off_edges:
-            self._off_edges[i] = off_edge(self.archive.depths[i].depth)
+            self._off_edges[i] = off_edge(self.archive.depths[i].depth, self.archive.lit)
         return self._off_edges[i]
 
     def _depth(
@@ -143,7 +143,7 @@ def without(renderer: MapViews | SavedMap, index: int) -> MapViews | SavedMap:
     left = [i for i, view in enumerate(a.views) if view.index != index]
     if len(left) in (0, len(a.views)):
         return renderer if len(left) else renderer.saved
-    return MapViews(renderer.saved, ImageArchive([a.views[i] for i in left], a.camera, a.T_wc[left], a.exposures[left]))
+    return MapViews(renderer.saved, replace(a, views=[a.views[i] for i in left], T_wc=a.T_wc[left], exposures=a.exposures[left]))
 
 
 def _world_points(T_wc: NDArray[np.float64], camera: Camera, depth: Floats) -> Floats:

@@ -31,6 +31,7 @@ class PosedColours:
     depth: Floats  # (h, w) [m], 0: no reading
     camera: Camera  # of colour
     T_wc: NDArray[np.float64]  # (4, 4)
+    lit: NDArray[np.bool_] | None  # (H, W) the pixels that the camera fills; None: all
     gain: Floats  # (3,), and
     offset: Floats  # (3,): gain * colour / 255 + offset has the exposure of all
 
@@ -42,14 +43,14 @@ def of_archive(archive: ImageArchive) -> Iterator[PosedColours]:
         gain = np.exp(median[:, 0] - archive.exposures[i, :, 0])
         offset = np.exp(median[:, 0]) * (median[:, 1] - archive.exposures[i, :, 1])
         shown = gain.astype(np.float32), offset.astype(np.float32)
-        yield PosedColours(archive.colour(i), view.depth, archive.camera, view.T_wc, *shown)
+        yield PosedColours(archive.colour(i), view.depth, archive.camera, view.T_wc, archive.lit, *shown)
 
 
 def of_frames(frames: Iterable[tuple[Frame, NDArray[np.float64]]]) -> Iterator[PosedColours]:
     """Frames with their T_wc (4, 4), as they were exposed."""
     for frame, T_wc in frames:
         colour = (frame.colour * 255 + 0.5).astype(np.uint8)
-        yield PosedColours(colour, frame.depth, frame.camera, T_wc, np.ones(3, np.float32), np.zeros(3, np.float32))
+        yield PosedColours(colour, frame.depth, frame.camera, T_wc, None, np.ones(3, np.float32), np.zeros(3, np.float32))
 
 
 def from_images(images: Callable[[], Iterable[PosedColours]], otherwise: Shade) -> Shade:
@@ -98,7 +99,7 @@ def _mean(points: Floats, normals: Floats, images: Iterable[PosedColours], expec
     for image in images:
         T_cw, centre = np.linalg.inv(image.T_wc)[:3].astype(np.float32), image.T_wc[:3, 3].astype(np.float32)
         intrinsics = np.array(intrinsics_of(image.camera), np.float32)
-        shown = image.colour, image.depth, off_edge(image.depth), image.gain / np.float32(255), image.offset
+        shown = image.colour, image.depth, off_edge(image.depth, image.lit), image.gain / np.float32(255), image.offset
         numba_surface.gather(points, normals, T_cw, centre, intrinsics, *shown, compared, scale, total, weights)
     seen = weights > 0
     return total / np.maximum(weights, np.float32(1e-30))[:, None], seen

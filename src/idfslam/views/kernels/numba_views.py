@@ -116,7 +116,7 @@ def weight_of_image(depth, off_edge, z, u, v, width, height, unread):  # type: i
                 off = min(off, abs(depth[i, j] - z))
     fade = min(_ONE, (border + _ONE) / _BORDER)
     if off == np.inf:
-        return fade * unread
+        return fade * unread * off_edge[row, column]
     return fade * off_edge[row, column] if off < _AGREES + _AGREES_SHARE * z * z else _ZERO
 
 
