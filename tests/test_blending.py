@@ -8,6 +8,7 @@ import torch
 from helpers.painted_wall import CAMERA, at, painted
 from idfslam.geometry.depth_view import reduced_view
 from idfslam.views.blending import BlendedImages, compiled_blended, off_edge, plain_blended
+from idfslam.views.encoded_view import MOVING
 
 
 def images(poses: list[np.ndarray]) -> BlendedImages:
@@ -58,6 +59,15 @@ def test_what_an_image_cannot_see_has_no_colour_of_it() -> None:
     column = round(CAMERA.cx + CAMERA.fx * 0.38 / 2.0)  # 0.38 m to the right: behind the box, seen from 0.6 m to the left
     assert weights[60, column] == 0
     assert weights[60, 60] > 0
+
+
+def test_what_moves_has_no_colour() -> None:
+    shown = images([at(0.0)])
+    shown.depths[0, 20:40, 20:40] = MOVING
+    for form in (compiled_blended, plain_blended):
+        weights = form(points_of(at(0.0)), np.zeros(3, np.float32), shown)[1].reshape(CAMERA.height, CAMERA.width)
+        assert not weights[42:78, 42:78].any()
+        assert weights[60, 90] > 0
 
 
 def test_the_image_with_the_nearest_ray_counts_most() -> None:

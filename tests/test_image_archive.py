@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save_file
 from helpers.painted_wall import CAMERA, at, painted
 from idfslam.errors import ResultError
 from idfslam.frame import Frame
-from idfslam.views.encoded_view import encode
+from idfslam.views.encoded_view import MOVING, encode
 from idfslam.views.image_archive import ImageArchive, archive_of, load_archive, save_archive
 
 
@@ -67,6 +67,14 @@ def test_black_borders_are_no_part_of_the_images() -> None:
     lit = archive_of(frames, CAMERA, np.stack(poses)).lit
     assert not lit[:, :13].any()
     assert lit[:, 14:].all()
+
+
+def test_what_moves_is_marked() -> None:
+    frame, moving = painted(0, at(0.0)), np.zeros((120, 160), bool)
+    moving[30:50, 40:60] = True
+    depth = archive_of([encode(frame, 0.5, moving)], CAMERA, np.eye(4)[None]).depths[0].depth
+    np.testing.assert_array_equal(depth < 0, moving)
+    assert (depth[moving] == MOVING).all()
 
 
 def test_a_dark_scene_is_no_border() -> None:

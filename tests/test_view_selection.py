@@ -8,8 +8,10 @@ from helpers.flat_wall import wall_graph
 from helpers.grey_archive import grey_archive
 from helpers.painted_wall import at, painted
 from idfslam.frame import Frame, Status
+from idfslam.graph.archive import Archive
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
+from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.views.encoded_view import encode
 from idfslam.views.image_archive import archive_of
 from idfslam.views.image_motion import image_motion
@@ -62,6 +64,16 @@ def test_the_budget_holds_and_what_is_alike_goes_first() -> None:
     assert sum(view.size for view in small.views) <= budget * 1e6
     places = sorted(back_and_forth[view.index] for view in small.views)
     assert np.diff(places).max() < 0.45  # every place is still seen by one within 0.2 m
+
+
+def test_images_are_rectified_once() -> None:
+    """Those of a stored keyframe are rectified already."""
+    view = view_of(painted(0, at(0.0)), at(0.0))
+    assert view.rectification_of_taken is None
+    view.rectify(Rectification(RowTimes(0.03, 0.03, 0.0), np.array([0, 0, 0, 0, 1.0, 0])))
+    assert view.rectification_of_taken is view.rectification is not None
+    view.keep_in(Archive(4))
+    assert view.rectification_of_taken is None
 
 
 def test_no_budget_keeps_nothing() -> None:

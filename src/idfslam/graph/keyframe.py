@@ -105,6 +105,11 @@ class Keyframe:
         return self._without_movers("taken", self._as_taken)
 
     @property
+    def rectification_of_taken(self) -> Rectification | None:
+        """What `taken` is rectified with to become `images`; None where they are the same."""
+        return None if self._taken is None else self.rectification
+
+    @property
     def _as_taken(self) -> Images:
         return self._taken or self.unmasked
 

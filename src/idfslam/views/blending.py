@@ -80,7 +80,7 @@ def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> 
     off = np.where(near > 0, np.abs(near - z), np.inf).min(0)
     agrees = off < AGREES + AGREES_SHARE * z**2
     weight = np.where(np.isinf(off), UNREAD, agrees) * images.off_edges[k][row, column]
-    weight = weight * np.minimum(1, (border + 1) / BORDER) * shown
+    weight = weight * np.minimum(1, (border + 1) / BORDER) * (shown & (depth[row, column] >= 0))
     to_view, to_image = points - centre, points - images.centres[k]
     from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
     cosine = (to_view * to_image).sum(1) / (from_view * from_image)
@@ -97,6 +97,7 @@ def off_edge(depth: Floats, lit: NDArray[np.bool_] | None = None) -> Floats:
     lit (H, W): the pixels of colour that the camera fills; others have the weight 0. None: all are.
     """
     window = np.ones((3, 3), np.uint8)
+    depth = np.maximum(depth, 0)
     farthest, nearest = cv2.dilate(depth, window), cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), window)
     edge = farthest - nearest > EDGE + EDGE_SHARE * nearest
     distance = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 3) if edge.any() else np.full(depth.shape, np.inf)

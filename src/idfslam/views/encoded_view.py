@@ -14,6 +14,7 @@ _QUALITY = 90
 DEPTH_ROWS = 120  # [px] least rows of a depth image. More: sharper outlines, and fewer images in the archive. Chosen by hand
 _MILLIMETRES = 1000.0  # a metre in the units of the depth images: a fact of the format
 _FARTHEST = np.iinfo(np.uint16).max
+MOVING = -1.0  # [m] depth of a pixel that shows what moves; it is stored as 65535, which no camera reads
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,8 @@ class EncodedView:
 
     index: int  # of the frame
     colour: bytes  # JPEG (H, W, 3)
-    depth: bytes  # PNG (h, w) uint16 [mm], 0: no reading. Pixels of the frame's depth image at regular distances (`reduced_view`)
+    # PNG (h, w) uint16 [mm], 0: no reading, 65535: what moves. Pixels of the frame's depth image at regular distances (`reduced_view`)
+    depth: bytes
     sharpness: float  # of colour, as `sensing.sharpness` measures it
 
     @property
@@ -31,11 +33,12 @@ class EncodedView:
         return len(self.colour) + len(self.depth)
 
 
-def encode(frame: Frame, sharpness: float) -> EncodedView:
-    """Compresses a frame's images."""
+def encode(frame: Frame, sharpness: float, moving: NDArray[np.bool_] | None = None) -> EncodedView:
+    """Compresses a frame's images. moving (H, W): pixels that show what moves, and are no part of views; None: none."""
     colour = cv2.cvtColor(cv2.convertScaleAbs(frame.colour, alpha=255), cv2.COLOR_RGB2BGR)
     jpeg = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
-    small = reduced_view(np.eye(4), frame.depth, frame.camera, DEPTH_ROWS).depth
+    read = frame.depth if moving is None else np.where(moving, np.float32(np.inf), frame.depth)
+    small = reduced_view(np.eye(4), read, frame.camera, DEPTH_ROWS).depth
     depth = np.clip(small * _MILLIMETRES + 0.5, 0, _FARTHEST).astype(np.uint16)
     return EncodedView(frame.index, jpeg, cv2.imencode(".png", depth)[1].tobytes(), sharpness)
 
@@ -47,8 +50,8 @@ def decode_colour(data: bytes) -> NDArray[np.uint8] | None:
 
 
 def decode_depth(data: bytes) -> NDArray[np.float32] | None:
-    """Depth (h, w) [m]; None if the data are no depth image."""
+    """Depth (h, w) [m], 0: no reading, MOVING: of what moves; None if the data are no depth image."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         return None
-    return np.asarray(image.astype(np.float32) / np.float32(_MILLIMETRES))
+    return np.where(image == _FARTHEST, np.float32(MOVING), image / np.float32(_MILLIMETRES)).astype(np.float32)

@@ -54,7 +54,7 @@ def _small(colour: NDArray[np.uint8], view: DepthView) -> NDArray[np.float32]:
 
 def _compare(a: NDArray[np.float32], of_a: DepthView, b: NDArray[np.float32], of_b: DepthView) -> Comparison | None:
     """Compares the places of image a that image b sees too; None if they are too few."""
-    v, u = np.nonzero(of_a.depth[::_STEP, ::_STEP])
+    v, u = np.nonzero(of_a.depth[::_STEP, ::_STEP] > 0)
     v, u = v * _STEP, u * _STEP
     c, z = of_a.camera, of_a.depth[v, u].astype(np.float64)
     points = np.stack([(u - c.cx) / c.fx * z, (v - c.cy) / c.fy * z, z], -1)

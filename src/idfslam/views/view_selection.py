@@ -35,10 +35,12 @@ class _Candidate:
 
     frame: Frame
     rectification: Rectification | None
+    moving: NDArray[np.bool_] | None  # (H, W) pixels that show what moves; None: none
     sharpness: float
 
     def encoded(self) -> EncodedView:
-        return encode(self.frame if self.rectification is None else rectified(self.frame, self.rectification), self.sharpness)
+        frame = self.frame if self.rectification is None else rectified(self.frame, self.rectification)
+        return encode(frame, self.sharpness, self.moving)
 
 
 class ViewSelection(Stateful):
@@ -94,7 +96,7 @@ class ViewSelection(Stateful):
         T_wc = self.frames.T_wc(-1).numpy()
         of_view = sharpness(view.taken.frame.colour) if of_view is None else of_view
         if self._best is None or of_view > self._best.sharpness:
-            self._best = _Candidate(view.taken.frame, view.rectification, of_view)
+            self._best = _Candidate(view.taken.frame, view.rectification_of_taken, view.moving, of_view)
         if self._begun_at is None or float(image_motion(self._begun_at, T_wc[None])[0]) > _STRETCH:
             self._keep()
             self._begun_at = T_wc

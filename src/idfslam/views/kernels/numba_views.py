@@ -109,6 +109,8 @@ def weight_of_image(depth, off_edge, z, u, v, width, height, unread):  # type: i
         return _ZERO
     h, w = depth.shape
     column, row = min(int((u + np.float32(0.5)) * w / width), w - 1), min(int((v + np.float32(0.5)) * h / height), h - 1)
+    if depth[row, column] < _ZERO:  # what moves
+        return _ZERO
     off = np.float32(np.inf)
     for i in range(max(row - 1, 0), min(row + 2, h)):
         for j in range(max(column - 1, 0), min(column + 2, w)):
