@@ -304,6 +304,10 @@ class MapAligner(Stateful):
         """A view's image pyramid, cached for as long as its images are in memory."""
         return self._appearance(view.images, view.camera)
 
+    def appearance_as_taken(self, view: Keyframe) -> Appearance:
+        """The same for its images before rectification."""
+        return self._appearance(view.taken, view.camera)
+
     def _appearance(self, images: Images, camera: Camera) -> Appearance:
         if images not in self._appearances:
             height, levels = self.config.image_height, self.config.image_levels

@@ -15,6 +15,7 @@ from torch import Tensor
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import MotionPrior
+from idfslam.alignment.image_rotation import ImageRotation
 from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
@@ -95,6 +96,7 @@ class AlignmentToMap(FrontEnd):
         """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by."""
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
+        self.rotation = ImageRotation()
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -107,6 +109,7 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
+        view.T_wk = self.rotation.correct(self.aligner.appearance_as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         if wide and registered is not None and registered.refutes(aligned):
@@ -142,6 +145,7 @@ class AlignmentToMap(FrontEnd):
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
+        self.rotation.accept(lost=tracked.is_lost)
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
         if self.compensation.accept(view, tracked, self._references()):

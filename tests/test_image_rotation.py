@@ -1,0 +1,72 @@
+"""The turn of the camera by small images: of a painted wall and a synthetic room, in blur, without depth and without texture."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image
+from idfslam.alignment.photometric import Appearance
+from test_displacement import EYE, appearance, turned, wall
+
+
+def after(first: Appearance) -> ImageRotation:
+    """A rotation whose last frame is this one."""
+    rotation = ImageRotation()
+    rotation.correct(first, EYE, EYE)
+    rotation.accept(lost=False)
+    return rotation
+
+
+def degrees_off(T: Tensor, T_true: Tensor) -> float:
+    R = T[:3, :3].T @ T_true[:3, :3]
+    return math.degrees(math.acos(min((float(R.trace()) - 1) / 2, 1.0)))
+
+
+@pytest.mark.parametrize("turn", [-6.0, -2.0, 0.5, 3.0, 6.0])
+@pytest.mark.parametrize("blur", [0.0, 4.0])
+def test_a_turn_that_the_prediction_missed_is_found_to_a_tenth_of_a_degree(turn: float, blur: float) -> None:
+    T = after(wall(EYE)).correct(wall(turned(turn), blur=blur), EYE, EYE)
+    assert degrees_off(T, turned(turn)) < 0.1
+
+
+def test_the_predicted_shift_is_kept_and_a_change_of_exposure_does_not_matter() -> None:
+    T_true = turned(2.0)
+    T_true[:3, 3] = torch.tensor([0.03, 0.0, 0.02])
+    predicted = EYE.clone()
+    predicted[:3, 3] = T_true[:3, 3]
+    T = after(wall(EYE)).correct(wall(T_true, gain=0.7, offset=0.05), predicted, EYE)
+    assert torch.equal(T[:3, 3], predicted[:3, 3])
+    assert degrees_off(T, T_true) < 0.1
+
+
+def test_a_frame_without_depth_is_turned_too() -> None:
+    first, second = wall(EYE), wall(turned(3.0))
+    none = torch.zeros_like(first.depth)
+    blind = [Appearance(frame.levels, none, frame.camera) for frame in (first, second)]
+    assert degrees_off(after(blind[0]).correct(blind[1], EYE, EYE), turned(3.0)) < 0.1
+
+
+def test_the_prediction_is_kept_without_texture_and_without_a_last_frame() -> None:
+    grey = appearance(torch.full((240, 320, 3), 0.5), torch.full((240, 320), 2.0))
+    assert torch.equal(after(grey).correct(grey, turned(2.0), EYE), turned(2.0))
+    rotation = after(wall(EYE))
+    rotation.accept(lost=True)
+    assert torch.equal(rotation.correct(wall(turned(4.0)), EYE, EYE), EYE)
+
+
+def test_the_last_frame_is_part_of_the_state() -> None:
+    before, restored = after(wall(EYE)), ImageRotation()
+    restored.restore(before.state())
+    now = wall(turned(1.5))
+    assert torch.equal(restored.correct(now, EYE, EYE), before.correct(now, EYE, EYE))
+    restored.restore(ImageRotation().state())
+    assert torch.equal(restored.correct(now, EYE, EYE), EYE)
+
+
+def test_the_small_image_has_sixty_and_thirty_rows() -> None:
+    small = small_image(wall(EYE))
+    assert [tuple(level.luminance.shape) for level in small.levels] == [(60, 80), (30, 40)]
+    assert len(pixels_of(small).points) == 30 * 40
+    assert [len(seen) for seen in pixels_of(small).luminance] == [1200, 1200]
