@@ -87,6 +87,11 @@ class Frame:
         lag = 0.0 if self.depth_timestamp is None else self.depth_timestamp - self.timestamp
         return lag if abs(lag) <= _ONE_SHOT else 0.0
 
+    @property
+    def synchronised(self) -> bool:
+        """Whether all its rows, of both images, are stated to be of one moment."""
+        return self.timing == SYNCHRONISED and self.depth_lag == 0
+
     @staticmethod
     def blank(index: int, timestamp: float, camera: Camera) -> "Frame":
         """A frame in place of one that could not be read: black, without depth. SLAM loses it, as nothing in it confirms a pose."""

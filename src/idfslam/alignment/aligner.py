@@ -73,9 +73,19 @@ def sight(images: Images) -> Tensor:
 class MapAligner(Stateful):
     """Aligns views to a map and to the images of keyframes. Both may change between calls."""
 
-    def __init__(self, config: AlignmentConfig, query: MapQuery, truncation: float, generator: torch.Generator) -> None:
-        """query: the map's signed distance. truncation: the map's truncation distance [m]. generator: draws the points."""
-        self.config, self.query, self.truncation, self._generator = config, query, truncation, generator
+    def __init__(
+        self,
+        config: AlignmentConfig,
+        query: MapQuery,
+        truncation: float,
+        generator: torch.Generator,
+        observed: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
+        """query: the map's signed distance. truncation: the map's truncation distance [m]. generator: draws the points.
+
+        observed: says of points (N, 3) [m] in the world whether the map has observed a surface there; None: everywhere.
+        """
+        self.config, self.query, self.truncation, self._generator, self._observed = config, query, truncation, generator, observed
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
         self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
@@ -103,6 +113,7 @@ class MapAligner(Stateful):
         max_guess_error_px: float | None = None,
         registered: bool = False,
         motion: MotionPrior | None = None,
+        recent: tuple[Landmarks, Tensor] | None = None,
     ) -> Alignment:
         """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4).
 
@@ -111,12 +122,13 @@ class MapAligner(Stateful):
         max_guess_error_px: bound on the error of the guess, in pixels of the finest image. The steps on images too coarse for it are left
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
         the directions that map and images constrain weakly. motion: of a view with a rectification, the images as they were taken are
-        used, each row at its own time, and the velocity is estimated too, with this prior for pose and velocity.
+        used, each row at its own time, and the velocity is estimated too, with this prior for pose and velocity. recent: landmarks of a
+        frame shortly before, and its pose (4, 4). They draw the pose as those of references do, and are no evidence for it.
         """
         prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         moves = motion is not None and view.rectification is not None
         images = view.taken if moves else view.images
-        surface = self.surface(images, view.camera)
+        surface = self._observed_surface(images, view.camera, T_guess)
         has_depth = len(surface.points) >= self.config.min_points
         if not has_depth and not any(len(self.landmarks(reference).points) for reference in references):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
@@ -133,7 +145,7 @@ class MapAligner(Stateful):
                 depth, _ = self._depth_term(coarse, T, step, None, solver.motion)
             elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
                 depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
-            of_images = self._image_term(appearance, references, T, step, solver.motion)
+            of_images = self._image_term(appearance, references, T, step, solver.motion, recent)
             T_before = T.clone()
             largest = solver.step(depth, of_images)
             if step >= coarse_steps and largest < self.config.converged:
@@ -144,7 +156,7 @@ class MapAligner(Stateful):
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
-        appearance, surface = self.appearance(view), self.surface(view.images, view.camera)
+        appearance, surface = self.appearance(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
         images = self._image_term(appearance, references, T, step, None)
@@ -181,12 +193,17 @@ class MapAligner(Stateful):
         jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
         return surface_points(images.depth, camera, jitter, patch)
 
+    def _observed_surface(self, images: Images, camera: Camera, T_wc: Tensor) -> Surface:
+        """The surface of a frame near a pose (4, 4). Points where the map has observed nothing have no weight."""
+        surface, T = self.surface(images, camera), T_wc.float().to(images.depth)
+        return surface if self._observed is None else surface.where(self._observed(surface.points @ T[:3, :3].T + T[:3, 3]))
+
     def row_moments(
         self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion
     ) -> tuple[RowMoments, RowMoments]:
         """The sums of depth and of images at a pose (4, 4) and a motion, with the moments of the rows, in units of information."""
         scale, step = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
-        depth, _ = self._depth_term(self.surface(view.taken, view.camera), T_wc, step, None, motion)
+        depth, _ = self._depth_term(self._observed_surface(view.taken, view.camera, T_wc), T_wc, step, None, motion)
         images = self._image_term(self._appearance(view.taken, view.camera), references, T_wc, step, motion)
         return depth.sums.scaled(scale), images.sums.scaled(scale)
 
@@ -276,22 +293,32 @@ class MapAligner(Stateful):
         rows = None if motion is None else surface.rows
         return depth_term(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest, rows), normals
 
-    def _image_term(self, frame: Appearance, references: Sequence[Keyframe], T: Tensor, step: int, motion: FrameMotion | None) -> ImageTerm:
+    def _image_term(
+        self,
+        frame: Appearance,
+        references: Sequence[Keyframe],
+        T: Tensor,
+        step: int,
+        motion: FrameMotion | None,
+        recent: tuple[Landmarks, Tensor] | None = None,
+    ) -> ImageTerm:
         """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
         moments = motion is not None
         sums, photometric_error, seen, in_view, count = RowMoments.zeros(moments=moments), 0.0, 0, 0, 0
         parts: list[RowMoments] = []
         level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
-        for reference in references:
-            marks = self.landmarks(reference)
-            noise, widest = self.config.colour_noise, self.config.colour_robust
-            term = photometric_term(frame, marks, reference.T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
+        noise, widest = self.config.colour_noise, self.config.colour_robust
+        posed = [(self.landmarks(reference), reference.T_wk) for reference in references]
+        for i, (marks, T_wk) in enumerate([*posed, *([] if recent is None else [recent])]):
+            term = photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
+            if term.seen >= self.config.min_landmarks:
+                parts.append(term.sums.scaled(self.config.depth_noise**2))
+                sums = sums + parts[-1]
+            if i == len(posed):
+                continue  # the recent frame is no evidence
             count, in_view = count + len(marks.points), in_view + term.seen
-            if term.seen < self.config.min_landmarks:
-                continue
-            parts.append(term.sums.scaled(self.config.depth_noise**2))
-            sums = sums + parts[-1]
-            photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
+            if term.seen >= self.config.min_landmarks:
+                photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
         return ImageTerm(sums, photometric_error / max(seen, 1), in_view / count if count else 1.0, tuple(parts))
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:

@@ -72,6 +72,7 @@ class JointSolver:
 
     def __init__(self, T: Tensor, prior: MotionPrior, times: RowTimes, depth_noise: float) -> None:
         self.T, self.prior, self.times = T, prior, times
+        self._information = prior.with_reference_error
         self.velocity, self.reference_error = prior.velocity.copy(), np.zeros(6)
         self.scale = INDEPENDENT / depth_noise**2
 
@@ -82,10 +83,9 @@ class JointSolver:
 
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
         H, b = distorted(*joint_system(depth.sums, images.sums, self.times))
-        prior = self.prior.with_reference_error
         from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
-        b = self.scale * (b - H[:, 12:] @ self.reference_error) - prior @ np.concatenate(from_prior)
-        delta = np.linalg.solve(self.scale * H + prior, b)
+        b = self.scale * (b - H[:, 12:] @ self.reference_error) - self._information @ np.concatenate(from_prior)
+        delta = np.linalg.solve(self.scale * H + self._information, b)
         self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))
         self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]
         return float(np.abs(delta[:6]).max())
@@ -93,7 +93,7 @@ class JointSolver:
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
         """The velocity, and the covariance of pose and velocity."""
         H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
-        covariance = np.linalg.inv(self.scale * H + self.prior.with_reference_error)[:12, :12]
+        covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]
         return JointEstimate(self.velocity, np.asarray(covariance, np.float64))
 
 

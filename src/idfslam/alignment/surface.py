@@ -1,6 +1,6 @@
 """The points of a frame that are aligned to the map: one of each patch of its depth image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -9,6 +9,8 @@ from torch import Tensor
 from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.depth_noise import noise_ratio
+
+_NO_WEIGHT = 1e3  # [1] noise of a point that does not count. More: nothing; its weight is a millionth of any other's
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,10 @@ class Surface:
         patches = torch.where(kept, self.patches // step, -1)
         points, sigma, rows = (values[::step].contiguous() for values in (self.points, self.sigma, self.rows))
         return Surface(points, sigma, rows, patches)
+
+    def where(self, counts: Tensor) -> "Surface":
+        """The same points, of which only some count (N,)."""
+        return replace(self, sigma=self.sigma.where(counts, self.sigma.new_tensor(_NO_WEIGHT)))
 
 
 def surface_points(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:

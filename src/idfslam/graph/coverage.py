@@ -1,4 +1,7 @@
-"""Coverage: the depth that the mapped views observed, to which a mesh is restricted. Each view moves with its host keyframe."""
+"""Coverage: the depth that the mapped views observed, to which a mesh is restricted. Each view moves with its host keyframe.
+
+Alignments are restricted to it too (`observed_space`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,6 +14,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.observed_space import ObservedSpace
 from idfslam.storage.state import State, Stateful
 
 # Both were chosen by hand.
@@ -25,6 +29,7 @@ class Coverage(Stateful):
     def __init__(self, graph: KeyframeGraph) -> None:
         self.graph = graph
         self._views: list[tuple[int, DepthView]] = []  # host keyframe, and the view at its pose T_kc in the host
+        self.observed = ObservedSpace()
 
     def state(self) -> State:
         """The views."""
@@ -44,7 +49,7 @@ class Coverage(Stateful):
     def add(self, view: Keyframe) -> None:
         """Adds a view that the map learns from, relative to the host of the last keyframe."""
         host, T_kc = self.graph.relative_to_host(view.T_wk)
-        self._views.append((host, reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _ROWS)))
+        self._append(host, reduced_view(T_kc.numpy(), view.frame.depth, view.frame.camera, _ROWS))
         if len(self._views) > _MOST:
             del self._views[1::2]  # the views left are still spread over the whole run
 
@@ -60,9 +65,23 @@ class Coverage(Stateful):
         for view in views:
             k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
             T_kc = se3.inverse(self.graph.keyframes[k].T_wk).numpy() @ view.T_wc
-            self._views.append((k, DepthView(T_kc, view.depth, view.camera)))
+            self._append(k, DepthView(T_kc, view.depth, view.camera))
+
+    def follow(self, keyframes: Sequence[Keyframe]) -> None:
+        """Adds the new places of what the views of these keyframes, which have moved, observed."""
+        moved = {keyframe.host for keyframe in keyframes}
+        for host, view in self._views:
+            if host in moved:
+                self.observed.add(self._posed(host, view).points())
+
+    def _append(self, host: int, view: DepthView) -> None:
+        self._views.append((host, view))
+        self.observed.add(self._posed(host, view).points())
+
+    def _posed(self, host: int, view: DepthView) -> DepthView:
+        """A view at the present pose of its host keyframe."""
+        return DepthView(self.graph.keyframes[host].T_wk.numpy() @ view.T_wc, view.depth, view.camera)
 
     def views(self) -> list[DepthView]:
         """All views of the first submap, at the present poses of their host keyframes."""
-        hosted = [(self.graph.keyframes[k], view) for k, view in self._views if self.graph.keyframes[k].submap == 0]
-        return [DepthView(keyframe.T_wk.numpy() @ view.T_wc, view.depth, view.camera) for keyframe, view in hosted]
+        return [self._posed(host, view) for host, view in self._views if self.graph.keyframes[host].submap == 0]

@@ -43,10 +43,12 @@ class KeyframeSelection(Stateful):
         """Whether the frame appended last becomes a keyframe. A frame without depth, or whose pose is in doubt, never does.
 
         in_view: the share of the references' landmarks that the frame sees. step: see `Evidence`.
-        clear: whether its image is fit to be mapped.
+        clear: whether its brightness is about as usual. If not, a frame may be blurred or bent. One that is sharp and of one moment is
+        neither, only of another place: it becomes a keyframe all the same.
         """
         blurred = self._is_blurred(view)
-        if not view.has_depth or not clear or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
+        unfit = not clear and (blurred or not view.taken.frame.synchronised)
+        if not view.has_depth or unfit or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
         wide = step > WIDE
         if not wide and not self._is_needed(view, status, in_view):

@@ -145,6 +145,7 @@ class KeyframeMapping(BackEnd):
             with self.timer.stage("loops"):
                 moved = hook.on_keyframe(keyframe)
             self.relearn.add(moved.keyframes)
+            self.coverage.follow(moved.keyframes)
             if moved.split:
                 for other in self.hooks:
                     other.on_split()

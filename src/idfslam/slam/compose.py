@@ -98,7 +98,7 @@ class System:
     @cached_property
     def aligner(self) -> MapAligner:
         query = distance_query(self.mapper.published)
-        return MapAligner(self.config.alignment, query, self.config.field.truncation, self.generator)
+        return MapAligner(self.config.alignment, query, self.config.field.truncation, self.generator, self.coverage.observed.contains)
 
     @cached_property
     def registration(self) -> Registration:

@@ -24,6 +24,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_selection import WIDE
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.motion_compensation import MotionCompensation
+from idfslam.slam.recent_frame import RecentFrame
 from idfslam.slam.registered_pose import RegisteredPose
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
@@ -96,7 +97,7 @@ class AlignmentToMap(FrontEnd):
         """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by."""
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
-        self.rotation = ImageRotation()
+        self.rotation, self.recent = ImageRotation(), RecentFrame(aligner, frames)
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -146,6 +147,7 @@ class AlignmentToMap(FrontEnd):
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
         self.rotation.accept(lost=tracked.is_lost)
+        self.recent.accept(view, tracked)
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
         if self.compensation.accept(view, tracked, self._references()):
@@ -189,7 +191,9 @@ class AlignmentToMap(FrontEnd):
 
     def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
         with self.timer.stage("align"):
-            return self.aligner.align(view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion)
+            return self.aligner.align(
+                view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion, recent=self.recent.reference()
+            )
 
     def _guesses(self) -> list[tuple[_Guess, float | None]]:
         """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""

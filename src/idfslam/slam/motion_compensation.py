@@ -63,7 +63,7 @@ class MotionCompensation(Stateful):
         Returns the prior of its motion. None: all its rows have one time, as far as is known, and the view is unchanged.
         """
         self._raw, self._prior = None, None
-        if view.taken.frame.timing == SYNCHRONISED and view.taken.frame.depth_lag == 0:
+        if view.taken.frame.synchronised:
             return None
         self._raw, self._stated = view.taken.frame, view.taken.frame.timing
         self.motion.follow(T_last)

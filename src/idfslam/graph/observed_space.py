@@ -1,0 +1,66 @@
+"""Where the map has observed a surface: cells of space in which views that the map learnt from have readings of depth.
+
+Beyond them a neural map continues its surfaces as it likes. A frame that is aligned to what was never seen drifts away with it.
+"""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.storage.state import State, Stateful
+
+# [m] Edge of a cell: about the truncation distance. A place is observed if a reading lies within half an edge of it along each axis, and
+# places beyond one and a half edges are not. More: more of what a map invents beyond its border counts. Less: an error of a pose hides what
+# was observed.
+_CELL = 0.06
+_BITS = 21  # of a cell's place along each axis: 120 km at this edge
+_ORIGIN = 1 << _BITS - 1
+_NEIGHBOURS = np.array(list(itertools.product((-1, 1), repeat=3)))  # of a half cell: the cells within half an edge
+
+
+class ObservedSpace(Stateful):
+    """The cells in which readings lie. Cells are never left: a loop moves a surface by less than a cell, or adds its new place."""
+
+    def __init__(self) -> None:
+        self._cells = np.zeros(0, np.int64)  # their keys, ascending
+
+    def state(self) -> State:
+        """The cells."""
+        return {"cells": torch.from_numpy(self._cells)}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._cells = state["cells"].numpy().copy()
+
+    def add(self, points: NDArray[np.floating]) -> None:
+        """Adds the cells of readings (N, 3) [m] in the world, and for each reading the seven others that are nearest to it."""
+        halves = np.unique(_keys(np.floor(points / (_CELL / 2))))
+        keys = np.unique(_keys((_places(halves)[:, None] + _NEIGHBOURS) // 2))
+        new = keys[~self._known(keys)]
+        if len(new):
+            self._cells = np.sort(np.concatenate([self._cells, new]))
+
+    def contains(self, points: Tensor) -> Tensor:
+        """Whether points (N, 3) [m] of the world lie in observed cells, (N,)."""
+        return torch.from_numpy(self._known(_keys(np.floor(points.detach().cpu().numpy() / _CELL)))).to(points.device)
+
+    def _known(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+        if not len(self._cells):
+            return np.zeros(len(keys), bool)
+        place = np.searchsorted(self._cells, keys).clip(max=len(self._cells) - 1)
+        return np.asarray(self._cells[place] == keys)
+
+
+def _keys(places: NDArray[Any]) -> NDArray[np.int64]:
+    """A number for each of some cells, whose places are whole numbers (..., 3)."""
+    x, y, z = np.moveaxis(places.astype(np.int64) + _ORIGIN, -1, 0)
+    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
+
+
+def _places(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The inverse of `_keys`: places (N, 3)."""
+    return np.stack([keys >> 2 * _BITS, (keys >> _BITS) & (2 * _ORIGIN - 1), keys & (2 * _ORIGIN - 1)], -1) - _ORIGIN

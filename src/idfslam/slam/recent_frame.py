@@ -1,0 +1,62 @@
+"""A recent frame as one more reference of the alignment, where the keyframes show little of the present view.
+
+While the camera turns into new ground, its images may be too blurred to be mapped, and no keyframe is made. Then the last keyframe sees
+less and less of the view. A frame of a moment ago sees nearly all of it, and is as blurred. So the pose follows the image from frame to
+frame, and drifts little until the next keyframe.
+"""
+
+from torch import Tensor
+
+from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.photometric import Landmarks
+from idfslam.geometry import se3
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import State, Stateful
+
+# Both were chosen by hand on generated hand-held recordings and on fr1/rpy.
+# [1] Share of the keyframes' landmarks in view from which these are enough. More: a recent frame is used more often, which is slower.
+_ENOUGH = 0.7
+# [1] Share of the recent frame's landmarks in view below which a newer frame takes its place. More: it is replaced more often, and each
+# time its own error stays in the poses.
+_SHARED = 0.95
+
+
+class RecentFrame(Stateful):
+    """Keeps the landmarks of a recent frame while they are needed."""
+
+    def __init__(self, aligner: MapAligner, frames: FramePoses) -> None:
+        self.aligner, self.frames = aligner, frames
+        self._landmarks: Landmarks | None = None  # None: the keyframes are enough
+        self._index = 0  # of the recent frame
+
+    def state(self) -> State:
+        """The landmarks and the frame's index."""
+        marks = self._landmarks
+        kept = None if marks is None else {"points": marks.points, "luminance": marks.luminance, "slopes": marks.slopes}
+        return {"landmarks": kept, "index": self._index}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        kept = state["landmarks"]
+        self._landmarks, self._index = None if kept is None else Landmarks(**kept), state["index"]
+
+    def reference(self) -> tuple[Landmarks, Tensor] | None:
+        """The landmarks of the recent frame, and its pose (4, 4); None where the keyframes are enough."""
+        return None if self._landmarks is None else (self._landmarks, self.frames.T_wc(self._index))
+
+    def accept(self, view: Keyframe, tracked: Tracked) -> None:
+        """Takes over the last frame, if one is needed and the one before shares too little with it."""
+        if tracked.is_lost or tracked.evidence.in_view >= _ENOUGH:
+            self._landmarks = None
+        elif view.has_depth and self._shared(view, tracked.T_wc) < _SHARED:
+            self._landmarks, self._index = self.aligner.landmarks(view), view.index
+
+    def _shared(self, view: Keyframe, T_wc: Tensor) -> float:
+        """The share of the landmarks that a view at this pose (4, 4) sees; 0 without landmarks."""
+        if (reference := self.reference()) is None:
+            return 0.0
+        marks, T_wr = reference
+        points = se3.transform((se3.inverse(T_wc) @ T_wr).to(marks.points), marks.points)
+        return float(view.camera.inside(*view.camera.project(points)).float().mean()) if len(points) else 0.0
