@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.differences import differences
 from helpers.three_walls import CORNER, EYE, view
 from idfslam.config import FAST, PAPER
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -70,6 +71,24 @@ def test_it_can_be_switched_off() -> None:
     assert isinstance(Slam(FAST).segmentation, FreeSpaceSegmentation)
     assert isinstance(Slam(replace(FAST, movers="off")).segmentation, NoSegmentation)
     assert isinstance(Slam(PAPER).segmentation, NoSegmentation)
+
+
+@pytest.mark.slow
+def test_a_restored_run_masks_what_the_unbroken_one_masks() -> None:
+    recording = SyntheticRoom(1, 70, 320, 240, noise=True, movers="people")
+    slam, again = Slam(FAST), Slam(FAST)
+    for i in range(64):
+        slam.process(recording[i])
+    again.restore(slam.state(), lambda i: recording[i])
+    assert list(differences(slam, again, "slam")) == []
+    for i in range(64, 70):
+        one, other = slam.process(recording[i]), again.process(recording[i])
+        np.testing.assert_array_equal(one.T_wc, other.T_wc)
+        np.testing.assert_array_equal(one.moving, other.moving)
+    assert one.moving_share > 0.1
+    masked = [keyframe.moving is not None for keyframe in again.graph.keyframes]
+    assert any(masked)
+    assert masked == [keyframe.moving is not None for keyframe in slam.graph.keyframes]
 
 
 @pytest.mark.slow
