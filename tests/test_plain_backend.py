@@ -22,6 +22,7 @@ from idfslam.datasets import open_recording
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.slam import Slam
+from idfslam.views.image_based_rendering import MapViews
 
 SMALL = replace(
     small(),
@@ -78,7 +79,10 @@ def run(recording: Path, device: str, *, plain: bool) -> Run:
         frames[BLANK] = Frame.blank(frames[BLANK].index, frames[BLANK].timestamp, data.camera)
         results = [slam.process(frame) for frame in frames]
         slam.finish()
-        depth = SavedMap(slam.mapper.learnt(), slam.coverage.views()).render(np.eye(4), data.camera)[1]
+        saved, archive = SavedMap(slam.mapper.learnt(), slam.coverage.views()), slam.archive()
+        depth = saved.render(np.eye(4), data.camera)[1]
+        assert archive is not None
+        MapViews(saved, archive).render(np.eye(4), data.camera.resized(40, 30))
         return Run(results, slam.trajectory(), [k.index for k in slam.graph.keyframes], slam.mesh(CELL).bounds, depth, kernels)
 
 

@@ -2,13 +2,21 @@
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 from helpers.painted_wall import BOX, CAMERA, HALF, WALL, at, painted
 from idfslam.views.encoded_view import encode
 from idfslam.views.image_archive import ImageArchive, archive_of
-from idfslam.views.surface_colour import as_exposed, from_images, of_archive, of_frames, recoloured, seen_colours
+from idfslam.views.surface_colour import (
+    as_exposed,
+    compiled_gather,
+    from_images,
+    of_archive,
+    of_frames,
+    plain_gather,
+    recoloured,
+    seen_colours,
+)
 
 NORMAL = np.array([[0.0, 0.0, -1.0]], np.float32)
 
@@ -78,15 +86,19 @@ def test_a_mesh_gets_them_at_its_vertices() -> None:
     assert np.abs(colours[front] / 255 - true).mean() < 0.03
 
 
-def test_plain_numpy_gives_the_same() -> None:
-    """Against the formula of the weights, written out for one image and one point."""
-    frame, T = painted(0, at(0.1)), at(0.1)
-    point = np.array([[0.7, 0.2, WALL]], np.float32)
-    found, seen = seen_colours(point, NORMAL, lambda: of_frames([(frame, T)]))
-    local = torch.from_numpy((point - T[:3, 3]).astype(np.float32))
-    (u, v) = CAMERA.project(local)[0][0].numpy()
-    i, j, a, b = int(v), int(u), v % 1, u % 1
-    c = np.round(frame.colour * 255)
-    expected = (c[i, j] * (1 - b) + c[i, j + 1] * b) * (1 - a) + (c[i + 1, j] * (1 - b) + c[i + 1, j + 1] * b) * a
-    assert seen[0]
-    np.testing.assert_allclose(found[0] * 255, expected, atol=0.1)
+def test_the_compiled_form_is_the_plain_one() -> None:
+    images = archive([-0.3, 0.0, 0.2], [1.0, 1.1, 1.2])
+    points, colour = wall(np.linspace(-0.9, 0.9, 40), np.linspace(-0.6, 0.6, 30))
+    normals = np.random.default_rng(0).normal(0, 0.4, points.shape).astype(np.float32) + NORMAL
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for expected in (None, colour):
+        sums = []
+        for gather in (compiled_gather, plain_gather):
+            total, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+            for image in of_archive(images):
+                gather(points, normals, image, expected, total, weights)
+            sums.append((total, weights))
+        np.testing.assert_array_equal(sums[0][1] > 0, sums[1][1] > 0)
+        assert 0.5 < (sums[0][1] > 0).mean() < 0.99
+        np.testing.assert_allclose(sums[0][1], sums[1][1], rtol=2e-3, atol=1e-6)
+        np.testing.assert_allclose(sums[0][0], sums[1][0], rtol=5e-3, atol=1e-5)

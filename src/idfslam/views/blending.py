@@ -66,9 +66,23 @@ def plain_blended(points: Floats, centre: Floats, images: BlendedImages) -> tupl
 
 def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> tuple[Floats, Floats, Floats]:
     """The weights (N,) of the k-th image at points (N, 3) if it saw them well, as it sees them, and its colours (N, 3) there."""
-    camera, depth = images.camera, images.depths[k]
-    local = points @ images.T_kw[k, :, :3].T + images.T_kw[k, :, 3]
-    uv, z = (part.numpy() for part in camera.project(torch.from_numpy(local)))
+    weight, colour = seen_in_image(points, images.T_kw[k], images.camera, images.colours[k], images.depths[k], images.off_edges[k], UNREAD)
+    to_view, to_image = points - centre, points - images.centres[k]
+    from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
+    cosine = (to_view * to_image).sum(1) / (from_view * from_image)
+    angle = np.sqrt(np.maximum(0, 2 * (1 - cosine))) + COARSE * np.maximum(0, 1 - from_view / from_image)
+    most = (images.base[k] * np.exp(-angle / ANGLE)).astype(np.float32)
+    return most, weight * most, colour
+
+
+def seen_in_image(
+    points: Floats, T_cw: Floats, camera: Camera, colour: NDArray[np.uint8], depth: Floats, off_edges: Floats, unread: float
+) -> tuple[Floats, Floats]:
+    """How well an image sees points (N, 3), as a weight (N,), and its colours (N, 3) there, of 255, in numpy.
+
+    T_cw (3, 4): its pose. depth, off_edges (h, w): see `BlendedImages`. unread: the weight where it has no depth.
+    """
+    uv, z = (part.numpy() for part in camera.project(torch.from_numpy(points @ T_cw[:, :3].T + T_cw[:, 3])))
     border = np.minimum(np.minimum(uv[:, 0], camera.width - 1 - uv[:, 0]), np.minimum(uv[:, 1], camera.height - 1 - uv[:, 1]))
     shown = (z >= NEAREST) & (border >= 0)
     u, v = (np.where(shown, part, 0) for part in uv.T)
@@ -78,17 +92,13 @@ def _of_image(points: Floats, centre: Floats, images: BlendedImages, k: int) -> 
     around = np.pad(depth, 1)
     near = np.stack([around[row + 1 + i, column + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
     off = np.where(near > 0, np.abs(near - z), np.inf).min(0)
-    agrees = off < AGREES + AGREES_SHARE * z**2
-    weight = np.where(np.isinf(off), UNREAD, agrees) * images.off_edges[k][row, column]
+    weight = np.where(np.isinf(off), unread, off < AGREES + AGREES_SHARE * z**2) * off_edges[row, column]
     weight = weight * np.minimum(1, (border + 1) / BORDER) * (shown & (depth[row, column] >= 0))
-    to_view, to_image = points - centre, points - images.centres[k]
-    from_view, from_image = np.linalg.norm(to_view, axis=1), np.linalg.norm(to_image, axis=1)
-    cosine = (to_view * to_image).sum(1) / (from_view * from_image)
-    angle = np.sqrt(np.maximum(0, 2 * (1 - cosine))) + COARSE * np.maximum(0, 1 - from_view / from_image)
-    place = np.stack([u, v]).astype(np.float32)
-    colour = cv2.remap(images.colours[k].astype(np.float32), place[0], place[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    most = (images.base[k] * np.exp(-angle / ANGLE)).astype(np.float32)
-    return most, weight * most, colour.reshape(-1, 3)
+    column, row = u.astype(int), v.astype(int)
+    right, below = np.minimum(column + 1, camera.width - 1), np.minimum(row + 1, camera.height - 1)
+    a, b = (u - column)[:, None], (v - row)[:, None]
+    top, bottom = (colour[at, column] * (1 - a) + colour[at, right] * a for at in (row, below))
+    return weight.astype(np.float32), (top * (1 - b) + bottom * b).astype(np.float32)
 
 
 def off_edge(depth: Floats, lit: NDArray[np.bool_] | None = None) -> Floats:

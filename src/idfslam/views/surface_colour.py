@@ -9,18 +9,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.compute.backend import pick
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import intrinsics_of
-from idfslam.views.blending import Floats, off_edge
+from idfslam.views.blending import Floats, off_edge, seen_in_image
 from idfslam.views.image_archive import ImageArchive
+from idfslam.views.weights import LEAST_COSINE, OUTLIER, SHARPNESS
 
 Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N, 3) -> RGB (N, 3) in [0, 1]
-
-OUTLIER = 0.1  # [1] difference of a colour from the mean at which an image counts half. More: ghosts. Less: seams. Chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +93,38 @@ def recoloured(mesh: trimesh.Trimesh, archive: ImageArchive) -> trimesh.Trimesh:
 
 def _mean(points: Floats, normals: Floats, images: Iterable[PosedColours], expected: Floats | None) -> tuple[Floats, NDArray[np.bool_]]:
     """The weighted mean (N, 3) of the colours of points (N, 3), and where there is one (N,). expected: the mean of a round before."""
-    from idfslam.views.kernels import numba_surface
-
     total, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
-    compared, scale = (total, np.float32(np.inf)) if expected is None else (expected, np.float32(OUTLIER))
+    gather = pick(torch.empty(0), compiled=compiled_gather, plain=plain_gather)
     for image in images:
-        T_cw, centre = np.linalg.inv(image.T_wc)[:3].astype(np.float32), image.T_wc[:3, 3].astype(np.float32)
-        intrinsics = np.array(intrinsics_of(image.camera), np.float32)
-        shown = image.colour, image.depth, off_edge(image.depth, image.lit), image.gain / np.float32(255), image.offset
-        numba_surface.gather(points, normals, T_cw, centre, intrinsics, *shown, compared, scale, total, weights)
+        gather(points, normals, image, expected, total, weights)
     seen = weights > 0
     return total / np.maximum(weights, np.float32(1e-30))[:, None], seen
+
+
+def compiled_gather(points: Floats, normals: Floats, image: PosedColours, expected: Floats | None, total: Floats, weights: Floats) -> None:
+    """Adds the weighted colours of points (N, 3), with normals (N, 3), in an image to total (N, 3), and the weights to weights (N,).
+
+    expected (N, 3): what differs from it counts less; None: nothing is expected.
+    """
+    from idfslam.views.kernels import numba_surface
+
+    compared, scale = (total, np.float32(np.inf)) if expected is None else (expected, np.float32(OUTLIER))
+    T_cw, centre = np.linalg.inv(image.T_wc)[:3].astype(np.float32), image.T_wc[:3, 3].astype(np.float32)
+    intrinsics = np.array(intrinsics_of(image.camera), np.float32)
+    shown = image.colour, image.depth, off_edge(image.depth, image.lit), image.gain / np.float32(255), image.offset
+    numba_surface.gather(points, normals, T_cw, centre, intrinsics, *shown, compared, scale, total, weights)
+
+
+def plain_gather(points: Floats, normals: Floats, image: PosedColours, expected: Floats | None, total: Floats, weights: Floats) -> None:
+    """`compiled_gather` in numpy."""
+    T_cw = np.linalg.inv(image.T_wc)[:3].astype(np.float32)
+    weight, colour = seen_in_image(points, T_cw, image.camera, image.colour, image.depth, off_edge(image.depth, image.lit), 0.0)
+    colour = colour * image.gain / np.float32(255) + image.offset
+    towards = image.T_wc[:3, 3].astype(np.float32) - points
+    distance = np.linalg.norm(towards, axis=1)
+    cosine = (towards * normals).sum(1) / distance
+    weight = np.where(cosine < LEAST_COSINE, 0, weight * (np.maximum(cosine, 0) / distance) ** SHARPNESS)
+    if expected is not None:
+        weight = weight / (1 + ((colour - expected) ** 2).sum(1) / OUTLIER**2)
+    total += (weight[:, None] * colour).astype(np.float32)
+    weights += weight.astype(np.float32)

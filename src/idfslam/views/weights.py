@@ -16,4 +16,7 @@ UNREAD = 1.0  # [1] weight of an image without depth around a place, against one
 SAME = 0.02  # [m] difference of two depths of a view up to which they are of one surface, plus
 SAME_SHARE = 0.01  # [1/m] this share of the squared depth. More: thin things melt into what is behind them
 OFF_EDGE = 4.0  # [px] of a depth image from its silhouettes within which its weight falls off. More: fewer images count near silhouettes
+OUTLIER = 0.1  # [1] difference of a surface's colour from the mean at which an image counts half. More: ghosts. Less: seams
+LEAST_COSINE = 0.1  # [1] of the angle between a surface's normal and the ray. More: slanted views colour nothing
+SHARPNESS = 6  # exponent of cosine over distance, the weight of an image of a surface. More: the best image dominates: sharper, with seams
 LEAST_OFF_EDGE = 0.1  # [1] weight on a silhouette itself. Less: holes there

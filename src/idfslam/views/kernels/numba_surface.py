@@ -5,10 +5,9 @@ from numba import njit, prange
 
 from idfslam.geometry.projection import project
 from idfslam.views.kernels.numba_views import sample, weight_of_image
+from idfslam.views.weights import LEAST_COSINE, NEAREST, SHARPNESS
 
-_NEAREST = np.float32(0.05)  # [m] points nearer to the camera are not coloured by it; raised, close-ups colour less. Chosen by hand
-_LEAST_COSINE = np.float32(0.1)  # [1] of the angle between normal and ray. More: slanted views colour nothing. Chosen by hand
-_SHARPNESS = 6  # exponent of a view's weight. More: the best view of a point dominates: sharper, with seams. Chosen by hand
+_NEAREST, _LEAST_COSINE = np.float32(NEAREST), np.float32(LEAST_COSINE)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
@@ -36,7 +35,7 @@ def gather(points, normals, T_cw, centre, intrinsics, colour, depth, off_edge, g
         g = sample(colour, u, v, 1) * gain[1] + offset[1]
         b = sample(colour, u, v, 2) * gain[2] + offset[2]
         off = ((r - expected[i, 0]) ** 2 + (g - expected[i, 1]) ** 2 + (b - expected[i, 2]) ** 2) / (scale * scale)
-        weight *= (cosine / distance) ** _SHARPNESS / (_ONE + off)
+        weight *= (cosine / distance) ** SHARPNESS / (_ONE + off)
         total[i, 0] += weight * r
         total[i, 1] += weight * g
         total[i, 2] += weight * b
