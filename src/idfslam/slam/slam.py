@@ -77,7 +77,7 @@ class Slam:
         with self.back_end.foreground():
             view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
             self.segmentation.predict(view)
-            tracked = self.segmentation.segment(view, self._track(view, mode))  # Sec. V
+            tracked = self._track(view, mode)  # Sec. V
             if is_held_out(frame.index, self.config.hold_out):
                 tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
             view.T_wk = tracked.T_wc
@@ -99,10 +99,10 @@ class Slam:
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. The first frame with depth defines the world."""
         if not self.graph.keyframes:
-            return Tracked.first(view.T_wk, has_depth=view.has_depth)
+            return self.segmentation.segment(view, Tracked.first(view.T_wk, has_depth=view.has_depth))
         T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
         tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end.track)
-        tracked = self.recovery.recover(view, tracked)
+        tracked = self.segmentation.segment(view, self.recovery.recover(view, tracked))
         self.front_end.accept(view, tracked)
         if mode is Mode.TRACKING and tracked.continues_motion:
             information = None if tracked.alignment is None else tracked.alignment.information
