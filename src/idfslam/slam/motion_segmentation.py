@@ -34,7 +34,7 @@ _BETTER, _AS_USUAL = 0.62, 1.1
 _DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
 # [frames] before the next trial after one that did not help; twice as many after each further one, and as usual after a frame that fits.
 # More: faster, and movement is noticed later.
-_WAITS, _MOST_WAITS = 4, 32
+_WAITS, _MOST_WAITS = 1, 32
 # [frames] passed over between two that are segmented while nothing moves. More: faster, and what begins to move is found later.
 _PASSED_OVER = 2
 _RATE = 0.05  # [1] of the running mean of photometric errors. More: what is usual follows the last frames faster
@@ -109,7 +109,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
         error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
         if not self._usual_error or (error <= _UNUSUAL * self._usual_error and not tracked.is_lost):
-            self._next_wait = _WAITS
+            self._next_wait = _WAITS if error <= _AS_USUAL * self._usual_error else self._next_wait
             return tracked
         if self._waits:
             return tracked
