@@ -26,6 +26,7 @@ from idfslam.storage.state import State
 
 # All of these were chosen by hand.
 _ROWS = 120  # of the images that are compared: means of pixels have little noise. More: slower, and exacter near edges
+_STRIDE = 3  # [pixels] every so many of them are compared. More: faster, and noisier. Neighbours err together, so little is lost
 _REFERENCES = 2  # the oldest and the newest so many covisible keyframes are compared with. More: slower, and surer
 _NOISE = 0.005  # [1] standard deviation of a colour in such an image. More: flat places count less against places with a slope
 _SLIP = 0.7  # [px] of such an image by which two views miss one another. More: places on slopes of brightness count less
@@ -133,7 +134,7 @@ class LightEstimation(KeyframeHook):
     def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
         """Compares the places that keyframe a sees and keyframe b sees too."""
         of_a, of_b = self._thumbnail(a), self._thumbnail(b)
-        v, u = torch.nonzero(of_a.depth > 0, as_tuple=True)
+        v, u = (axis[::_STRIDE] for axis in torch.nonzero(of_a.depth > 0, as_tuple=True))
         uv = torch.stack([u, v], -1).to(of_a.depth)
         T_ba = (se3.inverse(b.T_wk) @ a.T_wk).to(of_a.depth)
         points = se3.transform(T_ba, of_a.camera.rays(uv) * of_a.depth[v, u][:, None])
