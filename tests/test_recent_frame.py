@@ -41,8 +41,10 @@ class Recents:
         self.poses: list[Tensor] = []
         self.recent = RecentFrame(self.aligner, cast(FramePoses, SimpleNamespace(T_wc=lambda i: self.poses[i])))
 
-    def accept(self, T_wc: Tensor, in_view: float, status: Status = Status.OK) -> tuple[Landmarks, Tensor] | None:
-        self.recent.accept(view_at(T_wc, len(self.poses)), tracked_at(T_wc, in_view, status))
+    def accept(
+        self, T_wc: Tensor, in_view: float, status: Status = Status.OK, keyframe: Keyframe | None = None
+    ) -> tuple[Landmarks, Tensor] | None:
+        self.recent.accept(view_at(T_wc, len(self.poses)), tracked_at(T_wc, in_view, status), [] if keyframe is None else [keyframe])
         self.poses.append(T_wc)
         return self.recent.reference()
 
@@ -53,6 +55,13 @@ def test_a_recent_frame_is_used_only_where_keyframes_show_little() -> None:
     reference = recents.accept(turned(1), 0.6)
     assert reference is not None and torch.equal(reference[1], turned(1))
     assert recents.accept(turned(2), 0.8) is None
+
+
+def test_landmarks_that_somebody_hides_need_no_recent_frame() -> None:
+    """Few of them are seen, but they lie within the view: the camera did not turn away."""
+    recents, keyframe = Recents(), view_at(EYE, 0)
+    assert recents.accept(turned(5), 0.3, keyframe=keyframe) is None
+    assert recents.accept(turned(30), 0.3, keyframe=keyframe) is not None
 
 
 def test_a_newer_frame_takes_its_place_once_too_little_of_it_is_in_view() -> None:

@@ -7,9 +7,10 @@ import pytest
 
 from idfslam.compute.backend import plain_torch
 from idfslam.datasets.generated.room import SyntheticRoom
+from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.segmentation.carrying import carried
-from idfslam.segmentation.coarse_view import CoarseView, cell_size, cells_camera, coarse_view, in_pixels
+from idfslam.segmentation.coarse_view import CoarseView, cell_size, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.constants import SIGMAS, SLACK
 from idfslam.segmentation.free_space import PosedView, plain_vote, sigma, votes
 from idfslam.segmentation.memory import Memory
@@ -57,6 +58,20 @@ def test_a_cell_has_its_median_and_the_extremes_around_it() -> None:
     assert view.near[8, 10] == 2.0
     assert view.bright[11, 11] == pytest.approx(0.9)
     assert view.brightness[10, 10] == pytest.approx(0.5 + 0.4 / 9)
+
+
+@pytest.mark.parametrize("height", [240, 480, 484, 720])
+def test_a_thinned_frame_has_the_same_cells(height: int) -> None:
+    """Of 480 and 484 rows a cell has 6 pixels, of which 3 are read. Of 240 it has 3. Of 720 it has 9, and the last column is cut off."""
+    generator = np.random.default_rng(0)
+    camera = Camera(640, height, 525.0, 525.0, 319.5, height / 2 - 0.5)
+    depth = generator.uniform(0, 4, (height, 640)).astype(np.float32) * (generator.random((height, 640)) > 0.1)
+    frame = Frame(0, 0.0, generator.random((height, 640, 3), np.float32), depth, camera)
+    small = thinned(frame)
+    assert small.depth.shape[0] == {240: 240, 480: 240, 484: 242, 720: 720}[height]
+    whole, part = (coarse_view(of.depth, of.colour, of.camera) for of in (frame, small))
+    for name in ("depth", "near", "far", "brightness", "dark", "bright"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name))
 
 
 def test_free_space_is_not_known_beside_holes() -> None:

@@ -102,7 +102,7 @@ class Keyframe:
 
         A stored keyframe has the rectified ones alone.
         """
-        return self._without_movers("taken", self._as_taken)
+        return self._without_movers("taken", self.taken_unmasked)
 
     @property
     def rectification_of_taken(self) -> Rectification | None:
@@ -110,7 +110,8 @@ class Keyframe:
         return None if self._taken is None else self.rectification
 
     @property
-    def _as_taken(self) -> Images:
+    def taken_unmasked(self) -> Images:
+        """The same with what moves."""
         return self._taken or self.unmasked
 
     def hide(self, moving: NDArray[np.bool_] | None) -> None:
@@ -134,7 +135,7 @@ class Keyframe:
 
     def rectify(self, rectification: Rectification) -> None:
         """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
-        self._taken, self._images, self.rectification = self._as_taken, None, rectification
+        self._taken, self._images, self.rectification = self.taken_unmasked, None, rectification
         self._shown.clear()
         self._features = self._images_at = self._features_at = self._checksum = None
         for name in ("farthest", "has_depth"):

@@ -1,11 +1,12 @@
 """A coarse view: the depth and brightness of an image in cells, with what lies around each cell, for comparisons with other views."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.segmentation.constants import ROWS, SAMPLES
 from idfslam.segmentation.plain_form import form
@@ -59,6 +60,24 @@ def coarse_view(depth: Image, colour: Image, camera: Camera) -> CoarseView:
     parts = [np.empty((small.height, small.width), np.float32) for _ in range(6)]
     form(numba_segmentation.coarsen)(depth, colour, cell, max(1, cell // SAMPLES), *parts)
     return CoarseView(small, *parts)
+
+
+def thinned(frame: Frame) -> Frame:
+    """The frame with those pixels alone that its coarse view reads: it is rectified in a fraction of the time.
+
+    Returns the frame itself where its cells would become others.
+    """
+    c, step = frame.camera, max(1, cell_size(frame.camera) // SAMPLES)
+    first = step // 2
+    colour, depth = (np.ascontiguousarray(image[first::step, first::step]) for image in (frame.colour, frame.depth))
+    focal, centre = (c.fx / step, c.fy / step), ((c.cx - first) / step, (c.cy - first) / step)
+    small = Camera(depth.shape[1], depth.shape[0], *focal, *centre)
+    same = cell_size(c) == step * cell_size(small) and _size(cells_camera(c)) == _size(cells_camera(small))
+    return replace(frame, colour=colour, depth=depth, camera=small) if same else frame
+
+
+def _size(camera: Camera) -> tuple[int, int]:
+    return camera.width, camera.height
 
 
 def in_pixels(cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:

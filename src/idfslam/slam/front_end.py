@@ -147,7 +147,7 @@ class AlignmentToMap(FrontEnd):
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
         self.rotation.accept(lost=tracked.is_lost)
-        self.recent.accept(view, tracked)
+        self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
         if self.compensation.accept(view, tracked, self._references()):
@@ -190,9 +190,10 @@ class AlignmentToMap(FrontEnd):
         return best, registered
 
     def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
+        recent = None if view.moving is not None else self.recent.reference()  # it may show what moves, too
         with self.timer.stage("align"):
             return self.aligner.align(
-                view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion, recent=self.recent.reference()
+                view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion, recent=recent
             )
 
     def _guesses(self) -> list[tuple[_Guess, float | None]]:

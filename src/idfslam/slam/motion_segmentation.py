@@ -15,8 +15,9 @@ from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels
+from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.memory import Memory
+from idfslam.sensing.rectification import rectified
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
@@ -179,8 +180,12 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
 
 def _coarse(view: Keyframe) -> CoarseView:
-    frame = view.unmasked.frame
-    return coarse_view(frame.depth, frame.colour, frame.camera)
+    """The coarse view of all that a view shows. Most frames are never rectified, so those pixels that it reads are rectified alone."""
+    if (rectification := view.rectification_of_taken) is None:
+        frame = thinned(view.unmasked.frame)
+    else:
+        frame = rectified(thinned(view.taken_unmasked.frame), rectification)
+    return replace(coarse_view(frame.depth, frame.colour, frame.camera), camera=cells_camera(view.camera))
 
 
 def _relative(host: int, T_kc: object) -> tuple[int, NDArray[np.float64]]:
@@ -189,7 +194,7 @@ def _relative(host: int, T_kc: object) -> tuple[int, NDArray[np.float64]]:
 
 def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
     """The result for a view: degenerate, with a larger covariance, if what moves leaves little of it."""
-    readings = view.unmasked.frame.depth > 0
+    readings = view.taken_unmasked.frame.depth > 0
     share = 0.0 if view.moving is None else float((view.moving & readings).sum() / max(readings.sum(), 1))
     if share < _CROWDED or tracked.status is not Status.OK:
         return tracked

@@ -5,6 +5,9 @@ less and less of the view. A frame of a moment ago sees nearly all of it, and is
 frame, and drifts little until the next keyframe.
 """
 
+from collections.abc import Sequence
+
+import torch
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
@@ -16,7 +19,8 @@ from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
 # Both were chosen by hand on generated hand-held recordings and on fr1/rpy.
-# [1] Share of the keyframes' landmarks in view from which these are enough. More: a recent frame is used more often, which is slower.
+# [1] Share of the keyframes' landmarks within the view from which these are enough. More: a recent frame is used more often, and costs
+# time.
 _ENOUGH = 0.7
 # [1] Share of the recent frame's landmarks in view below which a newer frame takes its place. More: it is replaced more often, and each
 # time its own error stays in the poses.
@@ -46,17 +50,27 @@ class RecentFrame(Stateful):
         """The landmarks of the recent frame, and its pose (4, 4); None where the keyframes are enough."""
         return None if self._landmarks is None else (self._landmarks, self.frames.T_wc(self._index))
 
-    def accept(self, view: Keyframe, tracked: Tracked) -> None:
-        """Takes over the last frame, if one is needed and the one before shares too little with it."""
-        if tracked.is_lost or tracked.evidence.in_view >= _ENOUGH:
+    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> None:
+        """Takes over the last frame, if one is needed and the one before shares too little with it. references: it was aligned to these."""
+        if tracked.is_lost or tracked.evidence.in_view >= _ENOUGH or self._within(view, tracked.T_wc, references) >= _ENOUGH:
             self._landmarks = None
         elif view.has_depth and self._shared(view, tracked.T_wc) < _SHARED:
             self._landmarks, self._index = self.aligner.landmarks(view), view.index
 
+    def _within(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
+        """The share of the keyframes' landmarks that lie within a view at this pose (4, 4). Somebody may stand before them."""
+        marks = [(self.aligner.landmarks(reference).points, reference.T_wk) for reference in references]
+        inside = [_inside(view, T_wc, points, T_wk) for points, T_wk in marks]
+        return float(torch.cat(inside).float().mean()) if inside else 0.0
+
     def _shared(self, view: Keyframe, T_wc: Tensor) -> float:
-        """The share of the landmarks that a view at this pose (4, 4) sees; 0 without landmarks."""
-        if (reference := self.reference()) is None:
+        """The same of the recent frame's landmarks; 0 without any."""
+        if (reference := self.reference()) is None or not len(reference[0].points):
             return 0.0
-        marks, T_wr = reference
-        points = se3.transform((se3.inverse(T_wc) @ T_wr).to(marks.points), marks.points)
-        return float(view.camera.inside(*view.camera.project(points)).float().mean()) if len(points) else 0.0
+        return float(_inside(view, T_wc, reference[0].points, reference[1]).float().mean())
+
+
+def _inside(view: Keyframe, T_wc: Tensor, points: Tensor, T_wk: Tensor) -> Tensor:
+    """Whether points (N, 3) along the axes of a camera at T_wk (4, 4) lie within a view at T_wc, (N,)."""
+    seen = se3.transform((se3.inverse(T_wc) @ T_wk).to(points), points)
+    return view.camera.inside(*view.camera.project(seen))
