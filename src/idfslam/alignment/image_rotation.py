@@ -17,11 +17,12 @@ from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.
 _STEPS = 6  # Gauss-Newton steps a level. More: turns of more than five degrees are found more often, slower
-_CONVERGED = 1e-3  # [rad] A step below this is the last of its level: a hundredth of a pixel
+_CONVERGED = 1e-3  # [rad] A step below this is the last of its level: a twentieth of a pixel. More: faster, and less exact
 _TURN = 0.1  # [rad] Standard deviation of an unforeseen turn. More: images with little texture turn the prediction more
 _FAR = 10.0  # [m] Distance that is assumed of a pixel without depth. More: its parallax is neglected more
 _LEAST_SEEN = 100  # [pixels] A turn is estimated from at least so many that both images show. More: more predictions are kept
-_NOISE, _ROBUST = 0.01, 3.0  # [1] least scale of brightness differences, and width of the robust kernel in scales, as in the alignment
+# [1] Least scale of brightness differences, and width of the robust kernel in scales, as in the alignment. More: outliers count more.
+_NOISE, _ROBUST = 0.01, 3.0
 
 
 class ImageRotation(Stateful):

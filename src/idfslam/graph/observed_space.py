@@ -17,8 +17,8 @@ from idfslam.storage.state import State, Stateful
 # places beyond one and a half edges are not. More: more of what a map invents beyond its border counts. Less: an error of a pose hides what
 # was observed.
 _CELL = 0.06
-_BITS = 21  # of a cell's place along each axis: 120 km at this edge
-_ORIGIN = 1 << _BITS - 1
+_BITS = 21  # of a cell's place along each axis. More: nothing, three of them just fit into 64 bits; they reach 60 km to each side
+_ORIGIN = 1 << _BITS - 1  # added to a place, so that no number is negative: a fact, not a choice
 _NEIGHBOURS = np.array(list(itertools.product((-1, 1), repeat=3)))  # of a half cell: the cells within half an edge
 
 

@@ -4,7 +4,7 @@ An image is rectified and compressed in a thread of its own while the next frame
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -63,16 +63,20 @@ class ViewSelection(Stateful):
         if isinstance(self._best, _Candidate):
             self._best = self._best.encoded()
         kept = [*self.views, *([] if self._best is None else [self._best])]
-        views = [{"index": v.index, "colour": _tensor(v.colour), "depth": _tensor(v.depth), "sharpness": v.sharpness} for v in kept]
         begun = None if self._begun_at is None else torch.from_numpy(self._begun_at)
-        return {"views": views, "begun_at": begun, "pending": self._best is not None}
+        earlier = [{"view": _state_of(view), "keyframe": k, "T_kc": torch.from_numpy(T_kc)} for view, k, T_kc in self._earlier]
+        camera = None if self.camera is None else asdict(self.camera)
+        views = [_state_of(view) for view in kept]
+        return {"views": views, "begun_at": begun, "pending": self._best is not None, "earlier": earlier, "camera": camera}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        views = [EncodedView(v["index"], _bytes(v["colour"]), _bytes(v["depth"]), v["sharpness"]) for v in state["views"]]
+        views = [_view_of(kept) for kept in state["views"]]
         self._best = views.pop() if state["pending"] else None
         self.views = views
         self._begun_at = None if state["begun_at"] is None else state["begun_at"].numpy().copy()
+        self._earlier = [(_view_of(kept["view"]), kept["keyframe"], kept["T_kc"].numpy().copy()) for kept in state["earlier"]]
+        self.camera = None if state["camera"] is None else Camera(**state["camera"])
 
     def load(self, archive: ImageArchive) -> None:
         """Takes over the images of an earlier run, each relative to the nearest stored keyframe, with index -1."""
@@ -138,9 +142,10 @@ class ViewSelection(Stateful):
         self.views = [view for view, keep in zip(views, left) if keep and view.index != EARLIER]
 
 
-def _tensor(data: bytes) -> torch.Tensor:
-    return torch.from_numpy(np.frombuffer(data, np.uint8).copy())
+def _state_of(view: EncodedView) -> State:
+    colour, depth = (torch.from_numpy(np.frombuffer(data, np.uint8).copy()) for data in (view.colour, view.depth))
+    return {"index": view.index, "colour": colour, "depth": depth, "sharpness": view.sharpness}
 
 
-def _bytes(data: torch.Tensor) -> bytes:
-    return data.numpy().tobytes()
+def _view_of(kept: State) -> EncodedView:
+    return EncodedView(kept["index"], kept["colour"].numpy().tobytes(), kept["depth"].numpy().tobytes(), kept["sharpness"])
