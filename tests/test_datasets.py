@@ -468,9 +468,9 @@ def test_synthetic_rooms_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(open_recording("synthetic")) == 600
     assert len(open_recording("synthetic:1", start=100, frames=700)) == 700  # goes round again
     assert built == [
-        {"seed": 3, "frames": 600, "noise": True},
-        {"seed": 0, "frames": 600, "noise": False},
-        {"seed": 1, "frames": 800, "noise": False},
+        {"seed": 3, "frames": 600, "noise": True, "movers": None},
+        {"seed": 0, "frames": 600, "noise": False, "movers": None},
+        {"seed": 1, "frames": 800, "noise": False, "movers": None},
     ]
     assert "synthetic" in FORMATS
     with pytest.raises(ConfigError, match="own camera"):

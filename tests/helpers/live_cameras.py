@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from helpers.box_room import BOX_FRAMES, box_poses
+from helpers.grey_archive import grey_archive
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.errors import CameraError
@@ -17,6 +18,7 @@ from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.camera import Camera
 from idfslam.live import Capture
 from idfslam.live.replay import Replay
+from idfslam.views.image_archive import ImageArchive
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 
@@ -117,6 +119,9 @@ class SeeingSlam:
         return trimesh.creation.box((3.0, 2.2, 3.6))
 
     def archive_in(self, folder: Path) -> None: ...
+
+    def archive(self) -> ImageArchive:
+        return grey_archive()
 
     def save_map(self, path: Path) -> None:
         path.write_bytes(b"map")
