@@ -86,3 +86,11 @@ def test_halving_puts_a_new_pixel_between_two_old_ones() -> None:
 def test_the_compiled_projection_is_the_same(x: float, y: float, z: float) -> None:
     uv, _ = CAMERA.project(torch.tensor([x, y, z], dtype=torch.float64))
     assert to_pixel(x, y, z, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy) == tuple(uv.tolist())
+
+
+def test_the_camera_of_every_third_pixel() -> None:
+    """Pixels 1, 4, 7 ... of 640, and of 481: a point that pixel (4, 7) shows lies in pixel (1, 2)."""
+    camera = Camera(640, 481, 525.0, 500.0, 319.5, 239.5)
+    small = camera.every(3)
+    assert (small.width, small.height) == (213, 160)
+    torch.testing.assert_close(small.rays(torch.tensor([1.0, 2.0])), camera.rays(torch.tensor([4.0, 7.0])))

@@ -303,23 +303,20 @@ class MapAligner(Stateful):
         recent: tuple[Landmarks, Tensor] | None = None,
     ) -> ImageTerm:
         """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
-        moments = motion is not None
-        sums, photometric_error, seen, in_view, count = RowMoments.zeros(moments=moments), 0.0, 0, 0, 0
-        parts: list[RowMoments] = []
-        level = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
+        level, moments = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level), motion is not None
         noise, widest = self.config.colour_noise, self.config.colour_robust
         posed = [(self.landmarks(reference), reference.T_wk) for reference in references]
-        for i, (marks, T_wk) in enumerate([*posed, *([] if recent is None else [recent])]):
-            term = photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
-            if term.seen >= self.config.min_landmarks:
-                parts.append(term.sums.scaled(self.config.depth_noise**2))
-                sums = sums + parts[-1]
-            if i == len(posed):
-                continue  # the recent frame is no evidence
-            count, in_view = count + len(marks.points), in_view + term.seen
-            if term.seen >= self.config.min_landmarks:
-                photometric_error, seen = photometric_error + term.seen * term.noise, seen + term.seen
-        return ImageTerm(sums, photometric_error / max(seen, 1), in_view / count if count else 1.0, tuple(parts))
+        terms = [
+            photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
+            for marks, T_wk in [*posed, *([] if recent is None else [recent])]
+        ]
+        parts = tuple(term.sums.scaled(self.config.depth_noise**2) for term in terms if term.seen >= self.config.min_landmarks)
+        evidence = terms[: len(posed)]  # without the recent frame
+        enough = [term for term in evidence if term.seen >= self.config.min_landmarks]
+        error = sum(term.seen * term.noise for term in enough) / max(sum(term.seen for term in enough), 1)
+        count = sum(len(marks.points) for marks, _ in posed)
+        in_view = sum(term.seen for term in evidence) / count if count else 1.0
+        return ImageTerm(sum(parts, RowMoments.zeros(moments=moments)), error, in_view, parts)
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""

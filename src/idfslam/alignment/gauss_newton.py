@@ -26,7 +26,7 @@ class ImageTerm(PoseEquations):
 
     photometric_error: float  # scale of the brightness differences [1]
     in_view: float  # share of the references' landmarks that are in view
-    parts: tuple[RowMoments, ...] = ()  # of each reference; `sums` is their sum
+    parts: tuple[RowMoments, ...] = ()  # of each reference, and of the recent frame; `sums` is their sum
 
 
 class Solver(Protocol):

@@ -12,7 +12,7 @@ from torch import Tensor
 from idfslam.alignment.displacement import level_of
 from idfslam.alignment.gauss_newton import INDEPENDENT
 from idfslam.alignment.motion import moved
-from idfslam.alignment.photometric import Appearance, Landmarks, Level, Term, photometric_term
+from idfslam.alignment.photometric import Appearance, Landmarks, Level, Term, photometric_term, pixels_in_depth
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.
@@ -86,8 +86,7 @@ def small_image(frame: Appearance) -> Appearance:
 def pixels_of(small: Appearance) -> Landmarks:
     """The points of all pixels of a small image's coarser level, with their brightness on both levels."""
     camera, depth = small.levels[-1].camera, small.depth
-    row = ((torch.arange(camera.height, device=depth.device) + 0.5) * depth.shape[0] / camera.height).long()
-    column = ((torch.arange(camera.width, device=depth.device) + 0.5) * depth.shape[1] / camera.width).long()
+    row, column = pixels_in_depth(small.levels[-1], depth)
     z = depth[row[:, None], column[None]]
     points = (camera.rays(camera.pixels(depth.device)) * torch.where(z > 0, z, _FAR)[..., None]).reshape(-1, 3)
     return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]).contiguous() for level in small.levels], [])

@@ -133,7 +133,7 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
     cell = max(2, round((measured / count) ** 0.5))
     u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
-    row, column = _rows_of(fine, depth)
+    row, column = pixels_in_depth(fine, depth)
     points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
     seen = [level.at(level.camera.project(points)[0]) for level in levels]
     return Landmarks(points, [values[0].contiguous() for values in seen], [values[1:].contiguous() for values in seen])
@@ -143,7 +143,7 @@ def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple
     """u (M,) and v (M,) of the pixel with the largest gradient of each cell, in torch, on any device."""
     h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
     slope = with_slopes(fine.luminance)[1:].norm(dim=0)
-    row, column = _rows_of(fine, depth)
+    row, column = pixels_in_depth(fine, depth)
     z = depth[row[:, None], column[None]]
     nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
     slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
@@ -165,7 +165,7 @@ def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tu
     return u[:count], v[:count]
 
 
-def _rows_of(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
+def pixels_in_depth(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
     """The row of a depth image (H, W) in which each row of a level lies, and the column for each of its columns."""
     row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
     column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()

@@ -43,6 +43,12 @@ class Camera:
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5)
 
+    def every(self, step: int) -> "Camera":
+        """The camera of every `step`-th pixel along each axis, from pixel `step // 2` on."""
+        first = step // 2
+        size = len(range(first, self.width, step)), len(range(first, self.height, step))
+        return Camera(*size, self.fx / step, self.fy / step, (self.cx - first) / step, (self.cy - first) / step)
+
     def matrix(self) -> Tensor:
         """K (3, 3) float64."""
         return torch.tensor([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=torch.float64)

@@ -27,6 +27,4 @@ def reduced_view(T_wc: NDArray[np.float64], depth: NDArray[np.float32], camera: 
     """A view with a regular subset of the pixels of `depth` (H, W) [m], at least `height` rows of them."""
     step = max(1, camera.height // height)
     first = step // 2
-    small = np.ascontiguousarray(depth[first::step, first::step])
-    fx, fy, cx, cy = camera.fx / step, camera.fy / step, (camera.cx - first) / step, (camera.cy - first) / step
-    return DepthView(T_wc, small, Camera(small.shape[1], small.shape[0], fx, fy, cx, cy))
+    return DepthView(T_wc, np.ascontiguousarray(depth[first::step, first::step]), camera.every(step))

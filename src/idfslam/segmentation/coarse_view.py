@@ -70,8 +70,7 @@ def thinned(frame: Frame) -> Frame:
     c, step = frame.camera, max(1, cell_size(frame.camera) // SAMPLES)
     first = step // 2
     colour, depth = (np.ascontiguousarray(image[first::step, first::step]) for image in (frame.colour, frame.depth))
-    focal, centre = (c.fx / step, c.fy / step), ((c.cx - first) / step, (c.cy - first) / step)
-    small = Camera(depth.shape[1], depth.shape[0], *focal, *centre)
+    small = c.every(step)
     same = cell_size(c) == step * cell_size(small) and _size(cells_camera(c)) == _size(cells_camera(small))
     return replace(frame, colour=colour, depth=depth, camera=small) if same else frame
 

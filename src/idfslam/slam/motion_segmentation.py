@@ -25,8 +25,6 @@ from idfslam.storage.state import State, Stateful
 # [1] Share of the readings that show what moves from which a pose is called degenerate: little of the scene is left, and a body that is
 # not recognised outweighs it. More: fewer frames are told. Chosen by hand.
 _CROWDED = 0.6
-
-
 # [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
 _UNUSUAL = 1.3
 # [1] Photometric error without the nearest layer, over that with it and over the usual one, up to which the layer moves. On redkitchen,
