@@ -2,7 +2,7 @@
 
     python benchmarks/ablation.py RECORDING [--frames 100] [--out ablation.json] [--set SECTION.KEY=VALUE ...] [--only NAME ...]
 
-RECORDING is a folder with ground truth or `synthetic`. The sizes are those of a CPU (REDUCED below), not the paper's 1024 pixels and 144
+RECORDING is a folder with ground truth or `synthetic`. The sizes are those of a CPU (REDUCED), not the paper's 1024 pixels and 144
 samples. Within 100 frames the paper's thresholds keep fewer keyframes than the 10 that finetuning waits for, so that all runs here,
 the full one too, ask for keyframes sooner, cull later, and finetune from the third on. --set changes any value of all runs.
 The completion ratio (share of true surface found within 5 cm, protocol `seen`) needs a true surface; without one there is a dash.
@@ -22,6 +22,7 @@ prepare_process()
 import numpy as np  # noqa: E402
 import yaml  # noqa: E402
 
+from idfslam.benchmark.reproduction.suite import ABLATIONS, REDUCED  # noqa: E402
 from idfslam.config import Config, check, preset, update  # noqa: E402
 from idfslam.datasets import open_recording  # noqa: E402
 from idfslam.datasets.recording import Dataset  # noqa: E402
@@ -33,21 +34,7 @@ from idfslam.geometry.depth_view import DepthView  # noqa: E402
 from idfslam.mapping.meshing import extract_mesh  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 
-REDUCED: dict[str, Any] = {
-    "mapper": {"pixels": 128, "samples": 16, "importance_samples": 8, "first_iterations": 200, "iterations": 30, "pose_iterations": 30},
-    "keyframes": {"translation": 0.08, "rotation": 6.0, "cull": 0.9},
-    "tracker": {"query_stride": 4, "target_stride": 2},
-    "finetune": {"keyframes": 3},
-}
-ABLATIONS: dict[str, dict[str, Any]] = {
-    "full": {},
-    "no active sampling": {"mapper": {"active_sampling": False}},
-    "no replay": {"keyframes": {"replay": 0}},
-    "no culling": {"keyframes": {"cull": 1.0}},
-    "no pose optimisation": {"mapper": {"pose_optimisation": False}},
-    "no 4x4 grid": {"tracker": {"grid": 1}},
-    "no finetuning": {"finetune": {"enabled": False}},
-}
+SOONER: dict[str, Any] = {"keyframes": {"translation": 0.08, "rotation": 6.0, "cull": 0.9}, "finetune": {"keyframes": 3}}
 
 
 def nested(assignment: str) -> dict[str, Any]:
@@ -120,11 +107,11 @@ def main() -> None:
     arguments = parser.parse_args()
     recording = open_recording(arguments.recording, frames=arguments.frames)
     frames = [recording[i] for i in range(len(recording))]
-    common = [REDUCED, *map(nested, arguments.values)]
+    common = [dict(REDUCED), SOONER, *map(nested, arguments.values)]
     print("| run | ATE [cm] | completion < 5 cm | keyframes | lost | finetuning steps | seconds |\n" + "|---" * 7 + "|")
     results: dict[str, Any] = {}
     for name in arguments.only:
-        results[name] = measure(configured([*common, ABLATIONS[name]]), recording, frames)
+        results[name] = measure(configured([*common, dict(ABLATIONS[name])]), recording, frames)
         print(row(name, results[name]), flush=True)
         report = {"recording": arguments.recording, "frames": len(frames), "common": common, "runs": results}
         arguments.out.write_text(json.dumps(report, indent=2) + "\n")

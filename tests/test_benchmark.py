@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,13 @@ import trimesh
 from helpers.box_room import BOX, write_box_recording
 from idfslam.batch.recordings import RecordingSpec, parse_recordings
 from idfslam.benchmark import runs
-from idfslam.benchmark.open3d_baseline import measure, require_open3d
-from idfslam.benchmark.runs import MeanStd, column_values, markdown, speed_kept, summary
+from idfslam.benchmark.comparison import comparison
+from idfslam.benchmark.runs import column_values, markdown, speed_kept, summary
+from idfslam.benchmark.table import MeanStd
 from idfslam.cli import command_line
 from idfslam.config import FAST, PRETRAIN
-from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.report.comparison_page import comparison_page
 
 
 def run_of(seed: int, **changes: Any) -> dict[str, Any]:
@@ -26,10 +26,15 @@ def run_of(seed: int, **changes: Any) -> dict[str, Any]:
     return run | changes
 
 
-def report_of(*runs: dict[str, Any], open3d: dict[str, Any] | None = None) -> dict[str, Any]:
+def report_of(*runs: dict[str, Any], missing: str | None = None, **peers: list[dict[str, Any]]) -> dict[str, Any]:
+    """The values of bench.json; missing: how to install a peer orbslam3 that is not there."""
     machine = {"idf-slam": "1.0", "processor": "A processor", "cores": 2, "gpu": None}
-    recording = {"name": "room", "path": "/room", "frames": None, "runs": list(runs), **summary(runs), "open3d": open3d}
-    return {"machine": machine, "preset": "fast", "seeds": len(runs), "recordings": [recording]}
+    absent = {} if missing is None else {"orbslam3": missing}
+    found = {name: {"runs": of_peer} | summary(of_peer) for name, of_peer in (peers | {key: [] for key in absent}).items()}
+    recording = {"name": "room", "path": "/room", "frames": None, "runs": list(runs), **summary(runs), "peers": found, "published": []}
+    described = {name: {"about": f"what {name} is", "own_poses": True, "missing": absent.get(name)} for name in found}
+    recordings = [recording | {"comparison": comparison(recording, absent) if found else None}]
+    return {"machine": machine, "preset": "fast", "seeds": len(runs), "peers": described, "recordings": recordings}
 
 
 def test_spread_by_hand() -> None:
@@ -65,18 +70,62 @@ def test_table_by_hand() -> None:
     assert lines[8] == "| room | 42.0 ± 2.8 |"
 
 
-def test_ratios_against_open3d_by_hand() -> None:
-    baseline = {"frames": 300, "frames_per_second": 4.0, "ate_m": 0.04, "lost_frames": 2}
-    assert "| room | 4.00 | 10.00 | 2.50 | 4.00 | 1.00 | 0.25 | 2 |" in markdown(report_of(run_of(0), open3d=baseline))
-    without_truth = {key: value for key, value in baseline.items() if key != "ate_m"}
-    assert "| room | 4.00 | 10.00 | 2.50 | - | 1.00 | - | 2 |" in markdown(report_of(run_of(0), open3d=without_truth))
+def peer_run(seed: int, **changes: Any) -> dict[str, Any]:
+    """A finished run of a peer."""
+    return {"seed": seed, "frames": 300, "version": "2.0", "frames_per_second": 4.0, "ate_m": 0.04, "lost_frames": 3} | changes
+
+
+def test_ratios_against_a_peer_by_hand() -> None:
+    text = markdown(report_of(run_of(0), open3d=[peer_run(0)]))
+    # ours has 1 cm and 10 frames/s: the best of both columns
+    assert "| idf-slam | 1 of 1 | **1.00** | **10.00** | 0.0 | 1.00 | 1.00 |" in text
+    assert "| open3d | 1 of 1 | 4.00 | 4.00 | 3.0 | 4.00 | 0.40 |" in text
+    assert "open3d: what open3d is." in text
+    without_truth = {key: value for key, value in peer_run(0).items() if key != "ate_m"}
+    assert "| open3d | 1 of 1 | - | 4.00 | 3.0 | - | 0.40 |" in markdown(report_of(run_of(0), open3d=[without_truth]))
+
+
+def test_who_loses_many_frames_is_not_ahead() -> None:
+    fast = peer_run(0, ate_m=0.02, frames_per_second=20.0)
+    report = report_of(run_of(0), open3d=[peer_run(0, ate_m=0.001, lost_frames=16)], fusion=[fast])
+    (recording,) = report["recordings"]
+    assert recording["comparison"]["winners"] == {"ate_m": "idf-slam", "frames_per_second": "fusion"}
+    assert "open3d: lost 5% of the frames; its errors are over the others" in markdown(report)
+    report = report_of(run_of(0), open3d=[peer_run(0, ate_m=0.001, lost_frames=15)])  # 5 % exactly
+    assert report["recordings"][0]["comparison"]["winners"]["ate_m"] == "open3d"
+
+
+def test_a_peer_that_is_missing_or_fails_is_a_row() -> None:
+    crash = {"seed": 1, "failed": "ended after 12 of 300 frames: killed by SIGSEGV"}
+    text = markdown(report_of(run_of(0), run_of(1), open3d=[peer_run(0), crash], missing="not installed: pip install pyorbslam3"))
+    assert "| open3d | 1 of 2 | 4.00 |" in text
+    assert "open3d: 1 of 2 runs failed: ended after 12 of 300 frames: killed by SIGSEGV" in text
+    assert "| orbslam3 | 0 of 0 | - | - | - | - | - |" in text
+    assert "orbslam3: not run: not installed: pip install pyorbslam3" in text
+    assert "Failed: room, open3d, seed 1: ended after 12" in text
+
+
+def test_page_of_a_comparison() -> None:
+    report = report_of(run_of(0), open3d=[peer_run(0)], missing="pip install pyorbslam3")
+    published = {"method": "NICE-SLAM", "title": "ATE RMSE [cm]", "value": 2.7, "source": "a paper", "url": "https://a.b", "protocol": None}
+    report["recordings"][0]["published"] = [published]
+    page = comparison_page(report)
+    assert page.count("<section") == 1
+    assert page.count("<svg") == 1
+    assert '<td class="best">1.00</td>' in page
+    assert "4.00 (4.00 of ours)" in page
+    assert "orbslam3: not run: pip install pyorbslam3" in page
+    assert '<a href="https://a.b">a paper</a>' in page
+    tables = page.split('<div class="sheet published">')
+    assert "NICE-SLAM" not in tables[0]  # beside our table, never in it
+    assert "A processor, 2 cores" in page
+    assert "http" not in page.replace("https://a.b", "")  # nothing is loaded from elsewhere
 
 
 def test_a_failed_run_is_told_and_not_averaged() -> None:
-    text = markdown(report_of(run_of(0), {"seed": 1, "failed": "loss 'sdf' is not finite"}, open3d={"failed": "not installed"}))
+    text = markdown(report_of(run_of(0), {"seed": 1, "failed": "loss 'sdf' is not finite"}))
     assert "| room | 300 | 1 of 2 | 1.00 | 10.00 | 0.0 |" in text
     assert "Failed: room, seed 1: loss 'sdf' is not finite\n" in text
-    assert "Failed: room, Open3D: not installed\n" in text
     nothing = markdown(report_of({"seed": 0, "failed": "no depth"}))
     assert "| room | - | 0 of 1 |" in nothing
 
@@ -109,10 +158,10 @@ def test_missing_recording_ends_before_the_first_run(tmp_path: Path) -> None:
 
 
 def test_flags() -> None:
-    flags = "--seeds 2 --frames 9 --preset paper --against open3d --out there --no-mesh --mapper.pixels 64"
+    flags = "--seeds 2 --frames 9 --preset paper --against open3d fusion --out there --no-mesh --mapper.pixels 64"
     command = command_line.parse(["bench", "a", "b@5", *flags.split()])
     assert isinstance(command, command_line.Bench)
-    assert (command.recordings, command.seeds, command.frames, command.against) == (("a", "b@5"), 2, 9, "open3d")
+    assert (command.recordings, command.seeds, command.frames, command.against) == (("a", "b@5"), 2, 9, ("open3d", "fusion"))
     assert (command.out, command.mesh, command.values.preset, command.values.mapper.pixels) == (Path("there"), False, "paper", 64)
     flags = "--out w --steps 5 --validate c --resume"
     expected = command_line.Pretrain((Path("a"), Path("b")), replace(PRETRAIN, steps=5), Path("w"), validate=(Path("c"),), resume=True)
@@ -150,21 +199,3 @@ def test_a_run_that_fails_ends_with_1_and_the_report(tmp_path: Path, capsys: pyt
     assert caught.value.code == 1
     assert f"empty, seed 0: {tmp_path / 'empty'}: no numbered images" in capsys.readouterr().err
     assert f"Failed: empty, seed 0: {tmp_path / 'empty'}: no numbered images" in (tmp_path / "out/bench.md").read_text()
-
-
-def test_without_open3d_the_pip_line_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idfslam.benchmark.open3d_baseline.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"-m pip install open3d$"):
-        require_open3d()
-
-
-@pytest.mark.skipif(find_spec("open3d") is None, reason="Open3D is not installed: pip install 'idf-slam[bench]'")
-def test_open3d_follows_a_furnished_room() -> None:
-    room = SyntheticRoom(0, frames=6, width=320, height=240)  # aligned by shape alone, Open3D slides along bare walls
-    try:
-        found = measure(room)
-    except ConfigError as error:
-        pytest.skip(str(error))
-    assert (found["frames"], found["lost_frames"]) == (6, 0)
-    assert found["ate_m"] < 0.01  # of a path of 6 cm; standing still would leave 2 cm
-    assert found["frames_per_second"] > 0

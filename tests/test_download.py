@@ -10,6 +10,7 @@ import tarfile
 import threading
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import pytest
 from helpers.recordings import write_folder, write_seven_scenes
 from idfslam.cli import command_line
 from idfslam.datasets import open_recording
+from idfslam.datasets.readers.tum import BONN, published
 from idfslam.downloads import catalogue as module
 from idfslam.downloads.catalogue import Sequence, catalogue, find_sequence
 from idfslam.downloads.download import LEDGER, download
@@ -300,6 +302,8 @@ def test_the_catalogue() -> None:
     assert len({sequence.folder for sequence in known.values()}) == len(known)
     assert all(sequence.url.startswith("https://") and sequence.licence for sequence in known.values())
     assert "freiburg1" in known["tum-fr1-desk"].folder  # by which the reader knows the camera
+    assert known["tum-fr3-walking-xyz"].url.endswith("/freiburg3/rgbd_dataset_freiburg3_walking_xyz.tgz")
+    assert published(Path("/data") / known["bonn-crowd2"].folder) == replace(BONN, source=published(Path("rgbd_bonn_x")).source)
     with pytest.raises(DownloadError, match="fr1: not a known sequence, expected one such as tum-fr1-desk"):
         find_sequence("fr1")
 

@@ -5,10 +5,11 @@ import sys
 _HALF = 800  # characters at either end of a message that are shown; raised, messages are longer. Chosen by hand
 
 
-def pip_install(*packages: str) -> str:
-    """The command that installs packages where this program runs: in any environment, from a clone as from a wheel."""
-    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    return f"{python} -m pip install {' '.join(packages)}"
+def pip_install(*packages: str, python: str | None = None) -> str:
+    """The command that installs packages where this program runs, from a clone as from a wheel. python: for this one instead."""
+    chosen = python or sys.executable
+    quoted = f'"{chosen}"' if " " in chosen else chosen
+    return f"{quoted} -m pip install {' '.join(packages)}"
 
 
 class IdfSlamError(Exception):

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from idfslam.batch.recordings import RecordingSpec, parse_recordings
-from idfslam.benchmark.runs import Column, MeanStd, machine, markdown_table
+from idfslam.benchmark.machine import machine
+from idfslam.benchmark.table import Column, MeanStd, markdown_table
 from idfslam.config import Config
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, DivergedError, RecordingError

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from idfslam.batch.recordings import parse_recordings
 from idfslam.benchmark.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
 from idfslam.benchmark.keypoints import KeypointDetector, Keypoints, Kind
+from idfslam.benchmark.machine import machine
 from idfslam.benchmark.match_figure import MatchPicture, draw_matches
-from idfslam.benchmark.runs import machine, markdown_table
+from idfslam.benchmark.table import markdown_table
 from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
 from idfslam.datasets import Dataset, open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install

@@ -34,6 +34,7 @@ from idfslam.cli.commands.pretrain import Pretrain
 from idfslam.cli.commands.record import Record
 from idfslam.cli.commands.render import Render
 from idfslam.cli.commands.report import Report
+from idfslam.cli.commands.reproduce import Reproduce
 from idfslam.cli.commands.run import Run
 from idfslam.cli.commands.view import View
 from idfslam.cli.failure import one_line_errors
@@ -64,6 +65,7 @@ COMMANDS: dict[str, type] = {
     "bench": Bench,
     "bench-pairs": BenchPairs,
     "bench-odometry": BenchOdometry,
+    "reproduce": Reproduce,
     "pretrain": Pretrain,
     "download": Download,
     "doctor": Doctor,

@@ -28,10 +28,14 @@ class Bench:
     """Number of seeds. The first is --seed."""
     frames: int | None = None
     """Number of frames of each recording. Default: all, or one tour of a generated recording."""
-    against: Literal["open3d"] | None = None
-    """Measure a baseline on the same frames: Open3D's dense frame-to-model SLAM, on the CPU."""
+    against: tuple[Literal["open3d", "orbslam3", "rtabmap", "fusion"], ...] = ()
+    """Other systems to measure on the same frames, as far as they are installed: Open3D's dense SLAM, ORB-SLAM3, RTAB-Map, and plain TSDF
+    fusion of our poses. --out gets bench.html, a page that compares them."""
+    peer_python: tuple[str, ...] = ()
+    """NAME=PYTHON: the Python of the environment that such a system is installed in. Default: the one that runs idf-slam."""
     out: Path | None = None
-    """Folder of the results, with bench.json and bench.md. Default: results/bench, with a number if that exists."""
+    """Folder of the results, with bench.json, bench.md and, with --against, bench.html. Default: results/bench, with a number if that
+    exists."""
     overwrite: bool = False
     """Replace the results in --out, each when its run is complete."""
     mesh: bool = True
@@ -45,7 +49,7 @@ class Bench:
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.batch.open_executor import open_executor
-        from idfslam.benchmark.runs import REPORT, TABLE, bench, check_finished
+        from idfslam.benchmark.runs import PAGE, REPORT, TABLE, bench, check_finished
         from idfslam.cli.tables import print_files
         from idfslam.runs.run_folder import folder_for
 
@@ -54,6 +58,7 @@ class Bench:
             "frames": self.frames,
             "mesh": self.mesh,
             "against": self.against,
+            "peer_python": self.peer_python,
             "overwrite": self.overwrite,
         }
         executor = open_executor(self.cluster, self.workers, jobs=self.seeds)
@@ -61,5 +66,9 @@ class Bench:
         folder = folder_for("bench", self.out, overwrite=self.overwrite)
         found = bench(self.recordings, values, folder, **options, report=report, executor=executor)
         print((folder / TABLE).read_text(encoding="utf-8"))
-        print_files(folder, (REPORT, TABLE), output())
+        if self.against:
+            from idfslam.report.comparison_page import write_comparison
+
+            write_comparison(folder, found)
+        print_files(folder, (REPORT, TABLE, *((PAGE,) if self.against else ())), output())
         check_finished(found, folder)

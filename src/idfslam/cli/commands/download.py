@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Download:
-    """Download a public sequence of TUM RGB-D, 7-Scenes, ICL-NUIM or Replica.
+    """Download a public sequence of TUM RGB-D, Bonn, 7-Scenes, ICL-NUIM or Replica.
 
     It comes from its authors' server. An interrupted download continues where it stopped.
     """

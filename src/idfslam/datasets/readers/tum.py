@@ -35,6 +35,8 @@ FREIBURG = {
     "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
+BONN = Calibration(542.822841, 542.57687, 315.59352, 237.756098, 640, 480, (0.039903, -0.099343, -0.00073, -0.000144, 0.0))
+"""The published calibration of the Bonn RGB-D Dynamic sequences, which have the same layout (Palazzolo et al., IROS 2019)."""
 _LISTS = ("rgb.txt", "depth.txt")
 _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt")
 
@@ -74,6 +76,8 @@ def published(path: Path) -> Calibration:
         if match := re.search(r"(?P<published>^rgbd_dataset_)?freiburg(?P<camera>[123])", name):
             guess = "" if match["published"] else f", guessed from the folder's name {name}"
             return replace(FREIBURG[match["camera"]], source=f"the published camera of TUM freiburg{match['camera']}{guess}")
+        if name.startswith("rgbd_bonn_"):
+            return replace(BONN, source="the published camera of the Bonn RGB-D Dynamic sequences")
     return Calibration()
 
 
