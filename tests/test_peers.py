@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +15,7 @@ from helpers.box_room import BOX_FRAMES, box_poses
 from helpers.fake_peers import write_orbslam3, write_rtabmap
 from idfslam.benchmark.peer_runs import PeerRuns
 from idfslam.benchmark.peers import measure as measuring
-from idfslam.benchmark.peers.choice import PEERS, find_peer, pythons
+from idfslam.benchmark.peers.choice import PEERS, chosen, find_peer
 from idfslam.benchmark.peers.orb_vocabulary import recorded_descriptors, write_vocabulary
 from idfslam.benchmark.peers.peer import PeerError
 from idfslam.benchmark.peers.programs.frame_stream import (
@@ -148,18 +149,20 @@ def test_a_peer_that_is_not_there_says_how_to_install_it(monkeypatch: pytest.Mon
     assert PEERS["fusion"].missing("/env/bin/python") == "Open3D is not installed: /env/bin/python -m pip install open3d"
     assert str(PEERS["orbslam3"].missing("/env/bin/python")).endswith("-m pip install pyorbslam3")
     assert "apt install rtabmap" in str(PEERS["rtabmap"].missing(""))
-    runs = PeerRuns(["open3d", "rtabmap", "open3d"])
+    runs = PeerRuns(["open3d", "rtabmap"])
     assert (runs.names, set(runs.missing)) == (["open3d", "rtabmap"], {"open3d", "rtabmap"})
 
 
 def test_pythons_of_peers() -> None:
-    found = pythons([f"open3d={sys.executable}"])
-    assert found["fusion"] == found["open3d"] == os.path.abspath(sys.executable)
-    with pytest.raises(ConfigError, match="expected NAME=PYTHON"):
-        pythons(["open3d"])
-    with pytest.raises(ConfigError, match="is no program that can be run"):
-        pythons(["open3d=/nowhere/python"])
-    with pytest.raises(ConfigError, match="elasticfusion: no known system"):
+    shell = shutil.which("sh")
+    assert chosen(["fusion", "open3d=sh", "rtabmap"]) == {"fusion": shell, "open3d": shell, "rtabmap": sys.executable}
+    with pytest.raises(ConfigError, match="nothing is no program that can be run"):
+        chosen(["open3d="])
+    with pytest.raises(ConfigError, match="/nowhere/python is no program that can be run"):
+        chosen(["open3d=/nowhere/python"])
+    with pytest.raises(ConfigError, match="open3d stands twice"):
+        chosen(["open3d", "open3d=sh"])
+    with pytest.raises(ConfigError, match="--against elasticfusion: no known system, expected some of open3d"):
         find_peer("elasticfusion")
 
 

@@ -1,6 +1,6 @@
 """Compares our runs of a recording with those of the peers: means, ratios to ours, and who is ahead in what."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -20,16 +20,18 @@ COLUMNS = (
     Column("peak_memory_mb", "peak memory [MiB]", digits=0),
     Column("lost_frames", "lost frames", digits=1),
 )
+_SURFACE = ("accuracy_m", "completion_m", "completion_ratio")
 _MORE_IS_BETTER = ("completion_ratio", "frames_per_second")
 _JUDGED = tuple(column.key for column in COLUMNS if column.key != "lost_frames")
 _LOST = 0.05  # [1] share of lost frames up to which a method can be ahead: errors are over tracked frames. Raised, one that tracks less can
 #    win. Chosen by hand
 
 
-def comparison(recording: Mapping[str, Any], missing: Mapping[str, str]) -> dict[str, Any]:
+def comparison(recording: Mapping[str, Any], missing: Mapping[str, str], borrowing: Collection[str] = ()) -> dict[str, Any]:
     """Rows of all methods, ours first, and the winner of each column.
 
     recording: has `runs` and `summary` of ours, and `peers` with the same for each peer. missing: how to install what is not there.
+    borrowing: the peers that take our poses. They are judged by their surfaces alone.
     A row has the method, how many runs finished, the summary, the ratios of its means to ours, and a note where something is to be said.
     """
     ours = recording["summary"]
@@ -37,7 +39,7 @@ def comparison(recording: Mapping[str, Any], missing: Mapping[str, str]) -> dict
     for name, peer in recording["peers"].items():
         row = _row(name, peer["runs"], peer["summary"], ours)
         rows.append(row | {"note": f"not run: {missing[name]}"} if name in missing else row)
-    return {"rules": RULES, "columns": [asdict(column) for column in COLUMNS], "rows": rows, "winners": _winners(rows)}
+    return {"rules": RULES, "columns": [asdict(column) for column in COLUMNS], "rows": rows, "winners": _winners(rows, borrowing)}
 
 
 def _row(method: str, runs: Sequence[Mapping[str, Any]], summary: Mapping[str, Any], ours: Mapping[str, Any]) -> dict[str, Any]:
@@ -53,12 +55,12 @@ def _row(method: str, runs: Sequence[Mapping[str, Any]], summary: Mapping[str, A
     return {"method": method, **counts, "summary": dict(summary), "ratios": ratios, "note": "; ".join(notes) or None}
 
 
-def _winners(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+def _winners(rows: Sequence[Mapping[str, Any]], borrowing: Collection[str]) -> dict[str, str]:
     """The best method of each column, among those that finished a run and tracked nearly all frames."""
     able = [row for row in rows if row["finished"] and row["lost_share"] <= _LOST]
     winners = {}
     for key in _JUDGED:
-        having = [row for row in able if key in row["summary"]]
+        having = [row for row in able if key in row["summary"] and (key in _SURFACE or row["method"] not in borrowing)]
         if len(having) > 1:
             sign = -1 if key in _MORE_IS_BETTER else 1
             winners[key] = min(having, key=lambda row: sign * row["summary"][key]["mean"])["method"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from idfslam.batch.executor import Executor
 from idfslam.batch.recordings import RecordingSpec
-from idfslam.benchmark.peers.choice import PEERS, find_peer, pythons
+from idfslam.benchmark.peers.choice import PEERS, chosen
 from idfslam.benchmark.peers.measure import MEASURED
 from idfslam.benchmark.processes import BenchError, frames_flag, run_module
 from idfslam.runs.metrics import headline
@@ -16,13 +16,15 @@ from idfslam.storage.json_file import read_json
 class PeerRuns:
     """The peers of a benchmark."""
 
-    def __init__(self, names: Sequence[str], peer_python: Sequence[str] = ()) -> None:
-        """Raises ConfigError for unknown names, and PeerError for a Python that cannot be run."""
-        self.names = list(dict.fromkeys(find_peer(name).name for name in names))
-        self._pythons = pythons(peer_python)
+    def __init__(self, words: Sequence[str]) -> None:
+        """words: NAME or NAME=PYTHON. Raises ConfigError for unknown names and Pythons."""
+        self._pythons = chosen(words)
+        self.names = list(self._pythons)
         found = {name: PEERS[name].missing(self._pythons[name]) for name in self.names}
         self.missing = {name: how for name, how in found.items() if how is not None}
         """How to install each peer that is not there."""
+        self.borrowing = [name for name in self.names if PEERS[name].takes_poses]
+        """Those that take the poses of our runs."""
 
     def described(self) -> dict[str, dict[str, Any]]:
         """What each peer is, for bench.json."""

@@ -56,7 +56,6 @@ def bench(
     frames: int | None = None,
     mesh: bool = True,
     against: Sequence[str] = (),
-    peer_python: Sequence[str] = (),
     overwrite: bool = False,
     report: Callable[[str], None] = lambda line: None,
     executor: Executor | None = None,
@@ -64,8 +63,8 @@ def bench(
     """Runs each of `recordings` (as `parse_recordings` takes them) with the seeds config.seed, config.seed + 1, ...
 
     Results go to FOLDER/NAME-SEED. FOLDER/bench.json and FOLDER/bench.md are rewritten after each recording. frames: of each recording;
-    None: all. mesh: evaluate the surface if the true one is known. against: names of peers, which run on the same frames after each seed.
-    peer_python: NAME=PYTHON, the Python that a peer is installed for. overwrite: earlier results in `folder` are replaced.
+    None: all. mesh: evaluate the surface if the true one is known. against: peers that run on the same frames after each seed, as
+    NAME or as NAME=PYTHON of the environment that has it. overwrite: earlier results in `folder` are replaced.
     report: receives a line after each run. executor: where the seeds run; None: on
     this machine, one at a time, which is the only way to measure speed. If a run fails, the report says why and the others continue.
     Returns the values of bench.json.
@@ -74,7 +73,7 @@ def bench(
     """
     if seeds < 1 or (frames is not None and frames < 1):
         raise ConfigError(f"--seeds {seeds}{'' if frames is None else f' --frames {frames}'}, expected at least 1")
-    specs, peers = parse_recordings(recordings, frames), PeerRuns(against, peer_python)
+    specs, peers = parse_recordings(recordings, frames), PeerRuns(against)
     results: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "peers": peers.described(), "recordings": []}
     chosen = range(config.seed, config.seed + seeds)
     names = [name for spec in specs for seed in chosen for name in (f"{spec.name}-{seed}", *peers.folders(spec, seed))]
@@ -101,7 +100,7 @@ def _summaries(runs: Sequence[dict[str, Any]], peers: PeerRuns) -> dict[str, Any
     of_peers = {name: [run["peers"][name] for run in runs if name in run["peers"]] for name in peers.names}
     ours = [{key: value for key, value in run.items() if key != "peers"} for run in runs]
     values = {"runs": ours, **summary(ours), "peers": {name: {"runs": found} | summary(found) for name, found in of_peers.items()}}
-    return values | {"comparison": comparison(values, peers.missing) if peers.names else None}
+    return values | {"comparison": comparison(values, peers.missing, peers.borrowing) if peers.names else None}
 
 
 def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def comparison_page(results: Mapping[str, Any]) -> str:
     charts = [
         {
             "svg": Markup(drawn.svg),
-            "caption": f"{r['name']}: ATE RMSE and speed; lower left is slow and exact",
+            "caption": f"{r['name']}: ATE RMSE and speed; exact is low, fast is on the right",
         }  # safe: drawn by this program
         for number, r in enumerate(recordings)
         if (drawn := accuracy_against_speed(f"speed{number}", r["comparison"]["rows"])) is not None
@@ -122,14 +122,14 @@ def _section(recording: Mapping[str, Any]) -> dict[str, Any]:
 def _cell(row: Mapping[str, Any], column: Mapping[str, Any], winners: Mapping[str, str]) -> dict[str, Any]:
     spread = row["summary"].get(column["key"])
     if spread is None:
-        return {"text": "-", "best": False}
-    unit, digits = column["unit"], column["digits"]
+        return {"text": "-", "best": False, "small": ""}
+    unit, digits, best = column["unit"], column["digits"], winners.get(column["key"]) == row["method"]
     text = f"{spread['mean'] * unit:.{digits}f}"
     if spread["deviation"] is not None:
         text += f" ± {spread['deviation'] * unit:.{digits}f}"
     if column["key"] in ("ate_m", "frames_per_second") and column["key"] in row["ratios"] and row["ratios"][column["key"]] != 1:
-        text += f" ({row['ratios'][column['key']]:.2f} of ours)"
-    return {"text": text, "best": winners.get(column["key"]) == row["method"]}
+        return {"text": text, "best": best, "small": f"{row['ratios'][column['key']]:.2f} of ours"}
+    return {"text": text, "best": best, "small": ""}
 
 
 def _methods(results: Mapping[str, Any]) -> list[tuple[str, str, str]]:

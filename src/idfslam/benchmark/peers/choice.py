@@ -18,23 +18,27 @@ PEERS: Mapping[str, Peer] = {peer.name: peer for peer in (Open3d(), OrbSlam3(), 
 def find_peer(name: str) -> Peer:
     """The peer of this name. Raises ConfigError, which lists all names, if there is none."""
     if name not in PEERS:
-        raise ConfigError(f"{name}: no known system to compare with, expected one of {', '.join(PEERS)}")
+        raise ConfigError(f"--against {name}: no known system, expected some of {', '.join(PEERS)}, each with =PYTHON if wanted")
     return PEERS[name]
 
 
-def pythons(given: Sequence[str]) -> dict[str, str]:
-    """The Python for each peer, from words NAME=PYTHON; without one, that of this program. `fusion` takes Open3D's if it has none.
+def chosen(words: Sequence[str]) -> dict[str, str]:
+    """The peers that words NAME or NAME=PYTHON name, and the Python of each; without one, that of this program.
 
-    Raises ConfigError for another form, an unknown name, or a Python that is none.
+    `fusion` without one takes that of `open3d`. Raises ConfigError for an unknown name, a name that stands twice, or a Python that is none.
     """
-    named: dict[str, str] = {}
-    for word in given:
+    found: dict[str, str] = {}
+    for word in words:
         name, equals, python = word.partition("=")
-        if not equals or not python:
-            raise ConfigError(f"--peer-python {word}: expected NAME=PYTHON, such as open3d=/path/to/environment/bin/python")
-        found = shutil.which(os.path.expanduser(python))
-        if found is None:
-            raise ConfigError(f"--peer-python {word}: {python} is no program that can be run; expected the Python of an environment")
-        named[find_peer(name).name] = os.path.abspath(found)
-    named.setdefault("fusion", named.get("open3d", sys.executable))
-    return {name: named.get(name, sys.executable) for name in PEERS}
+        if find_peer(name).name in found:
+            raise ConfigError(f"--against {word}: {name} stands twice, expected each once")
+        found[name] = _program(word, python) if equals else ""
+    found = {name: python or (found.get("open3d", "") if name == "fusion" else "") for name, python in found.items()}
+    return {name: python or sys.executable for name, python in found.items()}
+
+
+def _program(word: str, python: str) -> str:
+    place = shutil.which(os.path.expanduser(python)) if python else None
+    if place is None:
+        raise ConfigError(f"--against {word}: {python or 'nothing'} is no program that can be run, expected NAME=PYTHON of an environment")
+    return os.path.abspath(place)

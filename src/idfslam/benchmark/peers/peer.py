@@ -63,6 +63,4 @@ def has_package(python: str, package: str) -> bool:
     try:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
     except OSError as error:
-        raise PeerError(
-            f"{python}: cannot be run ({error.strerror}), expected the Python of an environment: --peer-python NAME=PYTHON"
-        ) from error
+        raise PeerError(f"{python}: cannot be run ({error.strerror}), expected the Python of an environment") from error

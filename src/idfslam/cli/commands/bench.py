@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -28,11 +28,10 @@ class Bench:
     """Number of seeds. The first is --seed."""
     frames: int | None = None
     """Number of frames of each recording. Default: all, or one tour of a generated recording."""
-    against: tuple[Literal["open3d", "orbslam3", "rtabmap", "fusion"], ...] = ()
-    """Other systems to measure on the same frames, as far as they are installed: Open3D's dense SLAM, ORB-SLAM3, RTAB-Map, and plain TSDF
-    fusion of our poses. --out gets bench.html, a page that compares them."""
-    peer_python: tuple[str, ...] = ()
-    """NAME=PYTHON: the Python of the environment that such a system is installed in. Default: the one that runs idf-slam."""
+    against: tuple[str, ...] = ()
+    """Other systems to measure on the same frames, as far as they are installed: `open3d` (its dense SLAM), `orbslam3`, `rtabmap`, and
+    `fusion` (plain TSDF fusion of our poses). NAME=PYTHON takes the Python of another environment. --out gets bench.html, a page that
+    compares them."""
     out: Path | None = None
     """Folder of the results, with bench.json, bench.md and, with --against, bench.html. Default: results/bench, with a number if that
     exists."""
@@ -58,7 +57,6 @@ class Bench:
             "frames": self.frames,
             "mesh": self.mesh,
             "against": self.against,
-            "peer_python": self.peer_python,
             "overwrite": self.overwrite,
         }
         executor = open_executor(self.cluster, self.workers, jobs=self.seeds)
