@@ -1,20 +1,24 @@
 """The reproduction of the paper's tables: suites, rows that are kept, tables by hand, and the page."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 
+from helpers.box_room import BOX
 from idfslam.batch.executor import Executor
+from idfslam.benchmark.reproduction import evaluate_row
 from idfslam.benchmark.reproduction import rows as module
 from idfslam.benchmark.reproduction.rows import check_rows, run_suite
 from idfslam.benchmark.reproduction.suite import ABLATIONS, SMALL, Job, Scene, Suite, full_suite, methods_of, small_suite
 from idfslam.cli import command_line
 from idfslam.config import PRESETS, preset
 from idfslam.errors import ConfigError, ResultError
-from idfslam.report.reproduction_page import markdown, reproduction_page, tables_of
+from idfslam.report.reproduction_page import markdown, reproduction_page, tables_of, write_reproduction
 from idfslam.storage.ledger import Ledger
 
 METHODS = list(PRESETS)
@@ -193,6 +197,28 @@ def test_page() -> None:
     assert "| paper | Acc. [cm] | 2.00 | 2.00 |" in text
     assert "| *iDF-SLAM, printed* | *Acc. [cm]* | *-* | *4.86* |" in text
     assert "Failed: room-nice: out of memory" in text
+
+
+def test_a_real_run_is_measured_and_drawn(known_run: Path, box_recording: Path, tmp_path: Path) -> None:
+    """Poses are the true ones, and the box is the true surface: the row has their errors, and the page both meshes."""
+    folder, truth = tmp_path / "out", tmp_path / "box.ply"
+    shutil.copytree(known_run, folder / "box-paper")
+    trimesh.creation.box(2 * BOX).export(truth)
+    evaluate_row.main([str(folder / "box-paper"), "--gt-mesh", str(truth)])
+    row = module._measured(folder / "box-paper")
+    assert row["ate_rmse_cm"] == pytest.approx(0, abs=1e-4)
+    assert 0 < row["accuracy_cm"] < 10
+    assert 0 < row["completion_ratio_percent"] <= 100
+    assert (row["finetuning_steps"], row["processed"]) == (1, 14)
+    base = row_of("paper", "box", path=str(box_recording), frames=None, gt_mesh=str(truth))
+    results = results_of(base | row | {"name": "box-paper"})
+    Ledger(folder).record()
+    write_reproduction(folder, results, total=1)
+    page = (folder / "reproduce.html").read_text()
+    assert "<figcaption>truth</figcaption>" in page
+    assert "<figcaption>paper</figcaption>" in page
+    assert page.count("data:image/webp") == 2
+    assert (folder / "reproduce.md").read_text().startswith("a note")
 
 
 def test_the_command() -> None:
