@@ -120,7 +120,7 @@ def test_page_of_a_comparison() -> None:
     assert page.count("<section") == 1
     assert page.count("<svg") == 1
     assert '<td class="best">1.00</td>' in page
-    assert "4.00<small>4.00 of ours</small>" in page
+    assert "4.00<small>4.00 times ours</small>" in page
     assert "orbslam3: not run: pip install pyorbslam3" in page
     assert '<a href="https://a.b">a paper</a>' in page
     tables = page.split('<div class="sheet published">')

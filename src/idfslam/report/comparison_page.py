@@ -128,7 +128,7 @@ def _cell(row: Mapping[str, Any], column: Mapping[str, Any], winners: Mapping[st
     if spread["deviation"] is not None:
         text += f" ± {spread['deviation'] * unit:.{digits}f}"
     if column["key"] in ("ate_m", "frames_per_second") and column["key"] in row["ratios"] and row["ratios"][column["key"]] != 1:
-        return {"text": text, "best": best, "small": f"{row['ratios'][column['key']]:.2f} of ours"}
+        return {"text": text, "best": best, "small": f"{row['ratios'][column['key']]:.2f} times ours"}
     return {"text": text, "best": best, "small": ""}
 
 
