@@ -41,6 +41,7 @@ def test_sequences_are_known_by_their_folders() -> None:
     assert sequence_of("/somewhere/office3") is None
     assert sequence_of("/scans/scene0059_00") == sequence_of("/scans/scene0059_00/scene0059_00.sens") == "scannet/scene0059_00"
     assert sequence_of("synthetic:0") is None
+    assert sequence_of("data/rgbd_bonn_person_tracking2") == "bonn-person-tracking2"
     (found,) = [f for f in published_for("/data/Replica/room0") if f["method"] == "iDF-SLAM" and f["metric"] == "accuracy_cm"]
     assert found["value"] == 2.30
     assert published_for("/data/my_kitchen") == []

@@ -221,7 +221,10 @@ def test_a_real_run_is_measured_and_drawn(known_run: Path, box_recording: Path, 
     assert (folder / "reproduce.md").read_text().startswith("a note")
 
 
-def test_the_command() -> None:
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command_line.main(["reproduce", "--data", "/nowhere"])
+    assert capsys.readouterr().err.startswith("error: --data /nowhere: no such folder, expected one that holds Replica/")
     command = command_line.parse(["reproduce", "--small", "--methods", "paper", "fast", "--no-ablations", "--out", "there"])
     expected = command_line.Reproduce(small=True, methods=("paper", "fast"), ablations=False, out=Path("there"))
     assert command == expected

@@ -17,6 +17,7 @@ from idfslam.benchmark.peers.programs.result_file import ProgramResult, read_res
 from idfslam.runs.source import read_frames
 
 _FOLDER = Path(programs.__file__).parent
+_PATIENCE = 1800.0  # [s] after the last frame, for corrections and meshes; larger: a program that hangs is told later. Chosen by hand
 _RESULT, _LOG = "result.npz", "stderr.txt"
 
 
@@ -32,7 +33,9 @@ def run_program(job: PeerJob, program: str, before: Sequence[str] = (), after: S
     assert process.stdin is not None
     try:
         fed = _feed(process.stdin, job)
-        code = process.wait()
+        code = process.wait(_PATIENCE)
+    except subprocess.TimeoutExpired:
+        raise PeerError(f"did not end within {_PATIENCE / 60:.0f} minutes of the last frame") from None
     finally:
         process.kill()
         process.wait()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from idfslam.config import PRESETS, Config, check, preset, update
+from idfslam.datasets.recording_path import absolute
 from idfslam.errors import ConfigError
 
 RECONSTRUCTION, TRACKING, ABLATION = "reconstruction", "tracking", "ablation"
@@ -110,6 +111,7 @@ def small_suite(methods: Sequence[str], *, ablations: bool) -> Suite:
 
 def full_suite(data: Path, methods: Sequence[str], *, ablations: bool) -> Suite:
     """The paper's own sequences where `data` has them, and generated rooms where not; all values as published."""
+    data = absolute(data)  # processes on other nodes have folders of their own
     replica = [scene for name in REPLICA if (scene := _replica(data, name)) is not None]
     scannet = [scene for name in SCANNET if (scene := _scannet(data, name)) is not None]
     notes = []

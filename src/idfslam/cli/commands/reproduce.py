@@ -50,9 +50,14 @@ class Reproduce:
         from idfslam.benchmark.reproduction.suite import full_suite, methods_of, small_suite
         from idfslam.cli.tables import print_files
         from idfslam.compute.devices import resolve_device
+        from idfslam.errors import ConfigError
         from idfslam.report.reproduction_page import MATCHES, PAGE, TABLE, write_reproduction
 
         methods = methods_of(self.methods)
+        if self.data != Reproduce.data and not self.data.is_dir():
+            raise ConfigError(
+                f"--data {self.data}: no such folder, expected one that holds Replica/ or scannet/; leave it out for generated rooms"
+            )
         suite = small_suite(methods, ablations=self.ablations) if self.small else full_suite(self.data, methods, ablations=self.ablations)
         on_gpu = self.cluster is None and resolve_device(self.device, "paper").type == "cuda"
         workers = 1 if on_gpu and self.workers is None else self.workers
