@@ -1,8 +1,10 @@
 """What each fault of a real sensor costs: the same hand-held motion with an ideal sensor, with each fault alone, and with all of them.
 
-    python benchmarks/sensor_faults.py [SCENE ...] [--seeds N] [--frames N] [--faults NAME ...] [--preset NAME] [section.value=...]
+    python benchmarks/sensor_faults.py [SCENE ...] [--seeds N] [--frames N] [--size WxH] [--faults NAME ...] [--preset NAME]
+                                       [section.value=...]
 
 SCENE is `synthetic` or `corridor`; seed S runs the recording SCENE:S:handheld-FAULT, so that each seed has a room and a motion of its own.
+--size renders smaller images than the recording of that name has, which takes less time.
 --faults names other rows, such as `shutter=0.5` or `shutter+time`; `all` means every fault. It prints a table in Markdown: mean and
 standard deviation over the seeds of the ATE RMSE, the largest error of the motion from one frame to the next of all seeds, and the share of
 each status as it was reported when the frame was processed.
@@ -24,7 +26,9 @@ import yaml  # noqa: E402
 
 from idfslam.config import Config, preset, update  # noqa: E402
 from idfslam.datasets import open_recording  # noqa: E402
-from idfslam.datasets.generated.faults import FAULTS, IDEAL  # noqa: E402
+from idfslam.datasets.generated.faults import FAULTS, IDEAL, Faults  # noqa: E402
+from idfslam.datasets.generated.handheld import handheld_corridor, handheld_room  # noqa: E402
+from idfslam.datasets.recording import Dataset, Selection  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error, relative_pose_error  # noqa: E402
 from idfslam.frame import Status  # noqa: E402
 from idfslam.runs.source import read_frames  # noqa: E402
@@ -47,19 +51,23 @@ class Measured:
     statuses: Counter[Status]
 
 
-def recording_name(scene: str, seed: int, faults: str) -> str:
-    """The name of the recording of a row."""
-    return f"{scene}:{seed}:handheld" + ("" if faults == _ALL else f"-{faults}")
+def opened(scene: str, seed: int, faults: str, frames: int | None, size: tuple[int, int] | None) -> Dataset:
+    """The recording of a row; size: (width, height) of its images, None: those of the recording of its name."""
+    name = f"{scene}:{seed}:handheld" + ("" if faults == _ALL else f"-{faults}")
+    if size is None:
+        return open_recording(name, frames=frames)
+    make = handheld_room if scene == "synthetic" else handheld_corridor
+    return Selection(make(Faults.named(None if faults == _ALL else faults), seed, width=size[0], height=size[1]), frames=frames)
 
 
-def measured(name: str, config: Config, frames: int | None) -> Measured:
+def measured(recording: Dataset, config: Config) -> Measured:
     """Runs a recording."""
-    recording, slam = open_recording(name, frames=frames), Slam(config)
+    slam = Slam(config)
     statuses = Counter(slam.process(frame).status for frame, _ in read_frames(recording))
     poses, truth = slam.trajectory(), np.asarray(recording.ground_truth)
     rpe = relative_pose_error(poses, truth)
     if rpe is None:
-        raise SystemExit(f"{name}: {len(poses)} frames, expected at least 2: choose --frames")
+        raise SystemExit(f"{recording.name}: {len(poses)} frames, expected at least 2: choose --frames")
     jump = rpe.largest_jump
     ate = absolute_trajectory_error(poses, truth).translation.rmse
     return Measured(100 * ate, rpe.rotation.rmse, (jump.rotation_deg, 100 * jump.translation_m), statuses)
@@ -88,11 +96,18 @@ def configured(name: str, values: Sequence[str]) -> Config:
     return config
 
 
+def image_size(text: str) -> tuple[int, int]:
+    """(width, height) [px] of "320x240"."""
+    width, height = map(int, text.split("x"))
+    return width, height
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", help="synthetic or corridor, and section.value=... of the configuration")
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds, from 0 on, of scene, motion and system")
     parser.add_argument("--frames", type=int, help="number of frames of each recording; default: all")
+    parser.add_argument("--size", type=image_size, help="size of the images, such as 320x240; default: the recording's own")
     parser.add_argument("--faults", nargs="+", default=[IDEAL, *FAULTS, _ALL], help="rows of the table")
     parser.add_argument("--preset", default="fast")
     arguments = parser.parse_args()
@@ -102,8 +117,8 @@ def main() -> None:
         print(f"\n{scene}, {arguments.seeds} seeds\n\n| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1), flush=True)
         ideal: float | None = None
         for faults in arguments.faults:
-            names = [recording_name(scene, seed, faults) for seed in range(arguments.seeds)]
-            runs = [measured(name, replace(config, seed=seed), arguments.frames) for seed, name in enumerate(names)]
+            recordings = [opened(scene, seed, faults, arguments.frames, arguments.size) for seed in range(arguments.seeds)]
+            runs = [measured(recording, replace(config, seed=seed)) for seed, recording in enumerate(recordings)]
             if faults == IDEAL:
                 ideal = float(np.mean([run.ate for run in runs]))
             print(row(faults, runs, ideal), flush=True)
