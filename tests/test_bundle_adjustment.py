@@ -4,10 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from helpers.point_problem import CAMERA, perturbed, true_problem, values
 from idfslam.adjustment.bundle_adjustment import Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.residuals import tracks
+from idfslam.geometry import se3
+from idfslam.graph.pose_graph import Edge, RelativePoses
 
 TRUE = CameraModel(CAMERA, values(focal=0.03, aspect=0.001, cx=0.01, cy=-0.005, k1=0.02, range=0.005, across2=0.003))
 FOCAL, CX = NAMES.index("focal"), NAMES.index("cx")
@@ -82,3 +86,19 @@ def test_no_time_no_change() -> None:
     found: Problem = adjust(problem, seconds=0.0).problem
     np.testing.assert_array_equal(found.poses, problem.poses)
     assert not adjust(problem, seconds=0.0).complete
+
+
+def test_a_measured_relative_pose_holds_a_keyframe_without_landmarks() -> None:
+    """The last keyframe sees no landmark: it stays where it was relative to the one before, which moves."""
+    problem = perturbed(true_problem(TRUE, noise=0.3))
+    last = len(problem.poses) - 1
+    T = torch.from_numpy(problem.poses)
+    relative = se3.inverse(T[last - 1]) @ T[last]
+    edges = RelativePoses.of([Edge(last - 1, last, relative, 0.01, 0.004)])
+    points, seen = tracks(problem.points, problem.seen[problem.seen.keyframe != last])
+    found = adjust(replace(problem, points=points, seen=seen, edges=edges))
+    poses = torch.from_numpy(found.problem.poses)
+    assert float((poses[last - 1] - T[last - 1]).abs().max()) > 0.005
+    np.testing.assert_allclose(se3.inverse(poses[last - 1]) @ poses[last], relative, atol=1e-5)
+    before, after = (np.sqrt(np.trace(found.pose_covariance(k)[:3, :3])) for k in (last - 1, last))
+    assert after == pytest.approx(np.hypot(before, 0.01 * np.sqrt(3)), rel=0.2)

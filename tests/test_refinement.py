@@ -10,6 +10,7 @@ from idfslam.config import FAST
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
+from idfslam.slam.global_adjustment import NoAdjustment
 from idfslam.slam.polish import NoPolish, Polish
 from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
@@ -87,7 +88,7 @@ def polished(graph: KeyframeGraph, seconds: float) -> tuple[Counted, Steps]:
     config = replace(FAST.refinement, keyframes=2, updates=4, rounds=0.0, seconds=seconds)
     refiner, steps = Counted(), Steps()
     replay = Replay(FAST.keyframes, graph, torch.Generator().manual_seed(0))
-    Polish(config, 3, graph, replay, RelearnQueue(2), refiner, steps).run()  # type: ignore[arg-type]
+    Polish(config, 3, graph, replay, RelearnQueue(2), NoAdjustment(), refiner, steps).run()  # type: ignore[arg-type]
     return refiner, steps
 
 
@@ -108,3 +109,18 @@ def test_without_them_nothing_moves(graph: KeyframeGraph) -> None:
     NoRefinement().refine(graph.keyframes)
     NoPolish().run()
     assert torch.equal(graph.keyframes[1].T_wk, OFF)
+
+
+class Adjusted(NoAdjustment):
+    """Keyframes whose poses are final."""
+
+    def run(self) -> bool:
+        return True
+
+
+def test_adjusted_keyframes_are_not_refined_one_at_a_time(graph: KeyframeGraph) -> None:
+    refiner, steps = Counted(), Steps()
+    replay = Replay(FAST.keyframes, graph, torch.Generator().manual_seed(0))
+    Polish(FAST.refinement, 3, graph, replay, RelearnQueue(2), Adjusted(), refiner, steps).run()  # type: ignore[arg-type]
+    assert refiner.counts == []
+    assert len(steps.updates) == FAST.refinement.updates

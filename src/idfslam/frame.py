@@ -187,3 +187,4 @@ class StoredKeyframe:
     covisible: frozenset[int]  # numbers of the stored keyframes that see the same surface
     submap: int  # 0: the first, whose poses are in the world; others have not been merged with it yet
     camera: Camera
+    covariance: NDArray[np.float64] | None = None  # (6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; None: not known

@@ -1,5 +1,7 @@
 """Bundle adjustment: keyframe poses, landmarks and the camera that fit all measurements best, together, and how sure they are.
 
+Relative poses that were measured by other means hold what landmarks do not: a keyframe before a bare wall.
+
 Levenberg-Marquardt with robust weights (Huber, by iterated reweighting). The noise of images and of depth is estimated with the rest, as
 variance components: squared residuals over their redundancy. Measurements that fit badly are left out. Nothing depends on chance or order.
 """
@@ -8,11 +10,14 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.residuals import Array, Linearised, Observations, linearise, residuals, tracks
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
+from idfslam.geometry import se3
+from idfslam.graph.pose_graph import RelativePoses
 
 _HUBER = 2.5  # [standard deviations] from which on a measurement counts for less; raised, outliers count more. Of a normal distribution 1 %
 #    is beyond, which is 4 % of the image's points
@@ -35,6 +40,7 @@ class Problem:
     seen: Observations
     fixed: NDArray[np.bool_]  # (K,) poses that stay: at least one of each group of keyframes that nothing connects
     estimated: NDArray[np.bool_]  # (P,) values of the camera that are estimated
+    edges: RelativePoses | None = None  # relative poses that were measured by other means
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -136,7 +142,11 @@ def _information(problem: Problem) -> Array:
 def _equations(at: Linearised, problem: Problem) -> NormalEquations:
     weights = _weights(at.residuals)[:, [0, 0, 1]]
     finite = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
-    return NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
+    n = NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
+    if problem.edges is None:
+        return n
+    between, right = problem.edges.normal_equations(torch.from_numpy(problem.poses))
+    return replace(n, between_poses=between, right_poses=n.right_poses + right)
 
 
 def _sizes(off: Array) -> Array:
@@ -151,11 +161,12 @@ def _weights(off: Array) -> Array:
 
 
 def _cost(problem: Problem) -> float:
-    """Huber's cost of the residuals, and the cost of the camera's deviations."""
+    """Huber's cost of the residuals, and the cost of the camera's deviations and of the relative poses."""
     size = _sizes(residuals(problem.model, problem.poses, problem.points, problem.seen))
     capped = np.minimum(size, _HUBER)
     finite = np.where(np.isfinite(size), capped * (2 * size - capped), 1e12)  # a point behind the camera: no step may lead there
-    return float(finite.sum() + (_value_information() * problem.model.values**2).sum())
+    off = 0.0 if problem.edges is None else problem.edges.squared_errors(torch.from_numpy(problem.poses)).sum()
+    return float(finite.sum() + (_value_information() * problem.model.values**2).sum() + off)
 
 
 def _noise_factors(at: Linearised, problem: Problem) -> Array:
@@ -183,8 +194,4 @@ def _with_noise(problem: Problem, factors: Array) -> Problem:
 
 def exp(xi: Array) -> Array:
     """The transforms (N, 4, 4) of increments (N, 6)."""
-    import torch
-
-    from idfslam.geometry import se3
-
     return np.asarray(se3.exp(torch.from_numpy(xi)).numpy())

@@ -18,7 +18,7 @@ from idfslam.adjustment.residuals import Array, Linearised, Observations
 class NormalEquations:
     """J^T W J and -J^T W r by blocks: poses (K, 6), the camera's values (P,), landmarks (L, 3)."""
 
-    poses: Array  # (K, 6, 6): a pose has no measurement in common with another
+    poses: Array  # (K, 6, 6): no image has a measurement in common with another
     values: Array  # (P, P)
     landmarks: Array  # (L, 3, 3)
     pose_values: Array  # (K, 6, P)
@@ -27,6 +27,7 @@ class NormalEquations:
     right_poses: Array  # (K, 6)
     right_values: Array  # (P,)
     right_landmarks: Array  # (L, 3)
+    between_poses: bsr_array | None = None  # (6 K, 6 K) of relative poses; None: none is measured
 
     @staticmethod
     def of(at: Linearised, weights: Array, seen: Observations, keyframes: int, landmarks: int) -> "NormalEquations":
@@ -68,6 +69,8 @@ class ReducedSystem:
         self._W_V = W @ V_inverse
         self._Wc_V = (self._inverse @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
         poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(6 * K, 6 * K)) - self._W_V @ W.T
+        if n.between_poses is not None:
+            poses = poses + n.between_poses
         cross = n.pose_values.reshape(6 * K, P) - self._W_V @ Wc.T
         values = n.values - self._Wc_V @ Wc.T
         S = csc_array(bmat([[poses, cross], [cross.T, values]]))

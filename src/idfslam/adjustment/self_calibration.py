@@ -111,7 +111,7 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds:
             break
     kept = adjusted.problem.seen
     covariance = _with_differences(_honest(covariance), _difference_of_halves(adjusted.problem, of))
-    return Estimate(model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), _noise(kept, views[0]))
+    return Estimate(model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0]))
 
 
 def _honest(covariance: Array) -> Array:
@@ -216,8 +216,8 @@ def with_scale(estimate: Estimate, truth: Sequence[Array]) -> Estimate | None:
     return replace(estimate, model=replace(estimate.model, values=values), covariance=covariance)
 
 
-def _noise(seen: Observations, view: View) -> float:
-    """The median noise of positions, for images of 640 pixels' width."""
+def noise_of(seen: Observations, view: View) -> float:
+    """The median noise of adjusted positions [px], for images of 640 pixels' width."""
     return float(np.median(1 / np.sqrt(np.abs(np.linalg.det(seen.root)))) * 640 / view.camera.width)
 
 

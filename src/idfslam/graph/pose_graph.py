@@ -41,7 +41,7 @@ def optimise(poses: Sequence[Tensor], edges: Sequence[Edge]) -> tuple[list[Tenso
     The edges that are no loops must connect all poses. Returns the poses, and for each loop, in the order of the edges, whether it was
     kept.
     """
-    graph, start = _Graph.of(edges), torch.stack(list(poses))
+    graph, start = RelativePoses.of(edges), torch.stack(list(poses))
     loops = [i for i, edge in enumerate(edges) if edge.loop]
     kept = np.ones(len(edges), bool)
     T, cost = graph.solve(start, kept)
@@ -62,8 +62,8 @@ def without(kept: NDArray[np.bool_], i: int) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class _Graph:
-    """All edges as tensors."""
+class RelativePoses:
+    """Edges as tensors."""
 
     a: Tensor  # (E,)
     b: Tensor  # (E,)
@@ -71,7 +71,7 @@ class _Graph:
     scale: Tensor  # (E, 6) inverse standard deviations
 
     @classmethod
-    def of(cls, edges: Sequence[Edge]) -> "_Graph":
+    def of(cls, edges: Sequence[Edge]) -> "RelativePoses":
         a, b = torch.tensor([e.a for e in edges]), torch.tensor([e.b for e in edges])
         sigmas = torch.tensor([[e.translation] * 3 + [e.rotation] * 3 for e in edges], dtype=torch.float64)
         return cls(a, b, se3.inverse(torch.stack([e.T_ab for e in edges])), 1 / sigmas)
@@ -99,6 +99,12 @@ class _Graph:
 
     def _step(self, T: Tensor, root: Tensor) -> Tensor:
         """The increments (K - 1, 6) of all poses but the first."""
+        H, b = self.normal_equations(T, root)
+        return torch.from_numpy(spsolve(H.tocsc()[6:, 6:], b[1:].ravel())).view(-1, 6)
+
+    def normal_equations(self, T: Tensor, root: Tensor | float = 1.0) -> tuple[bsr_array, NDArray[np.float64]]:
+        """J^T J (6 K, 6 K) and -J^T e (K, 6) at poses (K, 4, 4), of errors e that count `root` (E,) times. Increments as of `solve`."""
+        root = torch.as_tensor(root, dtype=T.dtype).expand(len(self.a))
         scale, e = self.scale * root[:, None], self.errors(T)
         turn = torch.eye(6, dtype=T.dtype) + 0.5 * adjoint_of_increment(e)  # inverse right Jacobian of the logarithm, to first order
         Jb = scale[:, :, None] * turn
@@ -108,11 +114,11 @@ class _Graph:
         rows, columns = torch.cat([self.a, self.b, self.a, self.b]), torch.cat([self.a, self.b, self.b, self.a])
         order = torch.argsort(rows, stable=True)
         starts = np.concatenate([[0], np.cumsum(np.bincount(rows.numpy(), minlength=count))])
-        H = bsr_array((blocks[order].numpy(), columns[order].numpy(), starts), shape=(6 * count, 6 * count)).tocsc()
+        H = bsr_array((blocks[order].numpy(), columns[order].numpy(), starts), shape=(6 * count, 6 * count))
         g = torch.zeros(count, 6, dtype=T.dtype)
         for index, J in ((self.a, Ja), (self.b, Jb)):
             g.index_add_(0, index, (J.mT @ (scale * e)[..., None])[..., 0])
-        return torch.from_numpy(spsolve(H[6:, 6:], -g[1:].flatten().numpy())).view(-1, 6)
+        return H, -g.numpy()
 
 
 def adjoint(T: Tensor) -> Tensor:

@@ -83,6 +83,7 @@ class KeyframeRecord:
     timestamps: NDArray[np.float64]  # (K,) [s]
     poses: NDArray[np.float64]  # (K, 4, 4) T_wk
     earlier: Sequence[EarlierKeyframe] = ()  # the keyframes of the map that the run started in
+    covariances: Sequence[NDArray[np.float64] | None] = ()  # of each pose, as in `StoredKeyframe`; empty: none is known
 
 
 @contextmanager
@@ -149,14 +150,17 @@ def _fits(value: Any, expected: Any) -> bool:
 
 
 def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
-    """Writes keyframes.json: the camera, and for each keyframe its frame, time stamp [s] and pose T_wk (4 x 4, by rows).
+    """Writes keyframes.json: the camera, and for each keyframe its frame, time stamp [s], pose T_wk (4 x 4, by rows) and its covariance.
 
     The keyframes of the map that the run started in are in a list of their own. Each has its recording and its camera as well.
     """
-    keyframes = [
+    keyframes: list[dict[str, Any]] = [
         {"index": int(i), "timestamp": float(t), "T_wk": T_wk.tolist()}
         for i, t, T_wk in zip(record.indices, record.timestamps, record.poses, strict=True)
     ]
+    for keyframe, covariance in zip(keyframes, record.covariances):
+        if covariance is not None:
+            keyframe["covariance"] = covariance.tolist()
     earlier = [asdict(keyframe) for keyframe in record.earlier]
     values = {"schema": SCHEMA, "camera": asdict(record.camera), "keyframes": keyframes} | ({"earlier": earlier} if earlier else {})
     atomic_files.write_json(folder / KEYFRAMES, values)
@@ -180,6 +184,7 @@ def read_keyframes(folder: Path) -> KeyframeRecord:
             np.array([k["timestamp"] for k in keyframes], np.float64),
             np.array([k["T_wk"] for k in keyframes], np.float64).reshape(-1, 4, 4),
             [_earlier_keyframe(k, path) for k in values.get("earlier", [])],
+            [np.array(k["covariance"], np.float64).reshape(6, 6) if "covariance" in k else None for k in keyframes],
         )
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, ConfigError) as error:
         raise ResultError(f"{path}: is damaged ({error}); run again into this folder") from error

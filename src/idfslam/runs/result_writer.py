@@ -85,7 +85,8 @@ class ResultWriter:
         indices = np.array([keyframe.index for keyframe in own], np.int64)
         poses = np.array([keyframe.T_wk for keyframe in own], np.float64).reshape(-1, 4, 4)
         earlier = [replace(keyframe.record, T_wk=now.T_wk) for keyframe, now in zip(prior, stored)]
-        return result_folder.KeyframeRecord(self._recording.camera, indices, self._recording.timestamps[indices], poses, earlier)
+        stamps, covariances = self._recording.timestamps[indices], [keyframe.covariance for keyframe in own]
+        return result_folder.KeyframeRecord(self._recording.camera, indices, stamps, poses, earlier, covariances)
 
     def _draw_trajectory(self, path: Path, keyframes: result_folder.KeyframeRecord) -> None:
         """The trajectory's picture, with the true trajectory if it is known and with the live poses if loops were closed."""

@@ -27,6 +27,7 @@ from idfslam.slam.back_end import BackEnd, KeyframeMapping
 from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
+from idfslam.slam.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
@@ -167,10 +168,16 @@ class System:
         return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
 
     @cached_property
+    def adjustment(self) -> KeyframeAdjustment:
+        if not (self.aligns and self.config.refinement.adjust):
+            return NoAdjustment()
+        return GlobalAdjustment(self.graph, self.config.refinement.seconds)
+
+    @cached_property
     def polish(self) -> Polishing:
         if not self.config.refine:
             return NoPolish()
-        parts = self.graph, self.replay, self.relearn, self.refinement, self.mapper
+        parts = self.graph, self.replay, self.relearn, self.adjustment, self.refinement, self.mapper
         return Polish(self.config.refinement, self.config.mapper.iterations, *parts)
 
     @cached_property

@@ -1,4 +1,7 @@
-"""The polish at the end of a run: it refines keyframes and trains the map in turns, with learning rates that decay to zero."""
+"""The polish at the end of a run: the keyframes are adjusted, and the map is trained with learning rates that decay to zero.
+
+Where the keyframes could not be adjusted together, they are refined one at a time, in turns with the map.
+"""
 
 import math
 from abc import ABC, abstractmethod
@@ -8,7 +11,8 @@ from idfslam.config import RefinementConfig
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.refinement import Refinement
+from idfslam.slam.global_adjustment import KeyframeAdjustment
+from idfslam.slam.refinement import NoRefinement, Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 
 
@@ -27,7 +31,7 @@ class NoPolish(Polishing):
 
 
 class Polish(Polishing):
-    """Refines random keyframes, then updates the map on them, within a time budget."""
+    """Adjusts the keyframes, then updates the map on random ones, within a time budget."""
 
     def __init__(
         self,
@@ -36,15 +40,17 @@ class Polish(Polishing):
         graph: KeyframeGraph,
         replay: Replay,
         relearn: RelearnQueue,
+        adjustment: KeyframeAdjustment,
         refinement: Refinement,
         mapper: Mapper,
     ) -> None:
         """steps: number of steps of each map update."""
         self.config, self.steps, self.graph, self.replay = config, steps, graph, replay
-        self.relearn, self.refinement, self.mapper = relearn, refinement, mapper
+        self.relearn, self.adjustment, self.refinement, self.mapper = relearn, adjustment, refinement, mapper
 
     def run(self) -> None:
         c, start = self.config, perf_counter()
+        refinement = NoRefinement() if self.adjustment.run() else self.refinement
         refined = max(1, c.keyframes // 2)
         updates = max(c.updates, math.ceil(c.rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
@@ -54,7 +60,7 @@ class Polish(Polishing):
             if done >= 1:
                 break
             keyframes = self.replay.sample(c.keyframes)
-            self.refinement.refine(keyframes[:refined])
+            refinement.refine(keyframes[:refined])
             self.relearn.trained(keyframes)
             self.mapper.start_update(keyframes, self.steps, anneal=1 - done)
         self.mapper.finish()

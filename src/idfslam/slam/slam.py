@@ -61,7 +61,7 @@ class Slam:
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.segmentation = system.segmentation
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
-        self.views = system.views
+        self.views, self.adjustment = system.views, system.adjustment
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
@@ -212,11 +212,14 @@ class Slam:
             **self.recovery.figures(),
             **self.front_end.figures(),
             **self.back_end.figures(),
+            **self.adjustment.figures(),
         }
 
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""
-        return [StoredKeyframe(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap, k.camera) for k in self.graph.keyframes]
+        known = self.adjustment.covariances()
+        columns = [(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap, k.camera) for k in self.graph.keyframes]
+        return [StoredKeyframe(*values, known.get(i)) for i, values in enumerate(columns)]
 
     def loops(self) -> Sequence[Loop]:
         """The closed loops."""
