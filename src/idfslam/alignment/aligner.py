@@ -125,7 +125,6 @@ class MapAligner(Stateful):
         used, each row at its own time, and the velocity is estimated too, with this prior for pose and velocity. recent: landmarks of a
         frame shortly before, and its pose (4, 4). They draw the pose as those of references do, and are no evidence for it.
         """
-        prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         moves = motion is not None and view.rectification is not None
         images = view.taken if moves else view.images
         surface = self._observed_surface(images, view.camera, T_guess)

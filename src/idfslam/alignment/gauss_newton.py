@@ -91,10 +91,11 @@ class JointSolver:
         return float(np.abs(delta[:6]).max())
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
-        """The velocity, and the covariance of pose and velocity."""
+        """The velocity, the covariance of pose and velocity, and the sums."""
         H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
         covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]
-        return JointEstimate(self.velocity, np.asarray(covariance, np.float64))
+        sums = depth.sums.scaled(self.scale), images.sums.scaled(self.scale)
+        return JointEstimate(self.velocity, np.asarray(covariance, np.float64), *sums)
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:

@@ -15,6 +15,7 @@ _ROWS = 240  # of the image whose gradients are the fine ones; more: narrower bl
 _COARSE = 4  # times fewer rows has the image of the coarse ones; more: wider blur is told apart, and other scenes pass for it. By hand
 _FLAT = 1e-5  # [1/px^2] energy of noise, added to that of the coarse gradients; more: images of bare walls count as blurred. Chosen by hand
 _LEAST = 1e-3  # [1] sharpness that is added to both of a comparison; more: images without any structure count as alike. Chosen by hand
+_MEAN = np.full((1, 3), np.float32(1 / 3))  # of the channels
 _NEIGHBOURS = 9  # [frames] before one with which it is compared; more: long blur is seen, and a change of scene passes for blur. By hand
 
 
@@ -47,7 +48,7 @@ class Sharpness(Stateful):
 
 def sharpness(colour: NDArray[np.float32]) -> float:
     """The energy of the fine gradients of an image (H, W, 3) over that of its coarse gradients [1]. For images of about one view."""
-    fine = _shrunk(colour, max(1, colour.shape[0] // _ROWS)).mean(-1)
+    fine = _shrunk(cv2.transform(colour, _MEAN), max(1, colour.shape[0] // _ROWS))
     return _energy(fine) / (_energy(_shrunk(fine, _COARSE)) + _FLAT)
 
 
@@ -62,5 +63,7 @@ def _shrunk(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 
 def _energy(image: NDArray[np.float32]) -> float:
     """The mean squared gradient [1/px^2] of an image (H, W)."""
-    du, dv = image[:, 2:] - image[:, :-2], image[2:] - image[:-2]
-    return float((np.mean(du**2) + np.mean(dv**2)) / 4)
+    height, width = image.shape
+    along_rows = cv2.norm(image[:, 2:], image[:, :-2], cv2.NORM_L2SQR) / (height * (width - 2))
+    along_columns = cv2.norm(image[2:], image[:-2], cv2.NORM_L2SQR) / ((height - 2) * width)
+    return (along_rows + along_columns) / 4

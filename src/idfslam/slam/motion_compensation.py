@@ -13,7 +13,7 @@ from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
-from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
+from idfslam.alignment.continuous_motion import ContinuousMotion, JointEstimate, MotionPrior
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.frame import Frame, Status
@@ -114,7 +114,7 @@ class MotionCompensation(Stateful):
         self._keep_velocity(view, tracked.T_wc)
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK
         if tells and None in vars(self._raw.timing).values():
-            self._learn_times(view, tracked.T_wc, references)
+            self._learn_times(view, tracked.T_wc, references, joint)
 
     def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:
         """Rectifies the first keyframe by the motion to the second frame, `view`, which was registered with it at `T_wc` (4, 4).
@@ -149,8 +149,8 @@ class MotionCompensation(Stateful):
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
-    def _learn_times(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
-        """Learns the unknown times from a view, if it moves enough against its references."""
+    def _learn_times(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe], joint: JointEstimate | None) -> None:
+        """Learns the unknown times from a view, if it moves enough against its references. joint: None if the pose was estimated alone."""
         assert self._raw is not None and self._prior is not None
         velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
         if not velocities:
@@ -160,7 +160,10 @@ class MotionCompensation(Stateful):
             return
         times = RowTimes() if view.rectification is None else view.rectification.times
         lag = 0.0 if view.rectification is None else self._raw.depth_lag
-        sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, self.motion.velocity))
+        if joint is None:
+            sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, self.motion.velocity))
+        else:
+            sums = joint.depth, joint.images
         self.timing.add(*sums, times, lag, since_references, self._prior)
 
     def figures(self) -> dict[str, float] | None:
