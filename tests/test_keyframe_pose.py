@@ -82,3 +82,16 @@ def test_a_pose_that_the_tracker_gave_against_the_map_is_kept(graph: KeyframeGra
     keyframe = view(WALL, EYE, index=1, paint=0.0)
     registration(graph, wall, Registration(SLID)).refine(keyframe, tracked(source=Source.REGISTERED))
     assert torch.equal(keyframe.T_wk, EYE)
+
+
+@pytest.mark.parametrize(("better", "used"), [(1.02, True), (1.1, False)])
+def test_a_registration_that_fits_worse_than_the_tracked_pose_counts_for_nothing(
+    graph: KeyframeGraph, wall: Mapper, better: float, used: bool
+) -> None:
+    """Both poses fit the wall equally well. The tracked one is said to fit by this factor better; 1 / 0.95 is the limit."""
+    keyframe = view(WALL, EYE, index=1, paint=0.0)
+    found = aligner(wall).align(keyframe, SLID, graph.references(2), registered=True)
+    alignment = replace(found, overlap=better * found.overlap)
+    assert alignment.score == pytest.approx(better * found.score)
+    registration(graph, wall, Registration(SLID)).refine(keyframe, replace(tracked(), alignment=alignment))
+    assert (error(keyframe.T_wk, SLID)[0] < 0.005) is used
