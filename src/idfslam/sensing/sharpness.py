@@ -48,7 +48,8 @@ class Sharpness(Stateful):
 
 def sharpness(colour: NDArray[np.float32]) -> float:
     """The energy of the fine gradients of an image (H, W, 3) over that of its coarse gradients [1]. For images of about one view."""
-    fine = _shrunk(cv2.transform(colour, _MEAN), max(1, colour.shape[0] // _ROWS))
+    grey = np.asarray(cv2.transform(colour, _MEAN), np.float32)
+    fine = _shrunk(grey, max(1, colour.shape[0] // _ROWS))
     return _energy(fine) / (_energy(_shrunk(fine, _COARSE)) + _FLAT)
 
 

@@ -16,9 +16,9 @@ from idfslam.slam.tracked import Source, Tracked
 # [1] Factor on `registration_prior_information`. A pose with this much information in every direction would follow a registered one by 6 %
 # of the difference at most, so it is not registered. More: more keyframes are registered.
 _CERTAIN = 2.0
-# [1] Least score of the alignment from the registered pose over that of the tracked one. In blurred images a registration is at times wrong by
-# degrees, and then fits the map worse: by 10 to 40 % on fr1/rpy. Right ones, in corridors with bare walls too, lose 5 % at most. More: fewer
-# keyframes are registered.
+# [1] Least score of the alignment from the registered pose over that of the tracked one. In blurred images a registration is at times wrong
+# by degrees, and then fits the map worse: by 10 to 40 % on fr1/rpy. Right ones, also in corridors with bare walls, lose 5 % at most.
+# More: fewer keyframes are registered.
 _FITS = 0.95
 
 
@@ -46,8 +46,8 @@ class PoseOptimisation(KeyframePose):
 class KeyframeRegistration(KeyframePose):
     """Registration by the neural tracker against the last keyframe, which is the most exact where the map is bare or noisy.
 
-    The registered pose is used only if the images of the two keyframes agree at it, and map and images do not contradict it. It is a prior of
-    the alignment, and so acts in directions that map and images constrain weakly.
+    The registered pose is used only if the images of the two keyframes agree at it, and it fits map and images about as well as the tracked
+    one. It is a prior of the alignment, and so acts in directions that map and images constrain weakly.
     """
 
     def __init__(
