@@ -25,7 +25,8 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.level import up_direction
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import Trajectory, save_tum
-from idfslam.pictures.mesh_renderer import Picture, looking_at, overview_pose
+from idfslam.pictures.direction import best_direction
+from idfslam.pictures.mesh_renderer import Picture, looking_at, pose_outside
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 
@@ -259,8 +260,9 @@ def test_rendered_depth_and_colour_by_hand() -> None:
 
 def test_overview_looks_through_the_near_walls() -> None:
     mesh, poses, camera = room(), turning(), Camera(80, 60, 80.0, 80.0, 39.5, 29.5)
-    assert np.abs(up_direction(mesh, poses) @ DOWN) > 0.999
-    T_wc = overview_pose(mesh, poses, camera)
+    up = up_direction(mesh, poses)
+    assert np.abs(up @ DOWN) > 0.999
+    T_wc = pose_outside(mesh, up, best_direction(mesh, poses[:, :3, 3], up), camera)
     depth = Picture(mesh, inside=poses[:, :3, 3]).depth(T_wc, camera)
     outside = Picture(mesh).depth(T_wc, camera)
     assert depth[30, 40] > outside[30, 40] + 1

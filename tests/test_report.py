@@ -73,7 +73,8 @@ def test_the_page_is_whole_and_needs_nothing_else(reported: Path) -> None:
     outside = len(list((reported / result_folder.PICTURES).glob("mesh_*.png")))
     assert 1 <= outside <= 4  # sides that show the backs of the walls are left out
     assert page.counts["img"] == outside + 4 + 4 * 5  # and inside, frames
-    assert all(source.startswith(("data:image/", "#")) for source in page.sources)
+    assert all(source.startswith(("data:image/", "#")) or source == "scene.html" for source in page.sources)  # which lies beside it
+    assert (reported / result_folder.SCENE).is_file()
     assert not re.search(r"https?://|url\((?!#)|@import|<script", text)
     assert len(page.ids) == len(set(page.ids))
     assert {source[1:] for source in page.sources if source.startswith("#")} <= set(page.ids)

@@ -13,13 +13,15 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, FrameError, RecordingError, ResultError
+from idfslam.datasets import Dataset
+from idfslam.errors import ConfigError, FrameError, IdfSlamError, RecordingError, ResultError
 from idfslam.export import colmap, memory_need, nerfstudio, tsdf_grid
 from idfslam.export.axes import Axes
 from idfslam.export.formats import Format, Lost, Texture, Up
 from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
 from idfslam.export.lost_frames import LOST, remarked, write_lost
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
+from idfslam.export.page import page_of
 from idfslam.export.point_cloud import PointCloud, fuse
 from idfslam.export.record import RECORD, note_axes
 from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
@@ -39,6 +41,7 @@ from idfslam.views.surface_colour import Shade, as_exposed, from_images, of_arch
 log = logging.getLogger(__name__)
 
 _TEXTURED = ("obj", "glb")
+_Y_UP = ("glb", "page")  # whatever --up says
 _OF_IMAGES = ("nerfstudio", "colmap", "points")
 # What a format writes, or may write, in the folder of the export
 _TARGETS: dict[Format, tuple[str, ...]] = {
@@ -51,6 +54,7 @@ _TARGETS: dict[Format, tuple[str, ...]] = {
     "glb": ("mesh.glb",),
     "points": ("points.ply",),
     "splats": ("splats.ply",),
+    "page": (result_folder.SCENE,),
     "grid": ("grid.npz",),
     "blocks": ("blocks.npz",),
 }
@@ -84,14 +88,15 @@ class Exporter:
         atomic_files.prepare(self.out)
         writers: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
-            "obj": self._obj, "glb": self._glb, "points": self._points, "splats": self._splats, "grid": self._grid, "blocks": self._blocks,
+            "obj": self._obj, "glb": self._glb, "points": self._points, "splats": self._splats, "page": self._page,
+            "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
         ledger = self._ledger(formats)
         paths: list[Path] = []
         for to in dict.fromkeys(formats):
             written = writers[to]()
             ledger.record(_existing(self.out, _TARGETS[to] if written[0].is_dir() else [path.name for path in written]))
-            note_axes(ledger, to, self._axes.gltf if to == "glb" else self._axes, newest=self._axes)
+            note_axes(ledger, to, self._axes.gltf if to in _Y_UP else self._axes, newest=self._axes)
             paths += written
         self._axes.tell()
         return list(dict.fromkeys(paths))
@@ -172,6 +177,22 @@ class Exporter:
 
     def _splats(self) -> list[Path]:
         return write_splats(self.out / "splats.ply", turned(self._mesh, self._axes.T_ew), self.resolution)
+
+    def _page(self) -> list[Path]:
+        path, T_ew = self.out / result_folder.SCENE, self._axes.gltf.T_ew
+        page = page_of(self.run, self._mesh, T_ew, name=self.run.folder.resolve().name, recording=self._recording)
+        with atomic_files.replacing(path) as part:
+            part.write_text(page, encoding="utf-8")
+        return [path]
+
+    @property
+    def _recording(self) -> Dataset | None:
+        """The recording; None if it cannot be read, which is told."""
+        try:
+            return self.run.recording
+        except IdfSlamError as error:
+            log.warning("%s; pictures come from the archive of images alone", error)
+            return None
 
     def _grid(self) -> list[Path]:
         with atomic_files.replacing(self.out / "grid.npz") as part:

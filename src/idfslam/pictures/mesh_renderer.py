@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from idfslam.errors import ResultError
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.level import up_direction
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 
 Floats = NDArray[np.floating]
@@ -161,15 +160,8 @@ def looking_at(target: NDArray[np.float64], eye: NDArray[np.float64], up: NDArra
     return T
 
 
-def overview_pose(
-    mesh: trimesh.Trimesh, poses: NDArray[np.float64], camera: Camera, *, azimuth: float = 0.6, elevation: float = 0.9
-) -> NDArray[np.float64]:
-    """T_wc (4, 4) outside and above the mesh, as near as the whole mesh fits the image. Angles [rad] are relative to the room's up."""
-    up = up_direction(mesh, poses)
-    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    side /= np.linalg.norm(side)
-    back = np.cos(azimuth) * side + np.sin(azimuth) * np.cross(up, side)
-    direction = np.cos(elevation) * back + np.sin(elevation) * up
+def pose_outside(mesh: trimesh.Trimesh, up: NDArray[np.float64], direction: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """T_wc (4, 4) in a unit direction (3,) from the mesh, as near as the whole mesh fits the image. up (3,): a unit vector."""
     low, high = np.percentile(mesh.vertices, [0.2, 99.8], axis=0)  # percentiles: a stray face must not make the room small in the picture
     centre = (low + high) / 2
     T = looking_at(centre, centre + direction, up)

@@ -8,17 +8,17 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.level import up_direction
+from idfslam.pictures.direction import best_direction
 from idfslam.pictures.image_files import View, to_bytes
-from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
+from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.scraps import without_scraps
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]  # (H, W, 3) RGB
 
 _OUTSIDE = Camera(960, 720, 1200.0, 1200.0, 479.5, 359.5)
 _INSIDE = (480, 360)  # [px] width and height of each view from inside: two of them are as high as the room
-_SIDES = 8  # directions that are tried; more: a slightly better one, slower
-_ELEVATION = 0.9  # [rad] above the floor; larger: more floor, less wall
-_TRY = 12  # the tried pictures are smaller by this factor; larger: quicker, a less certain choice
 _FRUSTA = 24  # at most; more: a busier picture
 _FRUSTUM = 0.22  # [m] depth of a frustum
 _HIDDEN = 0.05  # [m] a line is hidden where it lies so far behind the surface; larger: lines shine through thin things
@@ -34,8 +34,9 @@ def draw_overview(path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: N
     poses (N, 4, 4) camera-to-world of all frames, keyframes (K,) their indices, camera that of the frames, view the frame shown beside it.
     Raises ResultError for a mesh without faces.
     """
+    mesh, up = without_scraps(mesh), up_direction(mesh, poses)
     picture = Picture(mesh, inside=poses[:, :3, 3])
-    T_wo = _best_side(picture, mesh, poses)
+    T_wo = pose_outside(mesh, up, best_direction(mesh, poses[:, :3, 3], up), _OUTSIDE)
     shown = picture.draw(T_wo, _OUTSIDE, Shading(background=_UNSEEN))
     depth = picture.depth(T_wo, _OUTSIDE)
     chosen = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, _FRUSTA).round().astype(int))] if len(keyframes) else keyframes
@@ -46,14 +47,6 @@ def draw_overview(path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: N
     inside = [_labelled(view.colour, f"recorded, frame {view.index}"), _labelled(view.rendered_colour, "the map, rendered from there")]
     image = np.concatenate([shown, np.concatenate(inside)], axis=1)
     path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
-
-
-def _best_side(picture: Picture, mesh: trimesh.Trimesh, poses: Floats) -> Floats:
-    """T_wo (4, 4) outside, on the side from which surface fills most of the picture."""
-    small = _OUTSIDE.resized(_OUTSIDE.width // _TRY, _OUTSIDE.height // _TRY)
-    angles = np.arange(_SIDES) * 2 * np.pi / _SIDES
-    sides = [overview_pose(mesh, poses, _OUTSIDE, azimuth=float(angle), elevation=_ELEVATION) for angle in angles]
-    return max(sides, key=lambda T_wo: float((picture.depth(T_wo, small) > 0).mean()))
 
 
 def frustum(T_wk: Floats, camera: Camera) -> list[Floats]:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from idfslam.datasets import Dataset
 from idfslam.errors import FrameError
@@ -19,7 +20,9 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.level import from_above
 from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.saved_map import SavedMap
-from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
+from idfslam.pictures.direction import best_direction, shown
+from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.scraps import without_scraps
 from idfslam.report.figures import Plan
 from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.views.image_based_rendering import MapViews, without
@@ -36,7 +39,7 @@ _FAR = 30.0  # height of the plan's camera, in sizes of the room; larger: closer
 _HEIGHTS = (0.25, 0.5, 0.75)  # of the slices, as shares of the room's height
 _WIDTH = 320  # [px] of a frame's pictures; larger: sharper, and a larger page
 _FRAMES = 4
-_LEAST_SHOWN = 0.01  # a picture of the mesh is left out if a smaller share of it shows mesh
+_LEAST_SIDE = 0.3  # [1] of what the best side shows of the surface, below which a side is left out. More: fewer pictures. Chosen by hand
 _AT_ONCE = 2  # pictures drawn in parallel; more: faster on more cores, 100 MB of memory each
 _MAX_ERROR = 0.05  # [m] depth error at the end of the colour scale
 
@@ -45,18 +48,20 @@ class Room:
     """A mesh with the cameras that saw it. Its methods draw the pictures of the room."""
 
     def __init__(self, mesh: trimesh.Trimesh, poses: Floats, R_lw: Floats) -> None:
-        self._mesh, self._poses, self._R_lw = mesh, poses, R_lw
+        self._mesh, self._poses, self._R_lw = (mesh := without_scraps(mesh)), poses, R_lw
         self._picture = Picture(mesh, inside=poses[:, :3, 3])
         local = np.concatenate([np.percentile(np.asarray(mesh.vertices) @ R_lw.T, [0.3, 99.7], axis=0), poses[:, :3, 3] @ R_lw.T])
         margin = np.array([_MARGIN, _MARGIN, 0])
         self.low, self.high = local.min(0) - margin, local.max(0) + margin
 
     def outside(self) -> list[Image]:
-        """Pictures (H, W, 4) from four sides, without those that show only backs of faces."""
-        angles = 0.6 + np.arange(4) * np.pi / 2
-        poses = [overview_pose(self._mesh, self._poses, _OUTSIDE, azimuth=float(angle)) for angle in angles]
-        images = self._seen(poses, _OUTSIDE, Shading())
-        return [image for image in images if (image[..., 3] > 0).mean() > _LEAST_SHOWN]
+        """Pictures (H, W, 4) from the best side and at right angles to it, without sides that hardly show what the cameras saw."""
+        up, eyes = self._R_lw[2], self._poses[:, :3, 3]
+        turns = Rotation.from_rotvec(np.arange(4)[:, None] * np.pi / 2 * up).as_matrix()
+        directions = turns @ best_direction(self._mesh, eyes, up)
+        seen = shown(self._mesh, eyes, directions)
+        chosen = directions[seen >= _LEAST_SIDE * seen[0]]
+        return self._seen([pose_outside(self._mesh, up, direction, _OUTSIDE) for direction in chosen], _OUTSIDE, Shading())
 
     def inside(self) -> list[Image]:
         """Wide-angle pictures (H, W, 4) from four places on the path."""

@@ -1,4 +1,4 @@
-"""Writes report.html, a single file that works without other files and without a network, and its pictures to pictures/."""
+"""Writes report.html, a single file that works without other files and without a network, its pictures to pictures/, and scene.html."""
 
 import base64
 import io
@@ -22,7 +22,9 @@ from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.evaluate import evaluate_poses, load_mesh
 from idfslam.evaluation.trajectory_error import AbsoluteTrajectoryError, absolute_trajectory_error, matched_ground_truth
 from idfslam.evaluation.truth_file import read_truth
+from idfslam.export.axes import Axes
 from idfslam.export.memory_need import finest_cells
+from idfslam.export.page import page_of
 from idfslam.geometry.level import level
 from idfslam.report import figures
 from idfslam.report.chart import Chart
@@ -81,7 +83,7 @@ class _Gallery:
 
 
 def write_report(folder: Path, *, recording: Dataset | None = None, moved: Path | None = None, gt: Path | None = None) -> list[Path]:
-    """Writes the report of a result folder. Returns the paths of the page and of its pictures.
+    """Writes the report of a result folder. Returns the paths of the page, of scene.html if there is a mesh, and of the pictures.
 
     recording: the run's recording, if it is already open. moved: its path, if it is no longer the one in config.yaml.
     gt: file of the true trajectory, see `read_truth`; None: the recording's own.
@@ -108,8 +110,16 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
     metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
     upright = level(mesh, run.trajectory.poses)
     sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh, upright.R_lw) | _frames(gallery, run, recording)
+    name = recording.name if recording is not None else folder.resolve().name
+    if mesh is not None:
+        T_lw = np.eye(4)
+        T_lw[:3, :3] = upright.R_lw
+        scene = page_of(run, mesh, Axes("z", T_lw, upright.by_gravity).gltf.T_ew, name=name, recording=recording)
+        with ledger.replacing(result_folder.SCENE) as part:
+            part.write_text(scene, encoding="utf-8")
+        gallery.written.append(folder / result_folder.SCENE)
     page = _template().render(
-        name=recording.name if recording is not None else folder.resolve().name,
+        name=name,
         made=datetime.fromtimestamp((folder / result_folder.TRAJECTORY).stat().st_mtime).strftime("%d %B %Y, %H:%M"),
         cards=_cards(run, ate, metrics, mesh),
         interrupted=bool(metrics.get("interrupted")),
@@ -118,6 +128,7 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
         sections=sections,
         stages=sorted(metrics.get("ms_per_frame", {}).items(), key=lambda item: -item[1]),
         missing=missing,
+        scene=result_folder.SCENE if mesh is not None else None,
         by_gravity=upright.by_gravity,
         finest=finest_cells(run.map) if (folder / result_folder.MAP).is_file() else None,
         config=_config(folder),

@@ -27,7 +27,7 @@ from idfslam.viewer.rerun_program import RECORDING as RECORDING
 
 TRAJECTORY, LIVE, MESH, MAP = "trajectory.txt", "live_trajectory.txt", "mesh.ply", "map.safetensors"
 KEYFRAMES, CONFIG, METRICS, PICTURE = "keyframes.json", "config.yaml", "metrics.json", evaluation_files.TRAJECTORY_PICTURE
-ARCHIVE, FRAMES, REPORT, PICTURES = "archive.safetensors", "frames.csv", "report.html", "pictures"
+ARCHIVE, FRAMES, REPORT, SCENE, PICTURES = "archive.safetensors", "frames.csv", "report.html", "scene.html", "pictures"
 CHECKPOINT = "checkpoint.safetensors"  # of an unfinished run
 FILES = (
     TRAJECTORY,
@@ -105,9 +105,9 @@ def ledger(folder: Path) -> Ledger:
 
 
 def report_files(folder: Path) -> set[str]:
-    """The names of report.html and of the files in pictures/ that are named as a report's pictures."""
+    """The names of report.html, of scene.html and of the files in pictures/ that are named as a report's pictures."""
     pictures = {f"{PICTURES}/{path.name}" for path in (folder / PICTURES).glob("*.png") if _PICTURE.fullmatch(path.name)}
-    return {REPORT, *pictures}
+    return {REPORT, SCENE, *pictures}
 
 
 def write_config(folder: Path, config: Config, source: Source | None) -> None:

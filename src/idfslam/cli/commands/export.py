@@ -14,11 +14,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Export:
-    """Export a run for other programs: poses, posed images, meshes, points or grids.
+    """Export a run for other programs: poses, posed images, meshes, points, grids, or a page for the browser.
 
     tum: poses of all frames, t tx ty tz qx qy qz qw.  kitti: the same as 3 x 4 matrices.
     nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
     ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
+    page: scene.html, the scene in three dimensions for any browser, in one file.
     grid: T-SDF, colour and observed cells on a dense grid (npz).  blocks: the same, only near the surface.
     All formats of one command share their axes (--up); transform.json describes them.
     """
