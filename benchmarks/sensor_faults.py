@@ -5,9 +5,9 @@
 
 SCENE is `synthetic` or `corridor`; seed S runs the recording SCENE:S:handheld-FAULT, so that each seed has a room and a motion of its own.
 --size renders smaller images than the recording of that name has, which takes less time.
---faults names other rows, such as `shutter=0.5` or `shutter+time`; `all` means every fault. It prints a table in Markdown: mean and
-standard deviation over the seeds of the ATE RMSE, the largest error of the motion from one frame to the next of all seeds, and the share of
-each status as it was reported when the frame was processed.
+--faults names other rows, such as `shutter=0.5` or `shutter+time`; `all` means every fault. It prints a table in Markdown: the mean and the
+standard deviation over the seeds of the ATE RMSE at the end of the run; and as they were reported when the frames were processed, the error
+of the motion from one frame to the next, its largest value of all seeds, and the share of each status.
 """
 
 import argparse
@@ -64,8 +64,9 @@ def measured(recording: Dataset, config: Config) -> Measured:
     """Runs a recording."""
     slam = Slam(config)
     statuses = Counter(slam.process(frame).status for frame, _ in read_frames(recording))
+    slam.finish()
     poses, truth = slam.trajectory(), np.asarray(recording.ground_truth)
-    rpe = relative_pose_error(poses, truth)
+    rpe = relative_pose_error(slam.live_trajectory(), truth)
     if rpe is None:
         raise SystemExit(f"{recording.name}: {len(poses)} frames, expected at least 2: choose --frames")
     jump = rpe.largest_jump
