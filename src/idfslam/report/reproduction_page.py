@@ -18,7 +18,10 @@ from idfslam.datasets import open_recording
 from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.evaluate import load_mesh
 from idfslam.geometry.camera import Camera
-from idfslam.pictures.mesh_renderer import Picture, Shading, overview_pose
+from idfslam.geometry.level import up_direction
+from idfslam.pictures.direction import best_direction
+from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.scraps import without_scraps
 from idfslam.report.comparison_page import machine_line
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
@@ -235,11 +238,13 @@ def _of_scene(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
             log.warning("%s: no picture of its mesh (%s)", row["name"], error)
     try:
         poses = _aligned_poses(folder / rows[0]["name"])
-        T_wo = overview_pose(next(iter(surfaces.values())), poses, _CAMERA)
+        first = next(iter(surfaces.values()))
+        up, eyes = up_direction(first, poses), poses[:, :3, 3]
+        T_wo = pose_outside(first, up, best_direction(first, eyes, up), _CAMERA)
     except (IdfSlamError, StopIteration):
         return []
     return [
-        {"image": _image(Picture(mesh, inside=poses[:, :3, 3]).draw(T_wo, _CAMERA, Shading())), "caption": name}
+        {"image": _image(Picture(without_scraps(mesh), inside=eyes).draw(T_wo, _CAMERA, Shading())), "caption": name}
         for name, mesh in surfaces.items()
     ]
 
