@@ -20,6 +20,7 @@ from idfslam.export.axes import Axes
 from idfslam.export.formats import Format, Lost, Texture, Up
 from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
 from idfslam.export.lost_frames import LOST, remarked, write_lost
+from idfslam.export.masks import write_masks
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.page import page_of
 from idfslam.export.point_cloud import PointCloud, fuse
@@ -55,6 +56,7 @@ _TARGETS: dict[Format, tuple[str, ...]] = {
     "points": ("points.ply",),
     "splats": ("splats.ply",),
     "page": (result_folder.SCENE,),
+    "masks": ("masks",),
     "grid": ("grid.npz",),
     "blocks": ("blocks.npz",),
 }
@@ -88,7 +90,7 @@ class Exporter:
         atomic_files.prepare(self.out)
         writers: dict[Format, Callable[[], list[Path]]] = {
             "tum": self._tum, "kitti": self._kitti, "nerfstudio": self._nerfstudio, "colmap": self._colmap, "ply": self._ply,
-            "obj": self._obj, "glb": self._glb, "points": self._points, "splats": self._splats, "page": self._page,
+            "obj": self._obj, "glb": self._glb, "points": self._points, "splats": self._splats, "page": self._page, "masks": self._masks,
             "grid": self._grid, "blocks": self._blocks,
         }  # fmt: skip
         ledger = self._ledger(formats)
@@ -184,6 +186,9 @@ class Exporter:
         with atomic_files.replacing(path) as part:
             part.write_text(page, encoding="utf-8")
         return [path]
+
+    def _masks(self) -> list[Path]:
+        return [write_masks(self.out / "masks", self.run)]
 
     @property
     def _recording(self) -> Dataset | None:

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-Format = Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "splats", "page", "grid", "blocks"]
+Format = Literal["tum", "kitti", "nerfstudio", "colmap", "ply", "obj", "glb", "points", "splats", "page", "masks", "grid", "blocks"]
 Texture = Literal["images", "map"]  # the recording's images, or the map's colours
 Up = Literal["z", "y", "camera"]  # the axis that points up; camera: the run's own world, x right, y down, z forward
 Lost = Literal["keep", "drop"]  # frames whose pose was not measured

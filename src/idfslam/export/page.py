@@ -7,6 +7,7 @@ It holds the mesh with a texture from the archive of images, the camera's path, 
 import base64
 import io
 import json
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
@@ -29,6 +30,7 @@ from idfslam.frame import Status
 from idfslam.pictures.direction import best_direction
 from idfslam.pictures.scraps import without_scraps
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.views.image_archive import ImageArchive
 from idfslam.views.surface_colour import of_archive, seen_colours
 
 Floats = NDArray[np.float64]
@@ -36,7 +38,8 @@ Floats = NDArray[np.float64]
 # All of these were chosen by hand, so that the page of a room has less than 30 MB.
 _FACES = 100_000  # of the mesh with a texture. More: finer shapes, a larger page
 _COLOURED_FACES = 400_000  # of a mesh with vertex colours, likewise
-_TEXELS = 2_000_000  # of the texture, about. More: a sharper and larger page that takes longer to write
+_TEXELS = 3_000_000  # of the texture, about. More: a sharper and larger page that takes longer to write
+_IMAGES = 60  # of the archive that colour it, spread over the run. More: fewer places without an image, more time
 _PICTURES = 120  # keyframes with pictures. More: a larger page
 _WIDTH = 480  # [px] of a picture. More: sharper, a larger page
 _QUALITY = 80  # [1] of 100, of a picture as WebP. More: a larger page
@@ -87,7 +90,7 @@ def _json(values: Any) -> Markup:
 def _page_mesh(run: FinishedRun, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The mesh without scraps, in few triangles with a texture, or with vertex colours if the run kept no images."""
     mesh = without_scraps(cleaned(mesh))
-    archive = run.archive
+    archive = None if run.archive is None else _some(run.archive)
     small = decimated(mesh, _COLOURED_FACES if archive is None else _FACES)
     if archive is None:
         small.visual.vertex_colors = _nearest_colours(mesh, small.vertices)  # type: ignore[union-attr]
@@ -99,6 +102,12 @@ def _page_mesh(run: FinishedRun, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return colours
 
     return textured(small, shade, texel_size(small.area, _TEXELS))
+
+
+def _some(archive: ImageArchive) -> ImageArchive:
+    """At most _IMAGES of an archive."""
+    chosen = np.unique(np.linspace(0, len(archive.views) - 1, _IMAGES).round().astype(int))
+    return replace(archive, views=[archive.views[i] for i in chosen], T_wc=archive.T_wc[chosen], exposures=archive.exposures[chosen])
 
 
 def _nearest_colours(mesh: trimesh.Trimesh, points: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -1,9 +1,10 @@
 """Gives a mesh a texture instead of vertex colours. The texture is an atlas with one patch per triangle, filled from images or the map.
 
-Two triangles share a square of texels, the second one mirrored. A square has 8, 16, 32 ... texels along its edge, as its triangles need.
-A margin of one texel around each triangle continues its plane, so that bilinear sampling inside a triangle never mixes in another
-triangle's colour. The squares lie along a Morton curve, the largest first, so they leave no gaps. Those of one size are in the order of
-their triangles along a Morton curve in space: coarse mip levels mix neighbouring squares, so these are neighbours in the room as well.
+Two triangles share a square of texels, the second one mirrored. A square has 8, 16, 32 ... texels along its edge, as its triangles need,
+to the nearest power of two. A margin of one texel around each triangle continues its plane, so that bilinear sampling inside a triangle
+never mixes in another triangle's colour. The squares lie along a Morton curve, the largest first, so they leave no gaps. Those of one size
+are in the order of their triangles along a Morton curve in space: coarse mip levels mix neighbouring squares, so these are neighbours in
+the room as well.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ _MARGIN = 3  # texels of a square beside a triangle's leg; fewer, the two triang
 _LARGEST = 16384  # texels along the edge of an atlas; larger ones exceed the limit of common graphics cards
 FINEST = 0.002  # [m] edge of a texel: a pixel of 640 x 480 at a distance of 1 m. Larger: a smaller, softer texture
 _MOST = 12_000_000  # texels at most. More: sharper large rooms, more time (36 ns a texel and image), larger files. Chosen by hand
-_USED = 0.4  # [1] share of the texels that lies inside of triangles, as measured on rooms: squares are wider than their triangles
+_USED = 0.2  # [1] share of the texels that lies inside of triangles, as measured on rooms: squares are wider than their triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def atlas(triangles: Floats, texel: float) -> Atlas:
     right = legs.argmax(1)  # the corner that is mapped to a right angle: it has the widest one
     order = (right[:, None] + np.arange(3)) % 3
     longest = np.take_along_axis(legs, order[:, 1:], 1).max(1) / texel
-    edge = np.clip(2 ** np.ceil(np.log2(longest + _MARGIN)), _SMALLEST, _WIDEST).astype(np.int64)
+    edge = np.clip(2 ** np.round(np.log2(longest + _MARGIN)), _SMALLEST, _WIDEST).astype(np.int64)
     sizes = np.unique(edge)[::-1]
     along = _along_curve(triangles.mean(1))
     faces = [along[edge[along] == size] for size in sizes]

@@ -25,7 +25,9 @@ from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
 from idfslam.pictures.scraps import without_scraps
 from idfslam.report.figures import Plan
 from idfslam.sensing.matched_exposure import matched_exposure
+from idfslam.views.image_archive import ImageArchive
 from idfslam.views.image_based_rendering import MapViews, without
+from idfslam.views.view_selection import EARLIER
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -41,6 +43,10 @@ _WIDTH = 320  # [px] of a frame's pictures; larger: sharper, and a larger page
 _FRAMES = 4
 _LEAST_SIDE = 0.3  # [1] of what the best side shows of the surface, below which a side is left out. More: fewer pictures. Chosen by hand
 _AT_ONCE = 2  # pictures drawn in parallel; more: faster on more cores, 100 MB of memory each
+_MOVING = (225, 29, 72)  # RGB over what moves
+_COVER = 0.55  # [1] of that colour over the image. More: less of the image shows
+_LEAST_MOVING = 0.005  # [1] share of an image that must move for it to be shown. More: fewer pictures. Chosen by hand
+_MOVING_FRAMES = 8  # images that show what moves. More: a longer strip
 _MAX_ERROR = 0.05  # [m] depth error at the end of the colour scale
 
 
@@ -106,6 +112,23 @@ class Comparison:
     pictures: dict[str, Image]  # (h, w, 3) by caption
     psnr: float  # [dB] of the colour, at the exposure of the frame
     depth_error: float  # [m] median, where both have depth
+
+
+def moving_strip(archive: ImageArchive) -> list[tuple[str, Image]]:
+    """Captions and pictures (h, w, 3) of images of the archive in which something moves, spread over the run, with that in red."""
+    shares = np.array([(view.depth < 0).mean() for view in archive.depths])
+    found = [i for i in np.argsort([view.index for view in archive.views], kind="stable") if shares[i] >= _LEAST_MOVING]
+    chosen = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, min(_MOVING_FRAMES, len(found))).round().astype(int))]
+    strip = []
+    for i in chosen:
+        colour, moving = archive.colour(i).astype(np.float32), archive.moving(i)[..., None]
+        shown = np.where(moving, (1 - _COVER) * colour + _COVER * np.array(_MOVING, np.float32), colour)
+        size = (_WIDTH, round(_WIDTH * archive.camera.height / archive.camera.width))
+        picture = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
+        index = archive.views[i].index
+        name = "Image of the earlier run" if index == EARLIER else f"Frame {index}"
+        strip.append((f"{name}: {shares[i]:.0%} moves", _bytes(picture / 255)))
+    return strip
 
 
 def evenly_spread(count: int, wanted: int) -> list[int]:

@@ -29,7 +29,7 @@ from idfslam.geometry.level import level
 from idfslam.report import figures
 from idfslam.report.chart import Chart
 from idfslam.report.passages import passages
-from idfslam.report.views import Room, comparisons
+from idfslam.report.views import Room, comparisons, moving_strip
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import read_metrics
@@ -109,7 +109,12 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
     ate = _ate(run, recording, gt)
     metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
     upright = level(mesh, run.trajectory.poses)
-    sections = _charts(gallery, run, ate, metrics) | _room(gallery, run, ate, mesh, upright.R_lw) | _frames(gallery, run, recording)
+    sections = (
+        _charts(gallery, run, ate, metrics)
+        | _room(gallery, run, ate, mesh, upright.R_lw)
+        | _frames(gallery, run, recording)
+        | _moving(gallery, run)
+    )
     name = recording.name if recording is not None else folder.resolve().name
     if mesh is not None:
         T_lw = np.eye(4)
@@ -242,6 +247,12 @@ def _frames(gallery: _Gallery, run: FinishedRun, recording: Dataset | None) -> d
         text = f"Frame {comparison.index}: {figures}"
         rows.append((text, shown))
     return {"views": rows}
+
+
+def _moving(gallery: _Gallery, run: FinishedRun) -> dict[str, list[_Figure]]:
+    """Images in which something moves."""
+    strip = [] if run.archive is None else moving_strip(run.archive)
+    return {"moving": [gallery.picture(f"moving_{n}", caption, image) for n, (caption, image) in enumerate(strip, 1)]}
 
 
 def _measured(run: FinishedRun, truth: NDArray[np.float64]) -> list[tuple[str, str, str]]:

@@ -42,7 +42,7 @@ FILES = (
     PICTURE,
 )  # of a run
 EVALUATION, EVALUATION_FILES = evaluation_files.EVALUATION, evaluation_files.FILES
-_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice)(_[0-9a-z_]+)?\.png")  # a picture of a report
+_PICTURE = re.compile(r"(trajectory|error|frames|stages|losses|mesh|inside|view|slice|moving)(_[0-9a-z_]+)?\.png")  # a picture of a report
 SCHEMA = 1  # of keyframes.json and metrics.json; counts up when a reader of the older form would misread a file
 _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -40,6 +41,11 @@ class ImageArchive:
         if image is None or image.shape != (self.camera.height, self.camera.width, 3):
             raise ResultError(f"the archive's image of frame {self.views[i].index} is damaged; run again")
         return image
+
+    def moving(self, i: int) -> NDArray[np.bool_]:
+        """(H, W) which pixels of the i-th image show what moves, at the resolution of its depth image."""
+        hidden, size = (self.depths[i].depth < 0).astype(np.uint8), (self.camera.width, self.camera.height)
+        return np.asarray(cv2.resize(hidden, size, interpolation=cv2.INTER_NEAREST) > 0)
 
     @cached_property
     def depths(self) -> list[DepthView]:

@@ -20,6 +20,7 @@ class Export:
     nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
     ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
     page: scene.html, the scene in three dimensions for any browser, in one file.
+    masks: what moves in each image that the run kept, as black pixels (PNG).
     grid: T-SDF, colour and observed cells on a dense grid (npz).  blocks: the same, only near the surface.
     All formats of one command share their axes (--up); transform.json describes them.
     """

@@ -29,7 +29,7 @@ const size = room.low.distanceTo(room.high);
 const materials = {}; // one for each look, without backs: so walls and ceiling are seen through from outside
 let surface = null;
 
-// At a triangle's border the place in the texture is that of the covered part of a pixel: beside it lies another triangle's patch.
+// The texture has no mip levels, which would mix patches. At a triangle's border the place in the texture is that of the covered part of a pixel: beside it lies another triangle's patch.
 function sampledInside(shader) {
   for (const stage of ["vertex", "fragment"]) {
     const include = `uv_pars_${stage}`, chunk = THREE.ShaderChunk[include].replace("varying vec2 vMapUv", "centroid varying vec2 vMapUv");
@@ -43,10 +43,6 @@ async function loadMesh() {
   model.traverse((part) => { if (part.isMesh) surface = part; });
   const shared = { side: THREE.FrontSide, clippingPlanes: [ceiling] };
   const map = surface.material.map;
-  if (map) {
-    map.minFilter = THREE.LinearMipmapLinearFilter;
-    map.generateMipmaps = true;
-  }
   const vertexColors = !map && "color" in surface.geometry.attributes;
   materials.colours = new THREE.MeshBasicMaterial({ ...shared, map, vertexColors, toneMapped: false });
   if (map) materials.colours.onBeforeCompile = sampledInside;
