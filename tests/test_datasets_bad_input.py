@@ -26,7 +26,9 @@ from helpers.recordings import (
     write_tum,
 )
 from idfslam.datasets import open_recording
-from idfslam.errors import FrameError, RecordingError
+from idfslam.datasets.provenance import is_guessed
+from idfslam.errors import ConfigError, FrameError, RecordingError
+from idfslam.geometry.camera import Camera
 
 
 def refuses(path: Path, message: str, **arguments: object) -> None:
@@ -248,6 +250,22 @@ def test_an_unknown_camera_is_never_guessed(tmp_path: Path) -> None:
     refuses(path, "camera is unknown .fx, fy, cx, cy missing.: give cam_params.json in the recording or --camera.fx")
     refuses(path, "camera is unknown .cy missing", camera={"fx": 15.0, "fy": 15.0, "cx": 7.0})
     refuses(write_tum(tmp_path / "desk", cam_params=False), "camera is unknown")
+
+
+def test_an_unknown_camera_may_start_from_its_field_of_view(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "room")
+    known = open_recording(path).camera
+    assert open_recording(path, camera={"field_of_view": 90.0}).camera == known  # what the recording states is no guess
+    assert not is_guessed(open_recording(path, camera={"field_of_view": 90.0}))
+    (path / "intrinsics.txt").unlink()
+    refuses(path, "start from --camera.guess")
+    recording = open_recording(path, camera={"field_of_view": 90.0})
+    found, half = recording.camera, known.width / 2
+    assert found == Camera(known.width, known.height, found.fx, found.fy, half - 0.5, known.height / 2 - 0.5)
+    assert (found.fx, found.fy) == pytest.approx((half, half))
+    assert is_guessed(recording)
+    with pytest.raises(ConfigError, match="field of view 200, expected 10 to 140 degrees"):
+        open_recording(path, camera={"field_of_view": 200.0})
 
 
 def test_published_values_hold_for_the_published_size_only(tmp_path: Path) -> None:

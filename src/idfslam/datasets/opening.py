@@ -85,7 +85,7 @@ def open_recording(
         these (see `generated.kidnapped`).
     format: one of FORMATS, if the layout is not recognised correctly.
     camera: any of fx, fy, cx, cy [px] and depth_scale; they override the recording's own values. All of fx, fy, cx, cy together mean a
-        pinhole camera without distortion.
+        pinhole camera without distortion. field_of_view [degrees]: across the image, for a recording that states nothing of its camera.
     camera_file: a file like cam_params.json, whose values override the recording's own too; `camera` and `depth_scale` override it.
     depth_scale: units of the depth images per metre; overrides the recording's own value.
     topics: any of colour, depth, camera_info, poses: topics of a ROS recording; the others are detected.

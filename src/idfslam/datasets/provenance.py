@@ -23,6 +23,16 @@ class Provenance:
     notes: tuple[str, ...] = ()  # what was assumed about the images, for warnings
 
 
+GUESSED = "a guess"
+"""How the source of a camera begins of which nothing is known but its field of view."""
+
+
+def is_guessed(dataset: object) -> bool:
+    """Whether a dataset's camera is a guess."""
+    found = provenance(dataset)
+    return found is not None and found.camera.startswith(GUESSED)
+
+
 def provenance(dataset: object) -> Provenance | None:
     """The provenance of a dataset's values: its attribute `provenance`; None where it has none, as in a live camera."""
     return getattr(dataset, "provenance", None)

@@ -130,6 +130,7 @@ class Recording:
         self._read, self._read_truth, self._registered = read, ground_truth, depth_camera is None
         self._probed = 0, 0.0  # the frame that was read, and its median depth in units of the images
         self._sizes = colour, depth = self._probe()  # width, height [px]
+        calibration = calibration.guessed(*colour)
         self.camera, self._scale, lens = calibration.camera(*colour, name), calibration.scale(name), calibration.distortion or ()
         self._one_view = OneView(colour, depth) if self._registered and colour != depth else None
         if self._one_view is not None:

@@ -20,7 +20,7 @@ from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.calibration import TIMES
 from idfslam.datasets.cameras.camera_files import DEFORMATION
-from idfslam.datasets.provenance import Provenance, provenance
+from idfslam.datasets.provenance import Provenance, is_guessed, provenance
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
@@ -95,14 +95,16 @@ def unexplained(estimate: Estimate) -> str:
 def calibrated(source: result_folder.Source, config: Config, path: Path, console: Console | None) -> result_folder.Source:
     """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
 
-    If it shows too little, a warning says so, and it stays as it was.
+    If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced by one that fits the images only roughly, too.
     """
     try:
         estimate, recording = calibrate([source], config, truth=False, console=console)
     except RecordingError as error:
         log.warning("%s; the camera stays as it is stated", error)
         return source
-    if not estimate.explains_images:
+    if not estimate.explains_images and is_guessed(recording):
+        log.warning("%s; the camera is only known roughly", unexplained(estimate))
+    elif not estimate.explains_images:
         log.warning("%s; the camera stays as it is stated", unexplained(estimate))
         return source
     write_camera(path, estimate, recording)

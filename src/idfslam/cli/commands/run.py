@@ -52,6 +52,11 @@ class CameraFlags:
     """Principal point along x [px]. Pixel centres lie at integers."""
     cy: float | None = None
     """Principal point along y [px]."""
+    guess: bool = False
+    """If nothing is known of the camera, start from a usual one, whose image is 65 degrees wide. `run` then finds the camera from the
+    images before it maps, unless --calibrate is off."""
+    field_of_view: float | None = None
+    """The same from this width of the image [degrees]."""
     depth_scale: float | None = None
     """Units of the depth images per metre; 1000 for millimetres."""
     readout: float | None = None
@@ -63,8 +68,11 @@ class CameraFlags:
     """Time by which depth is taken later than its time stamps say [s]; negative: earlier."""
 
     def given(self) -> dict[str, float]:
-        """Those that are given."""
-        return {key: value for key, value in asdict(self).items() if value is not None}
+        """Those that are given; a guess as the field of view that it is made from."""
+        from idfslam.datasets.cameras.calibration import USUAL_FIELD_OF_VIEW
+
+        values = {key: value for key, value in asdict(self).items() if value is not None and key != "guess"}
+        return {"field_of_view": USUAL_FIELD_OF_VIEW} | values if self.guess else values
 
 
 @dataclass(frozen=True)
@@ -151,6 +159,7 @@ class Run:
             wrong_usage("run: expected a recording, or --resume and the result folder of a run", "run")
         values = check(self.values)
         from idfslam.compute.torch_threads import limit_torch_threads
+        from idfslam.datasets.provenance import is_guessed
         from idfslam.live import LiveStream, absolute_path
         from idfslam.runs.prior_map import load_prior
         from idfslam.runs.result_folder import Source
@@ -174,7 +183,7 @@ class Run:
         viewer, every, overwrite = self._viewer(console), self.checkpoints.checkpoint_every, self.output.overwrite
         folder = folder_for(recording.name, self.output.out, overwrite=overwrite)
         check_usable(folder, **wanted)
-        if values.calibrate == "on":
+        if values.calibrate == "on" or (values.calibrate == "warn" and is_guessed(recording)):
             source = self._calibrated(source, folder, console)
             recording = open_feed(source)
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
