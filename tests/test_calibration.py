@@ -20,7 +20,7 @@ from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.datasets.provenance import Provenance
 from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
-from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row
+from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row, write_camera
 from idfslam.runs.result_folder import Source
 from idfslam.sensing.depth_deformation import DepthDeformation
 
@@ -204,3 +204,18 @@ def test_recordings_of_different_cameras_are_refused(box_recording: Path) -> Non
     empty = [Keyframes(recording, np.zeros(0, np.int64), [], np.zeros((0, 4, 4))) for recording in cameras]
     with pytest.raises(ConfigError, match="stated differently"):
         calibrate_from(empty, truth=False)
+
+
+def test_a_guess_gives_way_where_a_stated_value_would_stay(tmp_path: Path) -> None:
+    """A focal length that is 1 % off, by an estimate that is that uncertain."""
+    found = estimate(sigma=0.01, focal=0.01)
+
+    class Read:
+        camera = CAMERA
+
+        def __init__(self, source: str) -> None:
+            self.provenance = Provenance(source)
+
+    for source, focal in (("intrinsics.txt", CAMERA.fx), ("a guess: 65 degrees across", 1.01 * CAMERA.fx)):
+        write_camera(tmp_path / "camera.json", found, Read(source))  # type: ignore[arg-type]
+        assert json.loads((tmp_path / "camera.json").read_text())["camera"]["fx"] == pytest.approx(focal)

@@ -95,7 +95,7 @@ def unexplained(estimate: Estimate) -> str:
 def calibrated(source: result_folder.Source, config: Config, path: Path, console: Console | None) -> result_folder.Source:
     """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
 
-    If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced by one that fits the images only roughly, too.
+    If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced also by one that fits only roughly.
     """
     try:
         estimate, recording = calibrate([source], config, truth=False, console=console)
@@ -171,12 +171,11 @@ def _thinned(maps: Sequence[Keyframes]) -> list[Keyframes]:
 
 
 def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
-    """Writes the camera file of a recording that was read as `recording` and calibrated."""
+    """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values stay where they fit, guesses do not."""
+    model = estimate.model if is_guessed(recording) else confirmed(estimate)
     with result_folder.writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-        atomic_files.write_json(
-            path, {"camera": camera_values(confirmed(estimate), recording.camera, provenance(recording) or Provenance(""))}
-        )
+        atomic_files.write_json(path, {"camera": camera_values(model, recording.camera, provenance(recording) or Provenance(""))})
 
 
 def camera_values(model: CameraModel, read_as: Camera, stated: Provenance) -> dict[str, Any]:
