@@ -17,7 +17,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.global_adjustment import GlobalAdjustment, NoAdjustment
 
 FRAMES = range(0, 160, 20)
-OFF = 0.008, 0.004  # [m], [rad] standard deviations of the poses before, in each direction
+OFF = 0.003, 0.001  # [m], [rad] standard deviations of the poses before, in each direction
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +53,11 @@ def errors(graph: KeyframeGraph, true: np.ndarray) -> np.ndarray:
 def test_the_keyframes_move_to_where_the_images_want_them(room: SyntheticRoom) -> None:
     true = truth(room)
     graph = graph_of([room[i] for i in FRAMES], true)
-    assert errors(graph, true)[1:].mean() > 0.01
+    assert errors(graph, true)[1:].mean() > 0.004
     adjustment = GlobalAdjustment(graph, 60.0)
     assert adjustment.figures() == {"keyframes_adjusted": False}
     assert adjustment.run()
-    assert errors(graph, true).max() < 0.0025  # 0.3 to 1.4 mm here
+    assert errors(graph, true).max() < 0.002  # 0.3 to 1.1 mm here
     assert errors(graph, true)[0] == 0
     assert adjustment.figures()["keyframes_adjusted"]
     assert adjustment.figures()["landmarks"] > 300
@@ -73,7 +73,7 @@ def test_the_covariances_tell_the_errors(room: SyntheticRoom) -> None:
     for i, keyframe in list(enumerate(graph.keyframes))[1:]:
         off = se3.log(se3.inverse(keyframe.T_wk) @ torch.from_numpy(true[i])).numpy()
         squares.append(off @ np.linalg.solve(covariances[i], off) / 6)
-    assert 0.3 < np.mean(squares) < 2.0
+    assert 0.3 < np.mean(squares) < 2.0  # 0.85 here
 
 
 def test_images_that_do_not_agree_move_nothing(room: SyntheticRoom) -> None:

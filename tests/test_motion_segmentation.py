@@ -7,13 +7,16 @@ import pytest
 import torch
 
 from helpers.differences import differences
-from helpers.three_walls import CORNER, EYE, view
+from helpers.three_walls import CORNER, EYE, aligner, pose, taught, view
 from idfslam.config import FAST, PAPER
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded, nearest_layer
+from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 
 
@@ -65,6 +68,33 @@ def test_a_crowded_view_is_degenerate(share: float, status: Status) -> None:
     assert found.status is status
     assert found.covariance is not None
     assert float(found.covariance[0, 0]) == pytest.approx(1.0 if status is Status.OK else 16.0, rel=0.1)
+
+
+def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
+    """Without the nearest layer the image fits no better; tracking it has turned, rectified and marked the view meanwhile."""
+    graph = KeyframeGraph(FAST.keyframes)
+    segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
+    segmentation.restore(segmentation.state() | {"usual_error": 0.02})
+    shown, first = view(CORNER, EYE), Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.1))
+    shown.rectify(first)
+    predicted = shown.T_wk.clone()
+    found = aligner(taught(CORNER)).align(shown, EYE, [])
+    tracked = Tracked(EYE, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.05))
+    tried: list[int] = []
+
+    def track(again: Keyframe) -> Tracked:
+        assert again.moving is not None
+        tried.append(int(again.moving.sum()))
+        again.T_wk, again.registered = pose(0.1, 0, 0, 0, 0, 0), True
+        again.rectify(Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.3)))
+        return tracked
+
+    assert segmentation.check(shown, tracked, track) is tracked
+    assert tried and tried[0] > 100
+    assert shown.moving is None
+    assert torch.equal(shown.T_wk, predicted)
+    assert shown.rectification is first
+    assert not shown.registered
 
 
 def test_it_can_be_switched_off() -> None:

@@ -29,7 +29,7 @@ _SETTLED = 0.5  # [standard deviations] largest change of a value that ends the 
 _LEAST_KEYFRAMES = 3  # in all; more: short recordings are refused. With two, focal length and relative pose are hard to tell apart
 _LEAST_LANDMARKS = 100  # in all; more: poor recordings are refused. Chosen by hand
 _IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more: the scale that true poses tell is less sure. By hand
-_MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
+MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
 #    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
 _SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
 _CHANCE = 0.997  # [1] stated values stay if chance alone brings this share of estimates nearer to them: 3 standard deviations of one value.
@@ -117,7 +117,7 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds:
 def _honest(covariance: Array) -> Array:
     """The covariance (P, P) of an adjustment, with what its residuals do not show."""
     of_deformation = np.arange(len(NAMES)) > _SCALE
-    return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
+    return MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
 
 
 def _difference_of_halves(problem: Problem, of: NDArray[np.int64]) -> Array:

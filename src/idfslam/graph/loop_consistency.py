@@ -165,11 +165,11 @@ class LoopConsistency:
         log.info("loop between keyframes %d and %d refused: %s", loop.a, loop.b, why)
 
 
-def links(graph: KeyframeGraph) -> list[Edge]:
-    """The edges between stored keyframes, at the present poses."""
+def links(graph: KeyframeGraph, factor: float = 1.0) -> list[Edge]:
+    """The edges between stored keyframes, at the present poses. factor: on their standard deviations."""
     a, b = edge_pairs(graph.keyframes)
     T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
     T_ab = se3.inverse(T[a]) @ T[b]
-    translation = (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[:, :3, 3].norm(dim=1)).tolist()
-    rotation = (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab)).tolist()
+    translation = (factor * (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[:, :3, 3].norm(dim=1))).tolist()
+    rotation = (factor * (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab))).tolist()
     return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, translation, rotation)]

@@ -171,7 +171,7 @@ def _thinned(maps: Sequence[Keyframes]) -> list[Keyframes]:
 
 
 def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
-    """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values stay where they fit, guesses do not."""
+    """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values that fit stay, guesses do not."""
     model = estimate.model if is_guessed(recording) else confirmed(estimate)
     with result_folder.writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)

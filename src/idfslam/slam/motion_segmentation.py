@@ -6,10 +6,11 @@ A view is masked before it is tracked by what moved in the frame before, and seg
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
@@ -17,7 +18,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.memory import Memory
-from idfslam.sensing.rectification import rectified
+from idfslam.sensing.rectification import Rectification, rectified
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
@@ -116,6 +117,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if layer is None:
             return tracked
         pixels = in_pixels(layer, view.camera)
+        before = _Tried.of(view)
         view.hide(pixels if hidden is None else pixels | hidden)
         without = track(view)
         found = without.status.trusted if tracked.is_lost else not without.is_lost
@@ -123,7 +125,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if found and _photometric_error(without) < least and _drawn_away(tracked, without):
             self.memory.suspect(layer)
             return without
-        view.hide(hidden)
+        before.restore(view)
         self._waits, self._next_wait = self._next_wait, min(2 * self._next_wait, _MOST_WAITS)
         return tracked
 
@@ -175,6 +177,26 @@ class FreeSpaceSegmentation(MotionSegmentation):
             self.memory.remember(host, T_kc, stored=stored)
             if (news := self.memory.look_again()) is not None:
                 self._mask(self.graph.keyframes[news[0]], news[1])
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """What tracking sets in a view, to be restored after a trial that did not help."""
+
+    hidden: NDArray[np.bool_] | None
+    T_predicted: Tensor
+    rectification: Rectification | None
+    registered: bool
+
+    @classmethod
+    def of(cls, view: Keyframe) -> "_Tried":
+        return cls(view.moving, view.T_wk.clone(), view.rectification, view.registered)
+
+    def restore(self, view: Keyframe) -> None:
+        view.hide(self.hidden)
+        view.T_wk, view.registered = self.T_predicted, self.registered
+        if self.rectification is not None and view.rectification is not self.rectification:
+            view.rectify(self.rectification)
 
 
 def _coarse(view: Keyframe) -> CoarseView:

@@ -17,11 +17,9 @@ from idfslam.sensing.depth_deformation import DepthDeformation
 TIMES = ("readout", "depth_readout", "depth_delay")
 """The names of a sensor's times, in Calibration, SensorTiming, files and flags."""
 GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy --camera.cx --camera.cy"
+# [degrees] across the colour image, of a sensor about which nothing is known: Kinect 63, RealSense D435 69, Structure 59, iPad 66.
+# Calibration finds focal lengths that are up to about 10 % off. More: wider cameras are found, and narrower ones are not.
 USUAL_FIELD_OF_VIEW = 65.0
-"""[degrees] across the colour image, of a sensor about which nothing is known: Kinect 63, RealSense D435 69, Structure 59 and iPad 66.
-
-Calibration finds focal lengths that are up to about 10 % off.
-"""
 
 
 @dataclass(frozen=True)
