@@ -63,7 +63,7 @@ def test_small_suite_has_embedded_recordings_alone() -> None:
     assert len(suite.jobs) == 2 * len(METHODS) + len(ABLATIONS)
     assert len({job.name for job in suite.jobs}) == len(suite.jobs)
     for job in suite.jobs:
-        job.config(0, "cpu")  # fits together
+        assert job.config(0, "cpu").mesh.resolution == 0.04  # it fits together, and all meshes have the same cells
     full = next(job for job in suite.jobs if job.variant == "full")
     assert (full.scene.frames, full.scene.stride) == (75, 8)  # a whole tour of 600 frames
     without = next(job for job in suite.jobs if job.variant == "no replay").config(0, "cpu")
