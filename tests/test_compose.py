@@ -108,7 +108,11 @@ def test_what_a_value_changes(changes: dict[str, Any], parts: dict[str, Any]) ->
 
 @pytest.mark.parametrize(
     ("key", "names"),
-    [("front_end", "alignment, registration"), ("map_representation", "neural_field"), ("back_end", "keyframe_mapping")],
+    [
+        ("front_end", "alignment, registration, inverse_rendering"),
+        ("map_representation", "neural_field, volume_density, occupancy_grids"),
+        ("back_end", "keyframe_mapping, joint_mapping"),
+    ],
 )
 def test_an_unknown_part_ends_in_one_line(key: str, names: str) -> None:
     with pytest.raises(ConfigError) as caught:

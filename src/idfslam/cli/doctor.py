@@ -3,7 +3,7 @@
 import os
 import platform
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ from idfslam.compute import host
 from idfslam.compute.backend import backend_of
 from idfslam.compute.cache_folder import prepare_caches
 from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
-from idfslam.config import Config
+from idfslam.config import Config, TrackerConfig
 from idfslam.errors import IdfSlamError, pip_install
+from idfslam.mapping.field import grids_of
 from idfslam.mapping.fused import fusable
-from idfslam.mapping.mapper import Mapper
-from idfslam.mapping.updates import InTurns
+from idfslam.slam import System
 from idfslam.tracking.features import load_extractor
 
 GIB = 2**30
@@ -29,6 +29,7 @@ _PACKAGES = ("numpy", "numba", "opencv-python-headless", "trimesh")
 DEVICES = {
     "preset fast": "CPU; never tried on a GPU (--device cuda)",
     "preset paper": "GPU if there is one, else CPU; never tried on a GPU",
+    "presets imap, nice": "GPU if there is one, else CPU; never tried on a GPU",
     "pretraining": "GPU if there is one, else CPU; never tried on a GPU",
     "Triton kernels": "never tried on a GPU, only in Triton's interpreter",
     "meshing, pose graph": "CPU, whatever the device",
@@ -136,9 +137,8 @@ def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
         return None
     if config.device == "auto" and config.preset not in KEPT_ON_CPU and torch.version.cuda and not torch.cuda.is_available():
         advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
-    field = Mapper(config.mapper, config.field, device, torch.Generator(device), InTurns()).field
-    grid = config.field.encoding == "grid"
-    kernels = "numba, fused" if fusable(field) else backend_of(device).value if grid else "torch"
+    field = System(replace(config, tracker=TrackerConfig())).map.learnt()
+    kernels = "numba, fused" if fusable(field) else backend_of(device).value if any(grids_of(field)) else "torch"
     return {
         "preset": config.preset,
         "device": str(device),

@@ -1,23 +1,29 @@
 """The values of the system: sections, presets, and configurations in YAML files."""
 
-from idfslam.config.presets import FAST, PAPER, PRESETS, PRETRAIN
+from idfslam.config.presets import FAST, IMAP, NICE, PAPER, PRESETS, PRETRAIN
 from idfslam.config.sections import (
     AlignmentConfig,
     Config,
     FieldConfig,
     FinetuneConfig,
+    InverseRenderingConfig,
+    JointMappingConfig,
     KeyframeConfig,
     LoopConfig,
     MapperConfig,
     MeshConfig,
+    OccupancyGridsConfig,
     PretrainConfig,
     RefinementConfig,
     TrackerConfig,
+    VolumeDensityConfig,
 )
 from idfslam.config.yaml_file import RUN_SECTIONS, check, dump, load, preset, read_yaml, update
 
 __all__ = [
     "FAST",
+    "IMAP",
+    "NICE",
     "PAPER",
     "PRESETS",
     "PRETRAIN",
@@ -26,13 +32,17 @@ __all__ = [
     "Config",
     "FieldConfig",
     "FinetuneConfig",
+    "InverseRenderingConfig",
+    "JointMappingConfig",
     "KeyframeConfig",
     "LoopConfig",
     "MapperConfig",
     "MeshConfig",
+    "OccupancyGridsConfig",
     "PretrainConfig",
     "RefinementConfig",
     "TrackerConfig",
+    "VolumeDensityConfig",
     "check",
     "dump",
     "load",

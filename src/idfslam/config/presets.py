@@ -1,9 +1,12 @@
-"""The presets: `paper` holds the values of Sec. VI-A; `fast`, the default, is the system for use."""
+"""The presets: `paper` holds the values of Sec. VI-A; `fast`, the default, is the system for use. `imap` and `nice` are our implementations
+of the two systems that the paper compares itself with; docs/presets.md has the source of each value."""
 
 from idfslam.config.sections import (
     Config,
     FieldConfig,
     FinetuneConfig,
+    InverseRenderingConfig,
+    JointMappingConfig,
     KeyframeConfig,
     LoopConfig,
     MapperConfig,
@@ -62,6 +65,64 @@ PAPER = Config(
     loops=LoopConfig(enabled=False, relocalise=False),
 )
 
-PRESETS = {"fast": FAST, "paper": PAPER}
+IMAP = Config(
+    preset="imap",
+    front_end="inverse_rendering",
+    map_representation="volume_density",
+    back_end="joint_mapping",
+    refine=False,
+    calibrate="off",
+    movers="off",
+    mapper=MapperConfig(
+        pixels=200,
+        step_pixels=0,
+        samples=32,
+        importance_samples=12,
+        photometric_weight=5.0,
+        free_space_weight=1.6,
+        cells=8,
+        learning_rate=2e-4,
+        first_iterations=1500,
+        iterations=10,
+        every=5,
+        background=False,
+        light=False,
+    ),
+    keyframes=KeyframeConfig(choice="information_gain", least_sharpness=0, cull=1.0),
+    finetune=FinetuneConfig(enabled=False),
+    loops=LoopConfig(enabled=False, relocalise=False),
+    joint_mapping=JointMappingConfig(window=5, choice="loss", pose_learning_rate=1e-3, poses_from=0),
+    inverse_rendering=InverseRenderingConfig(pixels=200, iterations=6, learning_rate=1e-3, photometric_weight=5.0, outliers=0),
+)
+
+NICE = Config(
+    preset="nice",
+    front_end="inverse_rendering",
+    map_representation="occupancy_grids",
+    back_end="joint_mapping",
+    refine=False,
+    calibrate="off",
+    movers="off",
+    mapper=MapperConfig(
+        pixels=1000,
+        step_pixels=1000,
+        samples=32,
+        importance_samples=16,
+        photometric_weight=0.2,
+        active_sampling=False,
+        first_iterations=1500,
+        iterations=60,
+        every=5,
+        background=False,
+        light=False,
+    ),
+    keyframes=KeyframeConfig(choice="interval", interval=50, least_sharpness=0, cull=1.0),
+    finetune=FinetuneConfig(enabled=False),
+    loops=LoopConfig(enabled=False, relocalise=False),
+    joint_mapping=JointMappingConfig(window=5, choice="overlap", pose_learning_rate=1e-3, poses_from=4),
+    inverse_rendering=InverseRenderingConfig(pixels=200, iterations=10, learning_rate=1e-3, photometric_weight=0.5),
+)
+
+PRESETS = {"fast": FAST, "paper": PAPER, "imap": IMAP, "nice": NICE}
 
 PRETRAIN = PretrainConfig()

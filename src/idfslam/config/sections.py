@@ -126,6 +126,113 @@ class MapperConfig:
 
 
 @dataclass(frozen=True)
+class VolumeDensityConfig:
+    """iMAP's map: one network of colour and volume density; for `map_representation: volume_density` (docs/presets.md)."""
+
+    features: Count = 93
+    """Fourier features of a position (iMAP, Sec. 4.1)."""
+    deviation: Positive = 25.0
+    """Standard deviation of the features' matrix [rad], for positions in `unit` (iMAP, Sec. 4.1). Larger values allow finer detail."""
+    unit: Positive = 10.0
+    """Length that counts as 1 in the network [m] (iMAP, Sec. 4.1: coordinates are normalised by 1/10)."""
+    layers: Count = 4
+    """Hidden layers (iMAP, Sec. 3.1)."""
+    width: Count = 256
+    """Width of the hidden layers (iMAP, Sec. 3.1)."""
+    density_scale: Positive = 10.0
+    """Density [1/m] of one unit of the network's output. Larger values let surfaces form in fewer steps."""
+    truncation: Positive = 0.1
+    """Length [m] of a ray that the density of the surface makes half opaque. Larger values put the surface of meshes nearer to the
+    camera."""
+
+
+@dataclass(frozen=True)
+class OccupancyGridsConfig:
+    """NICE-SLAM's map: feature grids of four levels, with decoders; for `map_representation: occupancy_grids` (docs/presets.md)."""
+
+    coarse: Positive = 2.0
+    """Cell edge of the coarse level [m] (NICE-SLAM, Sec. 4)."""
+    middle: Positive = 0.32
+    """Cell edge of the middle level [m] (NICE-SLAM, Sec. 4)."""
+    fine: Positive = 0.16
+    """Cell edge of the fine level [m] (NICE-SLAM, Sec. 4)."""
+    colour: Positive = 0.16
+    """Cell edge of the level of colours [m] (NICE-SLAM's code)."""
+    features: Count = 32
+    """Features at a vertex (NICE-SLAM, Sec. 4). The shipped decoders have this number."""
+    width: Count = 32
+    """Width of the decoders (NICE-SLAM, Sec. 4). The shipped decoders have this one."""
+    blocks: Count = 5
+    """Layers of the decoders (NICE-SLAM, Sec. 4). The shipped decoders have this number."""
+    frequencies: Count = 93
+    """Fourier features of a position in the decoders (NICE-SLAM, Sec. 4). The shipped decoders have this number."""
+    deviation: Positive = 25.0
+    """Standard deviation of the features' matrix [rad/m] (NICE-SLAM, Sec. 4), of the colour decoder; the others are trained."""
+    middle_rate: Positive = 0.1
+    """Learning rate of the middle level in the stage `middle` (NICE-SLAM's code)."""
+    rate: Positive = 0.005
+    """Learning rate of the middle, fine and colour levels in later stages (NICE-SLAM's code)."""
+    decoder_rate: Positive = 0.005
+    """Learning rate of the colour decoder (NICE-SLAM's code)."""
+    coarse_rate: Positive = 0.001
+    """Learning rate of the coarse level (NICE-SLAM's code)."""
+    first_factor: Positive = 5.0
+    """Factor on these rates at the first frame (NICE-SLAM's code)."""
+    middle_share: float = 0.4
+    """Share of the steps of an update that learns the middle level alone (NICE-SLAM's code)."""
+    fine_share: float = 0.6
+    """Share of the steps after which colours are learnt, and poses are moved; before, the fine level joins (NICE-SLAM's code)."""
+    in_view: bool = True
+    """Learn the features in the current view alone (NICE-SLAM, Sec. 3.3). When off, those of all keyframes of an update."""
+    refinement_rounds: int = 5
+    """Updates after the last frame that refine colours and features, each with twice the keyframes (NICE-SLAM's code). 0: none."""
+    table_log2: Count = 15
+    """Size of the hash table of the fine and colour levels at the start, as a power of two. The others have fewer entries."""
+    table_log2_max: Count = 20
+    """Largest size of a hash table, as a power of two. Beyond it, distant places share features."""
+    table_load: float = 0.8
+    """Share of a level's entries in use above which its table doubles, in [0, 1]."""
+    truncation: Positive = 0.08
+    """Largest step of a ray that is traced to the surface [m]. Larger values are faster and less exact."""
+    weights: Path | None = None
+    """File of decoder weights. Default: those shipped with the package."""
+
+
+@dataclass(frozen=True)
+class JointMappingConfig:
+    """Joint optimisation of the map and the poses of a window of frames; for `back_end: joint_mapping` (docs/presets.md)."""
+
+    window: Count = 5
+    """Frames of a window: the current one, the last keyframe, and chosen keyframes (iMAP, Sec. 3.5: W = 5; NICE-SLAM, Sec. 4: K = 5)."""
+    choice: Literal["loss", "overlap"] = "loss"
+    """How keyframes are chosen. `loss`: at random, in proportion to their loss, anew for each step (iMAP). `overlap`: at random among those
+    that have some of the current view in sight (NICE-SLAM)."""
+    pose_learning_rate: Positive = 0.001
+    """Learning rate of Adam for the poses of the window (NICE-SLAM's code; iMAP's paper has none)."""
+    poses_from: int = 0
+    """Poses are optimised once more keyframes than this are stored (NICE-SLAM's code: 4)."""
+
+
+@dataclass(frozen=True)
+class InverseRenderingConfig:
+    """Tracking of every frame by inverse rendering: Adam on its pose against the frozen map; for `front_end: inverse_rendering`."""
+
+    pixels: Count = 200
+    """Pixels of a step (iMAP, Sec. 3.5; NICE-SLAM, Sec. 4)."""
+    iterations: Count = 10
+    """Steps a frame (NICE-SLAM, Sec. 4: 10; iMAP: 6, from its Table 4)."""
+    learning_rate: Positive = 0.001
+    """Learning rate of Adam for the pose (NICE-SLAM's code)."""
+    photometric_weight: float = 0.5
+    """Weight of the colour loss (NICE-SLAM, Sec. 4: 0.5; iMAP, Sec. 4.1: 5)."""
+    outliers: float = 10.0
+    """Pixels whose error of depth over its deviation is more than this many times the median are left out (NICE-SLAM's code). 0: none."""
+    border: int = 100
+    """Pixels along each border of the image that are not used, but at most a quarter of its shorter side. What comes into view there is not
+    in the map yet, and draws the pose back (NICE-SLAM's code: 100 for Replica, 20 for others)."""
+
+
+@dataclass(frozen=True)
 class KeyframeConfig:
     """Choice of keyframes, and of those that each map update replays (Sec. IV-C)."""
 
@@ -163,6 +270,15 @@ class KeyframeConfig:
     reference: Literal["last", "covisible"] = "last"
     """Keyframe that the tracker registers a frame with: the last one, or the stored one with the highest covisibility. With `covisible`
     the tracker alone has 0.80 cm instead of 1.35 on dining_fast and hardly a difference on redkitchen (docs/results.md)."""
+    choice: Literal["motion", "information_gain", "interval"] = "motion"
+    """What makes a frame a keyframe. `motion`: distance and rotation from the last one. `information_gain`: too little of the frame is
+    explained by the map as it was at the last keyframe (iMAP). `interval`: every `interval`-th frame (NICE-SLAM)."""
+    explained: float = 0.65
+    """t_P: share of the pixels below which a frame becomes a keyframe (`information_gain`; iMAP, Sec. 4.1). Larger values keep more."""
+    explained_error: float = 0.1
+    """t_D: largest error of a rendered depth, as a share of the reading, at which a pixel is explained (iMAP, Sec. 3.4)."""
+    interval: Count = 50
+    """Frames from keyframe to keyframe (`interval`; NICE-SLAM's code)."""
     replay: int = 2
     """N_rep: stored keyframes, not connected with the newest, that each map update trains on too (Sec. VI-A: 10)."""
     replay_connected: int = 2
@@ -439,8 +555,9 @@ class MeshConfig:
 class Config:
     """All values of a run."""
 
-    preset: UserOption[Literal["fast", "paper"]] = "fast"
-    """Set of values to start from: `fast` for use, `paper` for the values of the paper (Sec. VI-A). Other options change single values."""
+    preset: UserOption[Literal["fast", "paper", "imap", "nice"]] = "fast"
+    """Set of values to start from: `fast` for use, `paper` for the values of the paper (Sec. VI-A), `imap` and `nice` for those of iMAP and
+    NICE-SLAM, in our implementations (docs/presets.md). Other options change single values."""
     seed: UserOption[int] = 0
     """Seed of every random choice."""
     device: UserOption[Literal["auto", "cpu", "cuda"]] = "auto"
@@ -448,11 +565,14 @@ class Config:
     and a GPU if there is one for `paper`."""
     front_end: str = "alignment"
     """The part that tracks frames. `alignment` aligns every frame to the map and uses the neural tracker where the result is in doubt.
-    `registration` uses the neural tracker alone, as in the paper."""
+    `registration` uses the neural tracker alone, as in the paper. `inverse_rendering` moves the pose until the rendered map shows the
+    frame, as iMAP and NICE-SLAM do."""
     map_representation: str = "neural_field"
-    """The part that is the map. `neural_field` is one network of T-SDF and colour, as in the paper."""
+    """The part that is the map. `neural_field` is one network of T-SDF and colour, as in the paper. `volume_density` is iMAP's map, and
+    `occupancy_grids` NICE-SLAM's."""
     back_end: str = "keyframe_mapping"
-    """The part that maps. `keyframe_mapping` trains the map on each keyframe and on replayed ones, as in the paper."""
+    """The part that maps. `keyframe_mapping` trains the map on each keyframe and on replayed ones, as in the paper. `joint_mapping`
+    optimises the map and the poses of a window together, as iMAP and NICE-SLAM do."""
     refine: UserOption[bool] = True
     """Refine all keyframe poses and the map together after the last frame."""
     calibrate: UserOption[Literal["off", "warn", "on"]] = "warn"
@@ -477,3 +597,7 @@ class Config:
     refinement: RefinementConfig = RefinementConfig()
     loops: LoopConfig = LoopConfig()
     mesh: MeshConfig = MeshConfig()
+    volume_density: VolumeDensityConfig = VolumeDensityConfig()
+    occupancy_grids: OccupancyGridsConfig = OccupancyGridsConfig()
+    joint_mapping: JointMappingConfig = JointMappingConfig()
+    inverse_rendering: InverseRenderingConfig = InverseRenderingConfig()

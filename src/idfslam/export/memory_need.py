@@ -31,7 +31,7 @@ def check_blocks(area: float, truncation: float, resolution: float) -> None:
 
 def finest_cells(saved: SavedMap) -> float | None:
     """Edge [m] of the finest cells of the map's feature grid; None for a map without one."""
-    return saved.field.config.finest if saved.field.config.encoding == "grid" else None
+    return saved.field.finest_cells
 
 
 def tell_finest_cells(saved: SavedMap, resolution: float) -> None:

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from idfslam.errors import ConfigError
 from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.projection import intrinsics_of, project
-from idfslam.mapping.field import Field
 from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.meshing import CELLS, touched_blocks
 from idfslam.mapping.saved_map import SavedMap
+from idfslam.mapping.surface_field import SurfaceField
 
 _LARGEST = 1 << 28  # lattice points of a dense grid, which take about 2 GB; larger: finer grids are allowed
 _CHUNK = 64  # blocks evaluated at a time; larger: more memory
@@ -66,7 +66,7 @@ def _lattice(coordinates: NDArray[np.int64], voxel: float) -> NDArray[np.float32
 
 @torch.no_grad()
 def _evaluate(
-    field: Field, coordinates: NDArray[np.int64], voxel: float, T_we: NDArray[np.float32]
+    field: SurfaceField, coordinates: NDArray[np.int64], voxel: float, T_we: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
     """T-SDF and colour, `_CHUNK` blocks at a time."""
     device, sdf = next(field.parameters()).device, sdf_function(field)

@@ -2,7 +2,8 @@
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -11,13 +12,18 @@ from torch import Tensor, nn
 from idfslam.config import FieldConfig
 from idfslam.mapping.encodings import PositionalEncoding
 from idfslam.mapping.grid import GridEncoding
+from idfslam.mapping.surface_field import SurfaceField
+
+AnyField = TypeVar("AnyField", bound=SurfaceField)
 
 
-class Field(nn.Module):
+class Field(SurfaceField):
     """Encoding, trunk, and two heads: T-SDF in units of the truncation distance, colour in [0, 1].
 
     It does not depend on rays or cameras. With a feature grid, the field is about +1 (free space) wherever it has not learnt yet.
     """
+
+    representation = "neural_field"
 
     def __init__(self, config: FieldConfig, *, bf16: bool = False) -> None:
         super().__init__()
@@ -66,25 +72,30 @@ class Field(nn.Module):
         with torch.autocast(points.device.type, torch.bfloat16, enabled=self.bf16):
             return self.sdf_head(self.trunk_features(points)).float()[:, 0]
 
-    def distance(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Signed distance (N,) [m] at points (N, 3) [m] and its gradient (N, 3), by autograd. Parameters collect no gradient."""
-        points = points.detach().requires_grad_(True)
-        with torch.enable_grad():
-            distance = self.sdf(points) * self.config.truncation
-            (gradient,) = torch.autograd.grad(distance.sum(), points)
-        return distance.detach(), gradient
+    @property
+    def finest_cells(self) -> float | None:
+        return self.config.finest if self.config.encoding == "grid" else None
 
 
-def copy_of(field: Field) -> Field:
+def grids_of(field: SurfaceField) -> Iterator[tuple[str, GridEncoding]]:
+    """The feature grids of a field, by their names in its state."""
+    return ((name, module) for name, module in field.named_modules() if isinstance(module, GridEncoding))
+
+
+def copy_of(field: AnyField) -> AnyField:
     """A copy of a field with frozen parameters."""
     other = copy.deepcopy(field).requires_grad_(False)
-    if isinstance(other.encoding, GridEncoding):
-        other.encoding.replace(other.encoding.tables.detach())  # the copied tables are not on huge pages (`roomy_zeros`)
+    for _, grid in grids_of(other):
+        grid.replace(grid.tables.detach())  # the copied tables are not on huge pages (`roomy_zeros`)
     return other
 
 
-def load_field(field: Field, weights: Mapping[str, Tensor]) -> None:
-    """Loads the weights of a field of the same config. The tables of its grid may have another size."""
-    if isinstance(field.encoding, GridEncoding) and weights["encoding.tables"].shape != field.encoding.tables.shape:
-        field.encoding.replace(weights["encoding.tables"].clone())
+def load_field(field: SurfaceField, weights: Mapping[str, Tensor]) -> None:
+    """Loads the weights of a field of the same config. The tables of its grids may have another size."""
+    for name, grid in grids_of(field):
+        if weights[f"{name}.tables"].shape != grid.tables.shape:
+            grid.replace(weights[f"{name}.tables"].clone())
+    for name, buffer in list(field._buffers.items()):  # marks of the entries of tables
+        if buffer is not None and name in weights and weights[name].shape != buffer.shape:
+            setattr(field, name, torch.zeros_like(weights[name], device=buffer.device))
     field.load_state_dict(weights)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeGuard
 
 import numpy as np
 import torch
@@ -20,12 +21,15 @@ from idfslam.mapping.optimiser import MOMENTS, MapOptimiser
 from idfslam.mapping.ray_samples import RaySamples
 from idfslam.mapping.rays import Rays
 from idfslam.mapping.sphere_tracing import Trace
+from idfslam.mapping.surface_field import SurfaceField
 
 _BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam: larger betas average over more steps
 
 
-def fusable(field: Field) -> bool:
+def fusable(field: SurfaceField) -> TypeGuard[Field]:
     """Whether the kernels support a field: one hidden layer on a feature grid, one more for colour, on the CPU in fp32."""
+    if not isinstance(field, Field):
+        return False
     c = field.config
     shape = c.encoding == "grid" and c.layers == 1 and c.direction_frequencies == 0
     fits = c.levels * c.features % 4 == 0 and c.width % 4 == 0 and c.colour_width % 4 == 0
@@ -43,9 +47,9 @@ def parameters(field: Field) -> list[nn.Parameter]:
     return [p for layer in layers for p in layer.parameters()]
 
 
-def distance_query(field: Field) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """`Field.distance` of this field, compiled if possible."""
-    return lambda points: (distance if fusable(field) else Field.distance)(field, points)
+def distance_query(field: SurfaceField) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+    """`distance` of this field, compiled if possible."""
+    return lambda points: distance(field, points) if fusable(field) else field.distance(points)
 
 
 def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,9 +70,9 @@ def _grid(field: Field) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple
     return tables, np.float32(1) / grid.cells.numpy(), (0,) * tables.shape[2]
 
 
-def sdf_function(field: Field) -> Callable[[Tensor], Tensor]:
-    """`Field.sdf` of this field without gradients, compiled if possible."""
-    return lambda points: (sdf if fusable(field) else Field.sdf)(field, points)
+def sdf_function(field: SurfaceField) -> Callable[[Tensor], Tensor]:
+    """`sdf` of this field without gradients, compiled if possible."""
+    return lambda points: sdf(field, points) if fusable(field) else field.sdf(points)
 
 
 def sdf(field: Field, points: Tensor) -> Tensor:
@@ -82,7 +86,7 @@ def sdf(field: Field, points: Tensor) -> Tensor:
     return values
 
 
-def tracer(field: Field) -> Trace:
+def tracer(field: SurfaceField) -> Trace:
     """`sphere_tracing.trace` through this field, compiled if possible."""
     return partial(trace, field) if fusable(field) else partial(sphere_tracing.trace, field.sdf)
 

@@ -17,6 +17,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.losses import Losses
+from idfslam.mapping.map import Map
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
@@ -26,7 +27,7 @@ from idfslam.mapping.training_view import PosedFrame, TrainingView
 from idfslam.mapping.updates import MapUpdates
 from idfslam.sensing.light import Light
 from idfslam.storage.frame_memory import FrameMemory
-from idfslam.storage.state import State, Stateful
+from idfslam.storage.state import State
 
 # Least numbers of stratified and of importance samples a ray in rendered views. More: sharper, slower. Chosen by hand.
 _VIEW_SAMPLES, _VIEW_IMPORTANCE = 64, 16
@@ -35,7 +36,7 @@ _BF16_WIDTH = 128
 SUPERVISION: dict[str, Callable[[MapperConfig, float], Objective]] = {"rendering": RenderingObjective, "samples": SampleObjective}
 
 
-class Mapper(Stateful):
+class Mapper(Map):
     """Trains the field on frames with poses.
 
     `field` learns, and other parts query `published`. They are the same field if updates run in turns with the frames. If updates run in

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,15 +14,16 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from idfslam.config import FieldConfig, update
+from idfslam.config import dump, update
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera, indices_by_camera
 from idfslam.geometry.depth_view import DepthView, reduced_view
-from idfslam.mapping.field import Field
+from idfslam.mapping.field import Field, grids_of, load_field
+from idfslam.mapping.fields import FIELDS, make_field
 from idfslam.mapping.fused import sdf_function, tracer
-from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
+from idfslam.mapping.surface_field import SurfaceField
 from idfslam.storage.safetensors_file import ordered
 
 FORMAT = 3  # format of the file, counted up with each change that older versions cannot read
@@ -38,7 +40,7 @@ _VIEW_BYTES = 1_200_000  # [bytes] of all depth images. More: more views. With t
 class SavedMap:
     """A field, and the views that it was learnt from."""
 
-    field: Field
+    field: SurfaceField
     views: Sequence[DepthView]
 
     def mesh(self, resolution: float) -> trimesh.Trimesh:
@@ -71,7 +73,7 @@ def _reach(views: Sequence[DepthView], T_wc: NDArray[np.float64]) -> float:
     return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
-def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
+def mesh_of(field: SurfaceField, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
     """The zero level of a field where the views observed it. Colour that depends on the view direction is that of a head-on view."""
     device = next(field.parameters()).device
 
@@ -83,7 +85,7 @@ def mesh_of(field: Field, views: Sequence[DepthView], resolution: float) -> trim
         return extract_mesh(sdf_function(field), colour, views, resolution=resolution, truncation=field.config.truncation, device=device)
 
 
-def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
+def save_map(path: Path, field: SurfaceField, views: Sequence[DepthView]) -> None:
     """Writes a map as one safetensors file. The tables of a feature grid, and depths in millimetres, have 16 bits.
 
     As many views are written as fit, evenly spread. Those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
@@ -91,9 +93,10 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
     """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
     config = field.config
-    if isinstance(field.encoding, GridEncoding):
-        config = replace(config, table_log2=field.encoding.tables.shape[1].bit_length() - 1)
-        tensors["field.encoding.tables"] = tensors["field.encoding.tables"].half()
+    for name, grid in grids_of(field):
+        if isinstance(field, Field):
+            config = replace(config, table_log2=grid.tables.shape[1].bit_length() - 1)
+        tensors[f"field.{name}.tables"] = tensors[f"field.{name}.tables"].half()
     small = [reduced_view(view.T_wc, view.depth, view.camera, _VIEW_ROWS) for view in views]
     count = min(len(small), max(1, _VIEW_BYTES // (2 * max(view.depth.size for view in small))))
     kept = [small[i] for i in np.linspace(0, len(small) - 1, count).round().astype(int)]
@@ -102,8 +105,17 @@ def save_map(path: Path, field: Field, views: Sequence[DepthView]) -> None:
         depths = np.stack([np.clip(kept[k].depth * 1000 + 0.5, 0, 65535) for k in members]).astype(np.uint16)
         tensors[f"views.{i}.depth"] = torch.from_numpy(depths)
         tensors[f"views.{i}.T_wc"] = torch.from_numpy(np.stack([kept[k].T_wc for k in members]))
-    precision = "field.encoding.tables: float16; views.*.depth: uint16 [mm]"
-    metadata = {"field": json.dumps(asdict(config)), "cameras": json.dumps([asdict(camera) for camera in cameras]), "precision": precision}
+    precision = (
+        "field.encoding.tables: float16; views.*.depth: uint16 [mm]"
+        if isinstance(field, Field)
+        else "field.*.tables: float16; views.*.depth: uint16 [mm]"
+    )
+    metadata = {
+        "field": json.dumps(dump(config)),
+        "representation": field.representation,
+        "cameras": json.dumps([asdict(camera) for camera in cameras]),
+        "precision": precision,
+    }
     path.write_bytes(ordered(save(tensors, {"format": str(FORMAT), **metadata})))
 
 
@@ -116,26 +128,39 @@ def load_map(path: Path) -> SavedMap:
                 found = metadata.get("format", "none")
                 raise ResultError(f"{path}: map format {found}, expected {FORMAT}; use the version of idf-slam that wrote it")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
-        field = _field(update(FieldConfig(), json.loads(metadata["field"]), "its metadata"), tensors)
+        representation = metadata.get("representation", Field.representation)  # files of older versions have no other
+        field = _field(representation, update(FIELDS[representation][0](), json.loads(metadata["field"]), "its metadata"), tensors)
         return SavedMap(field, _views(metadata, tensors))
     except (OSError, SafetensorError, ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultError(f"{path}: cannot be read as a map ({type(error).__name__}: {error}); expected a run's map.safetensors") from error
 
 
-def _field(config: FieldConfig, tensors: dict[str, Tensor]) -> Field:
+def _field(representation: str, config: Any, tensors: dict[str, Tensor]) -> SurfaceField:
     """The field with its weights. Raises ValueError if the weights do not fit the config."""
-    weights = {name.removeprefix("field."): value.float() for name, value in tensors.items() if name.startswith("field.")}
+    found = {name.removeprefix("field."): value for name, value in tensors.items() if name.startswith("field.")}
+    weights = {name: value if value.dtype == torch.bool else value.float() for name, value in found.items()}
     with torch.device("meta"):  # shapes without memory, since a damaged config may have any size
-        expected = {name: value.shape for name, value in Field(config).state_dict().items()}
+        made = make_field(representation, config)
+        expected = {name: tuple(value.shape) for name, value in made.state_dict().items()}
     for name in {*expected, *weights}:
-        found = tuple(weights[name].shape) if name in weights else "missing"
-        if found != tuple(expected.get(name, ())):
-            raise ValueError(f"field.{name} is {found}, expected {tuple(expected[name]) if name in expected else 'none'}")
+        shape = tuple(weights[name].shape) if name in weights else "missing"
+        if shape != expected.get(name, ()) and not _grown(made, name, shape):
+            raise ValueError(f"field.{name} is {shape}, expected {expected.get(name, 'none')}")
         if not bool(weights[name].isfinite().all()):
             raise ValueError(f"field.{name} holds numbers that are not finite")
-    field = Field(config)
-    field.load_state_dict(weights)
+    field = make_field(representation, config)
+    load_field(field, weights)
     return field.requires_grad_(False)
+
+
+def _grown(field: SurfaceField, name: str, shape: Any) -> bool:
+    """Whether a shape is that of a table of several levels that has grown by itself, or of the marks of its entries."""
+    if isinstance(field, Field) or shape == "missing":
+        return False
+    entries = {f"{level}.tables": grid.tables.shape for level, grid in grids_of(field)}.get(name)
+    size = shape[1] if entries is not None and len(shape) == 3 else shape[0] if name.endswith("_used") and len(shape) == 1 else 0
+    fits = entries is None or (shape[0], shape[2]) == (entries[0], entries[2])
+    return fits and size > 0 and size & (size - 1) == 0
 
 
 def _views(metadata: dict[str, str], tensors: dict[str, Tensor]) -> list[DepthView]:

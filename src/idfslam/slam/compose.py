@@ -16,11 +16,17 @@ from idfslam.config import Config
 from idfslam.errors import ConfigError
 from idfslam.graph.coverage import Coverage
 from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.information_gain import InformationGain
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_interval import KeyframeInterval
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.graph.replay import Replay
+from idfslam.mapping.density_map import DensityMap
 from idfslam.mapping.fused import distance_query
+from idfslam.mapping.grids_map import GridsMap
+from idfslam.mapping.joint_map import JointMap
+from idfslam.mapping.map import Map
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam.back_end import BackEnd, KeyframeMapping
@@ -28,11 +34,14 @@ from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
 from idfslam.slam.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
+from idfslam.slam.inverse_rendering import InverseRendering
+from idfslam.slam.joint_mapping import JointMapping
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.loop_closer import LoopCloser
+from idfslam.slam.mapping_window import LossWindow, MappingWindow, OverlapWindow
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
 from idfslam.slam.polish import NoPolish, Polish, Polishing
 from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
@@ -57,7 +66,7 @@ class System:
         *,
         front_end: "Callable[[System], FrontEnd] | None" = None,
         back_end: "Callable[[System], BackEnd] | None" = None,
-        map: "Callable[[System], Mapper] | None" = None,
+        map: "Callable[[System], Map] | None" = None,
     ) -> None:
         """front_end, back_end, map: make these parts instead of those that the configuration names."""
         self.config, self.device = config, resolve_device(config.device, config.preset)
@@ -66,22 +75,40 @@ class System:
         self._make_map = map or _named(MAPS, "map_representation", config.map_representation)
         self.generator = torch.Generator().manual_seed(config.seed)  # for all random draws on the CPU while frames are processed
         self.timer, self.motion = StageTimer(), MotionModel()
-        self.tracker, self.mapper = self._networks()
+        self.tracker, self.map = self._networks()
         self.graph = KeyframeGraph(config.keyframes, verify=self.closes_loops)
         self.frames, self.coverage = FramePoses(self.graph), Coverage(self.graph)
         self.views = ViewSelection(self.frames, config.archive_megabytes if config.archive else 0.0)
         self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
         if self.config.mapper.light:
-            self.mapper.light = self.light.of
+            self.map.light = self.light.of
         self.front_end = self._make_front_end(self)
         self.back_end = self._make_back_end(self)
 
-    def _networks(self) -> tuple[Tracker, Mapper]:
+    def _networks(self) -> tuple[Tracker, Map]:
         """The tracker and the map. Torch's global generator initialises their weights; it is seeded for that and then restored."""
         with seeded(self.config.seed):
             tracker = Tracker(self.config.tracker, self.config.finetune, self.device, self.config.seed)
             return tracker, self._make_map(self)
+
+    @property
+    def mapper(self) -> Mapper:
+        """The map, if it learns from frames with fixed poses. Raises ConfigError for another one."""
+        if not isinstance(self.map, Mapper):
+            raise ConfigError(self._unfit("neural_field"))
+        return self.map
+
+    @property
+    def joint_map(self) -> JointMap:
+        """The map, if it is optimised together with poses. Raises ConfigError for another one."""
+        if not isinstance(self.map, JointMap):
+            raise ConfigError(self._unfit("volume_density or occupancy_grids"))
+        return self.map
+
+    def _unfit(self, expected: str) -> str:
+        c = self.config
+        return f"map_representation '{c.map_representation}', expected {expected} for front_end '{c.front_end}' and back_end '{c.back_end}'"
 
     @property
     def aligns(self) -> bool:
@@ -98,7 +125,7 @@ class System:
 
     @cached_property
     def aligner(self) -> MapAligner:
-        query = distance_query(self.mapper.published)
+        query = distance_query(self.map.published)
         return MapAligner(self.config.alignment, query, self.config.field.truncation, self.generator, self.coverage.observed.contains)
 
     @cached_property
@@ -139,7 +166,18 @@ class System:
 
     @cached_property
     def keyframe_selection(self) -> KeyframeSelection:
-        return KeyframeSelection(self.config.keyframes, self.graph, self.frames, lost_frames=not self.relocalises)
+        parts, lost_frames = (self.config.keyframes, self.graph, self.frames), not self.relocalises
+        if self.config.keyframes.choice == "information_gain":
+            return InformationGain(*parts, self.joint_map.explained, lost_frames=lost_frames)
+        interval = self.config.keyframes.choice == "interval"
+        return (KeyframeInterval if interval else KeyframeSelection)(*parts, lost_frames=lost_frames)
+
+    @cached_property
+    def mapping_window(self) -> MappingWindow:
+        parts = self.config.joint_mapping, self.graph, self.generator
+        if self.config.joint_mapping.choice == "overlap":
+            return OverlapWindow(*parts)
+        return LossWindow(*parts, self.joint_map.loss_of)
 
     @cached_property
     def keyframe_pose(self) -> KeyframePose:
@@ -194,6 +232,14 @@ def _neural_field(system: System) -> Mapper:
     return Mapper(c.mapper, c.field, system.device, torch.Generator(system.device).manual_seed(c.seed), updates)
 
 
+def _volume_density(s: System) -> Map:
+    return DensityMap(s.config, s.device, torch.Generator(s.device).manual_seed(s.config.seed))
+
+
+def _occupancy_grids(s: System) -> Map:
+    return GridsMap(s.config, s.device, torch.Generator(s.device).manual_seed(s.config.seed))
+
+
 def _alignment(system: System) -> FrontEnd:
     s = system
     learn_again = lambda keyframe: s.back_end.learn_again(keyframe)  # noqa: E731 (the back end is made after the front end)
@@ -204,14 +250,31 @@ def _registration(system: System) -> FrontEnd:
     return system.registration
 
 
+def _inverse_rendering(s: System) -> FrontEnd:
+    return InverseRendering(s.joint_map, s.timer)
+
+
+def _joint_mapping(s: System) -> BackEnd:
+    on_keyframe = s.joint_map.lock if s.config.keyframes.choice == "information_gain" else lambda: None
+    return JointMapping(s.config, s.graph, s.frames, s.coverage, s.joint_map, s.mapping_window, s.timer, on_keyframe)
+
+
 def _keyframe_mapping(s: System) -> BackEnd:
     parts = s.keyframe_pose, s.hooks, s.refinement, s.polish, s.finetuner, s.timer
     return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.replay, s.relearn, s.mapper, s.features, *parts)
 
 
-FRONT_ENDS: dict[str, Callable[[System], FrontEnd]] = {"alignment": _alignment, "registration": _registration}
-MAPS: dict[str, Callable[[System], Mapper]] = {"neural_field": _neural_field}
-BACK_ENDS: dict[str, Callable[[System], BackEnd]] = {"keyframe_mapping": _keyframe_mapping}
+FRONT_ENDS: dict[str, Callable[[System], FrontEnd]] = {
+    "alignment": _alignment,
+    "registration": _registration,
+    "inverse_rendering": _inverse_rendering,
+}
+MAPS: dict[str, Callable[[System], Map]] = {
+    "neural_field": _neural_field,
+    "volume_density": _volume_density,
+    "occupancy_grids": _occupancy_grids,
+}
+BACK_ENDS: dict[str, Callable[[System], BackEnd]] = {"keyframe_mapping": _keyframe_mapping, "joint_mapping": _joint_mapping}
 
 
 def _named(table: dict[str, Part], key: str, name: str) -> Part:

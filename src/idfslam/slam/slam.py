@@ -19,7 +19,7 @@ from idfslam.graph.held_out import is_held_out
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
-from idfslam.slam.compose import BackEnd, FrontEnd, Mapper, System
+from idfslam.slam.compose import BackEnd, FrontEnd, Map, System
 from idfslam.slam.frame_order import FrameOrder
 from idfslam.slam.history import History
 from idfslam.slam.recovery import EXAMPLES, Mode
@@ -52,7 +52,7 @@ class Slam:
         *,
         front_end: Callable[[System], FrontEnd] | None = None,
         back_end: Callable[[System], BackEnd] | None = None,
-        map: Callable[[System], Mapper] | None = None,
+        map: Callable[[System], Map] | None = None,
     ) -> None:
         """front_end, back_end, map: make these parts instead of those that the config names (`compose.py`)."""
         system = System(config, front_end=front_end, back_end=back_end, map=map)
@@ -60,7 +60,7 @@ class Slam:
         self.graph, self.frames, self.coverage, self.motion = system.graph, system.frames, system.coverage, system.motion
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.segmentation = system.segmentation
-        self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.mapper, system.replay
+        self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.map, system.replay
         self.views, self.adjustment = system.views, system.adjustment
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
