@@ -143,11 +143,12 @@ function lookFrom(direction) {
   const half = (FIELD_OF_VIEW / 2) * Math.PI / 180, narrow = Math.min(half, Math.atan(Math.tan(half) * camera.aspect));
   const right = Math.abs(to.y) > 0.999 ? new THREE.Vector3(1, 0, 0) : new THREE.Vector3().crossVectors(UP, to).normalize();
   const above = new THREE.Vector3().crossVectors(to, right);
+  const free = Math.max(0.4, 1 - 2 * element("tools").offsetHeight / innerHeight); // share of the window that nothing covers
   let distance = 0.5;
   for (let i = 0; i < 8; i++) {
     const corner = new THREE.Vector3(i & 1 ? room.high.x : room.low.x, i & 2 ? room.high.y : room.low.y, i & 4 ? room.high.z : room.low.z).sub(centre);
-    const beside = Math.abs(corner.dot(right)) / Math.tan(Math.atan(Math.tan(half) * camera.aspect)), over = Math.abs(corner.dot(above)) / Math.tan(half);
-    distance = Math.max(distance, corner.dot(to) + 1.1 * Math.max(beside, over));
+    const beside = Math.abs(corner.dot(right)) / Math.tan(Math.atan(Math.tan(half) * camera.aspect)), over = Math.abs(corner.dot(above)) / (Math.tan(half) * free);
+    distance = Math.max(distance, corner.dot(to) + 1.05 * Math.max(beside, over));
   }
   const position = centre.clone().addScaledVector(to, distance);
   const quaternion = new THREE.Quaternion().setFromRotationMatrix(new THREE.Matrix4().makeBasis(right, above, to));
