@@ -500,7 +500,7 @@ def test_killed_twice(box_recording: Path, tmp_path: Path) -> None:
         arguments = ["--resume", str(folder), "--checkpoint-every", "3", "--no-report"]
     subprocess.run([*begin, *arguments[:-1]], check=True, capture_output=True)
     assert same(folder, tmp_path / "whole")
-    assert visible_files(folder) == sorted([*result_folder.FILES, result_folder.REPORT, result_folder.PICTURES])
+    assert visible_files(folder) == sorted([*result_folder.FILES, result_folder.REPORT, result_folder.SCENE, result_folder.PICTURES])
     resumed = json.loads((folder / result_folder.METRICS).read_text())["resumed_at"]
     assert len(resumed) == 2
     assert 3 <= resumed[0] < resumed[1]

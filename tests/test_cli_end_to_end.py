@@ -93,7 +93,8 @@ def test_render_of_a_frame_that_is_not_there(finished: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("flag", "pictures"), [("--report", ["overview.png", "report.html", "pictures"]), ("--no-report", ["overview.png", "views.png"])]
+    ("flag", "pictures"),
+    [("--report", ["overview.png", "report.html", "scene.html", "pictures"]), ("--no-report", ["overview.png", "views.png"])],
 )
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, flag: str, pictures: list[str]) -> None:
     fewer = partial(evaluate_folder, samples=2000)  # of 200,000: most points of so small a mesh's truth are far from it, and take long

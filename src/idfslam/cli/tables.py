@@ -34,9 +34,10 @@ def print_run(run: Run, console: Console) -> None:
         rest = f"; {measured[0] * 100:.2f} cm over the {measured[1]} frames with a measured pose" if measured else ""
         lines.append(f"ATE RMSE {ate * 100:.2f} cm{rest}")
     console.print("\n".join(lines), highlight=False)
+    also = (result_folder.REPORT, result_folder.SCENE, result_folder.RECORDING)
     print_files(
         run.folder,
-        sorted(name for name in (*result_folder.FILES, result_folder.REPORT, result_folder.RECORDING) if (run.folder / name).is_file()),
+        sorted(name for name in (*result_folder.FILES, *also) if (run.folder / name).is_file()),
         console,
     )
 
