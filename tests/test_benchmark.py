@@ -58,6 +58,8 @@ def test_figures_of_a_run() -> None:
     found = column_values(metrics | {"ate_m": {"rmse": 0.005}} | steps, mesh)
     assert (found["rpe_1_deg"], found["jump_deg"], found["doubtful_frames"]) == (0.4, 2.5, 3.0)
     assert (found["ate_m"], found["accuracy_m"], found["completion_m"], found["completion_ratio"]) == (0.005, 0.01, 0.02, 0.97)
+    found = column_values(metrics, mesh | {"precision": 0.9, "recall": 0.7, "f1": 0.8, "normal_angle": 2.5})
+    assert (found["precision"], found["f1"], found["normal_angle"]) == (0.9, 0.8, 2.5)
 
 
 def test_table_by_hand() -> None:

@@ -27,4 +27,4 @@ def test_kernels_are_compiled_beside(tmp_path: Path) -> None:
     told = subprocess.run([sys.executable, "-c", BESIDE], check=True, capture_output=True, text=True, env=environment).stdout.split()
     assert told == ["False", "ready", "True", "None"]
     names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
-    assert names >= {"numba_field.learn", "numba_alignment.photometric_system", "meshing._vote", "point_triangle.nearest_distance"}
+    assert names >= {"numba_field.learn", "numba_alignment.photometric_system", "meshing._vote", "point_triangle.nearest_triangle"}

@@ -18,7 +18,7 @@ from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, 
 from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
-from idfslam.evaluation.point_triangle import nearest_distance
+from idfslam.evaluation.point_triangle import nearest_triangle
 from idfslam.evaluation.table import table
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -57,6 +57,7 @@ def test_a_perfect_reconstruction_has_no_error() -> None:
     e = error(room())
     assert e.protocol == "seen"
     assert e.accuracy < 1e-6 and e.completion < 1e-6 and e.completion_ratio == 1
+    assert e.precision == e.recall == e.f1 == 1 and e.normal_angle < 1e-3
     assert e.depth_l1 is not None and e.depth_l1 < 1e-5 and e.depth_missing == 0
 
 
@@ -69,13 +70,23 @@ def test_a_larger_room_by_hand() -> None:
     assert e.depth_l1 is not None and 0.02 < e.depth_l1 < 0.06
 
 
+def test_precision_recall_and_normals_by_hand() -> None:
+    # Walls 0.9 and 1.1 cm further out: all points are within 1 cm, or none but for edges
+    near, far = error(room((4.018, 3.018, 2.518))), error(room((4.022, 3.022, 2.522)))
+    assert near.precision > 0.97 and near.recall > 0.97 and near.f1 > 0.97
+    assert far.precision < 0.01 and far.recall < 0.01
+    turned = error(room().apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(0.5), [0, 0, 1])))
+    # A turn about z leaves the normals of floor and ceiling, 24 of 59 m^2, as they are, and turns those of the walls
+    assert turned.normal_angle == pytest.approx(0.5, abs=0.01)
+
+
 def test_a_missing_floor_by_hand() -> None:
     # The floor is 12 of the room's 2 * (12 + 10 + 7.5) = 59 m^2. Its points within 5 cm of a wall still count: a rim of
     # 12 - 3.9 * 2.9 = 0.69 m^2. So the ratio is 1 - 11.31 / 59 = 0.808; accuracy stays 0
     box = room()
     open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] > -0.5], process=False)
     e = error(open_box, samples=40_000)
-    assert e.accuracy < 1e-4
+    assert e.accuracy < 1e-4 and e.precision == 1 and e.recall < 0.82 and e.f1 == pytest.approx(2 * e.recall / (1 + e.recall))
     assert e.completion_ratio == pytest.approx(1 - 11.31 / 59, abs=0.01)
     assert e.depth_missing is not None and 0.03 < e.depth_missing < 0.5
     nice = error(open_box, protocol="neural-rgbd")
@@ -338,8 +349,9 @@ def test_distance_to_a_triangle_by_hand() -> None:
     points = np.array([[0.2, 0.2, -0.5], [0.5, -0.3, 0.4], [-3, -4, 0], [1, 1, 0], [0.3, 0.4, 0.5]])
     expected = [0.5, 0.5, 5.0, 0.5**0.5, 0.5]  # above the face, an edge, a corner, the long edge; the line, 0.3 and 0.4 aside
     candidates = np.array([[0], [0], [0], [0], [1]])
-    assert nearest_distance(points, np.stack([flat, needle]), candidates) == pytest.approx(expected)
-    assert nearest_distance(points[4:], np.stack([flat, needle]), np.array([[0, 1]])) == pytest.approx(0.5)
+    assert nearest_triangle(points, np.stack([flat, needle]), candidates)[0] == pytest.approx(expected)
+    distance, nearest = nearest_triangle(points[4:], np.stack([flat, needle]), np.array([[0, 1]]))
+    assert distance == pytest.approx(0.5) and nearest == [1]
 
 
 @pytest.mark.parametrize("content", [b"", b"ply\nnonsense", b"\x00\x01\x02"])

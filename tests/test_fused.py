@@ -11,9 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from helpers.plane_volume import plane_volume
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.mapping import fused, sphere_tracing
 from idfslam.mapping.field import Field
+from idfslam.mapping.implicit_surface import ImplicitSurface
 from idfslam.mapping.kernels.numba_field import BLOCK
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.objectives import SampleObjective
@@ -80,6 +82,20 @@ def test_traced_rays(count: int) -> None:
         same = (fast - plain).abs() < 1e-4
         assert same.float().mean() > 0.995  # a ray that grazes a surface may pass it by the last bit
     assert count == 1 or (plain > 0).float().mean() > 0.5
+
+
+def test_traced_rays_with_a_volume() -> None:
+    """A fused plane at z = 1 hides the network's surfaces."""
+    plane = plane_volume(1.0, range(-26, 26))
+    surface = ImplicitSurface(field(), plane)
+    origins, directions = torch.zeros(500, 3), 0.4 * torch.randn(500, 3, generator=torch.Generator().manual_seed(3))
+    directions[:, 2] = 1
+    limits = {"near": 0.97, "far": 1.2, "truncation": SMALL.truncation}
+    fast, plain = surface.tracer()(origins, directions, **limits), sphere_tracing.trace(surface.sdf, origins, directions, **limits)
+    torch.testing.assert_close(fast, plain, rtol=0, atol=1e-5)
+    within = (directions[:, :2].abs() < 1.9).all(1)
+    assert within.sum() > 400
+    torch.testing.assert_close(fast[within], torch.ones(int(within.sum())), rtol=0, atol=2e-4)
 
 
 # 5 samples near and 3 free a ray: 13 rays leave one block of 65 + 39 odd; 3 rays less than a block of each; 64 fill whole blocks alone

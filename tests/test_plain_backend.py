@@ -29,6 +29,7 @@ SMALL = replace(
     mapper=replace(small().mapper, first_iterations=100, step_pixels=400),
     refinement=replace(small().refinement, updates=1),
     finetune=replace(FAST.finetune, every=1, keyframes=2),
+    fusion=replace(FAST.fusion, voxel=0.05),
 )
 FRAMES, BLANK = 8, 5  # the camera is lost at the blank frame and found again at the next
 CELL = 0.1  # [m] of the mesh

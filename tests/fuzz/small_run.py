@@ -9,6 +9,7 @@ from helpers.grey_archive import grey_archive
 from helpers.recordings import pose
 from idfslam.config import FAST, FieldConfig
 from idfslam.frame import FrameResult, Status
+from idfslam.fusion.fuse import fuse
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.trajectory import Trajectory, save_tum
@@ -46,7 +47,8 @@ def write_map(path: Path) -> Path:
     """A map of few weights and one view."""
     torch.manual_seed(0)
     field = Field(FieldConfig(levels=1, features=1, width=4, colour_width=4, table_log2=4, table_log2_max=4, coarsest=0.5, finest=0.5))
-    save_map(path, field, [DepthView(pose(0), np.ones((12, 16), np.float32), CAMERA)])
+    views = [DepthView(pose(0), np.ones((12, 16), np.float32), CAMERA)]
+    save_map(path, field, views, fuse(views, 0.1, 4))
     return path
 
 

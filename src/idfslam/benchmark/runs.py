@@ -37,6 +37,9 @@ COLUMNS = (
     Column("accuracy_m", "accuracy [cm]", 100),
     Column("completion_m", "completion [cm]", 100),
     Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
+    Column("precision", "precision at 1 cm [%]", 100, 1),
+    Column("f1", "F1 at 1 cm [%]", 100, 1),
+    Column("normal_angle", "normals off [deg]"),
     Column("frames_per_second", "frames/s"),
     Column("speed_kept", "speed kept"),
     Column("peak_memory_mb", "peak memory [MiB]", digits=0),
@@ -131,6 +134,7 @@ def column_values(metrics: Mapping[str, Any], mesh: Mapping[str, Any] | None) ->
         values |= {"rpe_1_deg": metrics["rpe_1"]["rotation_deg"]["rmse"], "jump_deg": metrics["jump"]["rotation_deg"]}
     if mesh is not None:
         values |= {"accuracy_m": mesh["accuracy"], "completion_m": mesh["completion"], "completion_ratio": mesh["completion_ratio"]}
+        values |= {key: mesh.get(key) for key in ("precision", "f1", "normal_angle")}
     return {key: float(value) for key, value in values.items() if value is not None}
 
 

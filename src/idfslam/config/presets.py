@@ -5,6 +5,7 @@ from idfslam.config.sections import (
     Config,
     FieldConfig,
     FinetuneConfig,
+    FusionConfig,
     InverseRenderingConfig,
     JointMappingConfig,
     KeyframeConfig,
@@ -63,6 +64,7 @@ PAPER = Config(
     ),
     finetune=FinetuneConfig(every=1, keyframes=10, learning_rate=1e-4, validate_every=0),
     loops=LoopConfig(enabled=False, relocalise=False),
+    fusion=FusionConfig(enabled=False),
 )
 
 IMAP = Config(
@@ -91,6 +93,7 @@ IMAP = Config(
     keyframes=KeyframeConfig(choice="information_gain", least_sharpness=0, cull=1.0),
     finetune=FinetuneConfig(enabled=False),
     loops=LoopConfig(enabled=False, relocalise=False),
+    fusion=FusionConfig(enabled=False),
     joint_mapping=JointMappingConfig(window=5, choice="loss", pose_learning_rate=1e-3, poses_from=0),
     inverse_rendering=InverseRenderingConfig(pixels=200, iterations=6, learning_rate=1e-3, photometric_weight=5.0, outliers=0),
 )
@@ -119,6 +122,7 @@ NICE = Config(
     keyframes=KeyframeConfig(choice="interval", interval=50, least_sharpness=0, cull=1.0),
     finetune=FinetuneConfig(enabled=False),
     loops=LoopConfig(enabled=False, relocalise=False),
+    fusion=FusionConfig(enabled=False),
     joint_mapping=JointMappingConfig(window=5, choice="overlap", pose_learning_rate=1e-3, poses_from=4),
     inverse_rendering=InverseRenderingConfig(pixels=200, iterations=10, learning_rate=1e-3, photometric_weight=0.5),
 )

@@ -544,6 +544,18 @@ class LoopConfig:
 
 
 @dataclass(frozen=True)
+class FusionConfig:
+    """The volume of fused depth images that sharpens the map's surface at the end of a run."""
+
+    enabled: UserOption[bool] = True
+    """Fuse the depth images of mapped views at their final poses. Meshes and views of the map are sharper, and its file is larger."""
+    voxel: Positive = 0.015
+    """Edge of a voxel [m]. Larger ones are faster and smaller, and smooth more."""
+    blocks: Count = 40_000
+    """Largest number of blocks of 8 x 8 x 8 voxels. In scenes that need more, voxels are larger."""
+
+
+@dataclass(frozen=True)
 class MeshConfig:
     """Extraction of the mesh from the map."""
 
@@ -596,6 +608,7 @@ class Config:
     alignment: AlignmentConfig = AlignmentConfig()
     refinement: RefinementConfig = RefinementConfig()
     loops: LoopConfig = LoopConfig()
+    fusion: FusionConfig = FusionConfig()
     mesh: MeshConfig = MeshConfig()
     volume_density: VolumeDensityConfig = VolumeDensityConfig()
     occupancy_grids: OccupancyGridsConfig = OccupancyGridsConfig()

@@ -32,7 +32,7 @@ from idfslam.errors import ConfigError, ResultError
 from idfslam.evaluation.culling import Visibility, faces_kept, in_any_view, subdivided, submesh, virtual_views
 from idfslam.evaluation.depth_error import depth_error
 from idfslam.evaluation.depth_range import DepthRange
-from idfslam.evaluation.point_triangle import nearest_distance
+from idfslam.evaluation.point_triangle import nearest_triangle
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.ray_casting import RayCaster
 from idfslam.geometry.trajectory import align
@@ -42,6 +42,7 @@ SAMPLES = 200_000  # points on each surface, as in the published protocols; rais
 VIEWS = 1000  # for depth L1, as in NICE-SLAM; raised, depth L1 scatters less and takes longer
 _FOUND = 0.05  # [m] distance up to which the reconstruction contains a true point, 5 cm as published; raised, the completion ratio is
 #    larger
+_CLOSE = 0.01  # [m] distance up to which a point counts as right in precision, recall and F1; raised, all three are larger
 _CANDIDATES = 8  # triangles to which a point's distance is measured; raised, the nearest one is missed less often. Chosen by hand
 _ICP_REACH = 0.1  # [m] largest distance of points that ICP pairs; raised, ICP corrects larger misalignments. NICE-SLAM's value
 _VIRTUAL_REACH = 1.0  # [m] of virtual views from recorded camera centres; raised, more hidden surface counts. Chosen by hand
@@ -87,6 +88,10 @@ class MeshError:
     accuracy: float  # [m] mean distance from points of the reconstruction to the true points
     completion: float  # [m] mean distance from the true points to points of the reconstruction
     completion_ratio: float  # share of true points with reconstruction within 5 cm
+    precision: float  # share of points of the reconstruction with true surface within 1 cm
+    recall: float  # share of true points with reconstruction within 1 cm
+    f1: float  # harmonic mean of precision and recall
+    normal_angle: float  # [deg] median angle between the planes of the reconstruction and of the nearest true triangles
     depth_l1: float | None  # [m]; None: no view was requested, or none shows true surface
     depth_missing: float | None  # share of pixels that show true surface but no reconstruction
     samples: int  # points on each surface
@@ -134,11 +139,13 @@ def mesh_error(
     if chosen.point_to_surface:
         seen = in_any_view(true_points.points, valid_poses[:: chosen.stride], camera, chosen.rule, occluder=truth_caster)
         # Reconstructed surface that is true is no error, even if it was never seen: hence all of the truth
-        accuracy = _to_triangles(points.points, _sample(fine_truth, samples, seed), fine_truth)
-        completion = _to_triangles(true_points.points[seen], points, kept)
+        accuracy, nearest = _to_triangles(points.points, _sample(fine_truth, samples, seed), fine_truth)
+        completion, _ = _to_triangles(true_points.points[seen], points, kept)
     else:
-        accuracy = cKDTree(true_points.points).query(points.points, workers=-1)[0]
+        accuracy, index = cKDTree(true_points.points).query(points.points, workers=-1)
+        nearest = true_points.triangles[index]
         completion = cKDTree(points.points).query(true_points.points, workers=-1)[0]
+    precision, recall = float((accuracy < _CLOSE).mean()), float((completion < _CLOSE).mean())
     depth = depth_error(RayCaster(kept), RayCaster(fine_truth), kept_truth, valid_poses, views=views, seed=seed)
     return MeshError(
         protocol=chosen.name,
@@ -148,6 +155,10 @@ def mesh_error(
         accuracy=float(accuracy.mean()),
         completion=float(completion.mean()),
         completion_ratio=float((completion < _FOUND).mean()),
+        precision=precision,
+        recall=recall,
+        f1=2 * precision * recall / max(precision + recall, 1e-12),
+        normal_angle=_median_angle(points.triangles, nearest),
         depth_l1=None if depth is None else depth.l1_with_missing if chosen.missing_is_zero else depth.l1,
         depth_missing=None if depth is None else depth.missing,
         samples=samples,
@@ -207,8 +218,8 @@ def _sample(mesh: trimesh.Trimesh, count: int, seed: int) -> _Samples:
     return _Samples(np.asarray(points), np.asarray(mesh.triangles[faces]))
 
 
-def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Floats:
-    """(N,) distances [m] from points (N, 3) to the nearest triangle of a mesh; `target` are samples of its surface.
+def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
+    """Distances [m] (N,) from points (N, 3) to the nearest triangle of a mesh, and these (N, 3, 3); `target` are samples of its surface.
 
     The candidates are the triangles of the nearest samples, which cover large triangles, and those with the nearest centres, which cover
     small ones.
@@ -216,7 +227,17 @@ def _to_triangles(points: Floats, target: _Samples, mesh: trimesh.Trimesh) -> Fl
     all_triangles = np.asarray(mesh.triangles)
     triangles = np.concatenate([target.triangles, all_triangles])
     tree = cKDTree(np.concatenate([target.points, all_triangles.mean(1)]))
-    return nearest_distance(points, triangles, tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1])
+    candidates = tree.query(points, k=np.arange(1, _CANDIDATES + 1), workers=-1)[1]
+    distance, nearest = nearest_triangle(points, triangles, candidates)
+    return distance, triangles[nearest]
+
+
+def _median_angle(triangles: Floats, others: Floats) -> float:
+    """The median angle [deg] between the planes of triangles and others, (N, 3, 3) each. Which side is the front does not matter."""
+    a, b = (np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) for t in (triangles, others))
+    lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    cosine = np.abs((a * b).sum(1))[lengths > 0] / lengths[lengths > 0]
+    return float(np.degrees(np.arccos(np.clip(np.median(cosine), 0, 1))))
 
 
 def icp(source: Floats, target: Floats, *, threshold: float, iterations: int = 30) -> Floats:

@@ -10,18 +10,20 @@ _compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_compiled
-def nearest_distance(points: Floats, triangles: Floats, candidates: NDArray[np.int64]) -> Floats:
-    """(N,) distances [m] from points (N, 3) to the nearest of their candidate triangles.
+def nearest_triangle(points: Floats, triangles: Floats, candidates: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+    """Distances [m] from points (N, 3) to the nearest of their candidate triangles, and which that is, (N,) each.
 
     candidates: (N, K) indices into triangles (T, 3, 3) [m].
     """
-    result = np.empty(len(points))
+    distance, nearest = np.empty(len(points)), np.empty(len(points), np.int64)
     for i in range(len(points)):
         best = np.inf
         for k in candidates[i]:
-            best = min(best, _to_triangle(points[i], triangles[k, 0], triangles[k, 1], triangles[k, 2]))
-        result[i] = np.sqrt(best)
-    return result
+            square = _to_triangle(points[i], triangles[k, 0], triangles[k, 1], triangles[k, 2])
+            if square < best:
+                best, nearest[i] = square, k
+        distance[i] = np.sqrt(best)
+    return distance, nearest
 
 
 @_compiled

@@ -62,6 +62,8 @@ def _mesh_rows(mesh: MeshError) -> list[tuple[str, str]]:
         ("accuracy [cm]", f"{mesh.accuracy * 100:.2f}"),
         ("completion [cm]", f"{mesh.completion * 100:.2f}"),
         ("completion ratio < 5 cm [%]", f"{mesh.completion_ratio * 100:.1f}"),
+        ("precision, F1 at 1 cm [%]", f"{mesh.precision * 100:.1f}, {mesh.f1 * 100:.1f}"),
+        ("normals off, median [deg]", f"{mesh.normal_angle:.1f}"),
     ]
     if mesh.depth_l1 is not None and mesh.depth_missing is not None:
         rows += [("depth L1 [cm]", f"{mesh.depth_l1 * 100:.2f}"), ("depth missing [%]", f"{mesh.depth_missing * 100:.1f}")]

@@ -30,7 +30,9 @@ def check_blocks(area: float, truncation: float, resolution: float) -> None:
 
 
 def finest_cells(saved: SavedMap) -> float | None:
-    """Edge [m] of the finest cells of the map's feature grid; None for a map without one."""
+    """Edge [m] of the finest cells of the map: a voxel's, or one of its feature grid; None for a map without either."""
+    if saved.volume is not None:
+        return saved.volume.voxel
     return saved.field.finest_cells
 
 

@@ -19,12 +19,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from idfslam.errors import ConfigError
+from idfslam.geometry.blocks import touched_blocks
 from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.projection import intrinsics_of, project
-from idfslam.mapping.fused import sdf_function
-from idfslam.mapping.meshing import CELLS, touched_blocks
+from idfslam.mapping.implicit_surface import ImplicitSurface
+from idfslam.mapping.meshing import CELLS
 from idfslam.mapping.saved_map import SavedMap
-from idfslam.mapping.surface_field import SurfaceField
 
 _LARGEST = 1 << 28  # lattice points of a dense grid, which take about 2 GB; larger: finer grids are allowed
 _CHUNK = 64  # blocks evaluated at a time; larger: more memory
@@ -44,7 +44,7 @@ def sample_blocks(saved: SavedMap, voxel: float, T_ew: NDArray[np.float64]) -> B
     """The field in all blocks near a measured surface, at lattice points `voxel` [m] apart. T_ew (4, 4): world into the lattice's axes."""
     tr, views = saved.field.config.truncation, _turned(saved.views, T_ew)
     coordinates = touched_blocks(views, CELLS * voxel, tr)
-    chunks = list(_evaluate(saved.field, coordinates, voxel, np.linalg.inv(T_ew).astype(np.float32)))
+    chunks = list(_evaluate(saved.surface, coordinates, voxel, np.linalg.inv(T_ew).astype(np.float32)))
     shape = (len(coordinates), CELLS, CELLS, CELLS)
     points = _lattice(coordinates, voxel)
     seen = observed_space(points.reshape(-1, 3), views, tr).reshape(shape)
@@ -66,14 +66,15 @@ def _lattice(coordinates: NDArray[np.int64], voxel: float) -> NDArray[np.float32
 
 @torch.no_grad()
 def _evaluate(
-    field: SurfaceField, coordinates: NDArray[np.int64], voxel: float, T_we: NDArray[np.float32]
+    surface: ImplicitSurface, coordinates: NDArray[np.int64], voxel: float, T_we: NDArray[np.float32]
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
     """T-SDF and colour, `_CHUNK` blocks at a time."""
-    device, sdf = next(field.parameters()).device, sdf_function(field)
+    field = surface.field
+    device = next(field.parameters()).device
     for start in range(0, len(coordinates), _CHUNK):
         lattice = _lattice(coordinates[start : start + _CHUNK], voxel).reshape(-1, 3)
         points = torch.from_numpy(lattice @ T_we[:3, :3].T + T_we[:3, 3]).to(device)
-        near = sdf(points).clamp(-1, 1)
+        near = surface.sdf(points).clamp(-1, 1)
         towards = -field.distance(points)[1] if field.direction_encoding is not None else None
         colour = (field(points, towards)[1].clamp(0, 1) * 255).round().to(torch.uint8)
         yield near.cpu().numpy(), colour.cpu().numpy()

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TypeGuard
 
 import numpy as np
@@ -12,6 +11,7 @@ from torch import Tensor, nn
 
 from idfslam.compute.backend import Backend, backend_of
 from idfslam.config import MapperConfig
+from idfslam.fusion.tsdf_volume import TsdfVolume, no_volume
 from idfslam.mapping import sphere_tracing
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding
@@ -20,7 +20,6 @@ from idfslam.mapping.kernels.torch_grid import adam_rates
 from idfslam.mapping.optimiser import MOMENTS, MapOptimiser
 from idfslam.mapping.ray_samples import RaySamples
 from idfslam.mapping.rays import Rays
-from idfslam.mapping.sphere_tracing import Trace
 from idfslam.mapping.surface_field import SurfaceField
 
 _BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam: larger betas average over more steps
@@ -86,13 +85,17 @@ def sdf(field: Field, points: Tensor) -> Tensor:
     return values
 
 
-def tracer(field: SurfaceField) -> Trace:
-    """`sphere_tracing.trace` through this field, compiled if possible."""
-    return partial(trace, field) if fusable(field) else partial(sphere_tracing.trace, field.sdf)
-
-
-def trace(field: Field, origins: Tensor, directions: Tensor, *, near: float | Tensor, far: float, truncation: float) -> Tensor:
-    """`sphere_tracing.trace` for a fusable field."""
+def trace(
+    field: Field,
+    origins: Tensor,
+    directions: Tensor,
+    *,
+    near: float | Tensor,
+    far: float,
+    truncation: float,
+    volume: TsdfVolume | None = None,
+) -> Tensor:
+    """`sphere_tracing.trace` for a fusable field, with which a volume is blended."""
     from idfslam.mapping.kernels import numba_tracing
 
     assert isinstance(field.encoding, GridEncoding)
@@ -100,7 +103,9 @@ def trace(field: Field, origins: Tensor, directions: Tensor, *, near: float | Te
     depth, reach = torch.zeros(len(origins)), truncation / directions.norm(dim=-1)
     limits = np.float32(far), reach.numpy(), np.float32(sphere_tracing.CAUTION), np.float32(sphere_tracing.LEAST_STEP)
     rays = origins.contiguous().numpy(), directions.contiguous().numpy(), starts.numpy()
-    numba_tracing.trace(*rays, *limits, *_grid(field), *weights(field)[:4], depth.numpy())  # type: ignore[call-arg]
+    blocks = (volume or no_volume()).arrays
+    network = *_grid(field), *weights(field)[:4]
+    numba_tracing.trace(*rays, *limits, *network, truncation, *blocks, depth.numpy())  # type: ignore[call-arg]
     return depth
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 from torch import Tensor
 
+from idfslam.geometry.blocks import pack, touched_blocks
 from idfslam.geometry.depth_view import DepthView
 
 CELLS = 16  # cells along a block's edge. More: more points are evaluated away from the surface. Chosen by hand
@@ -22,7 +23,6 @@ _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more 
 # [cells], [tr] Their sum is the largest distance of a vertex from a reading. More: surfaces extend beyond what was seen. Chosen by hand.
 _CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3
 _SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth, since the tolerance is in depth. More: more blocks are evaluated
-_OFFSET = 1 << 20  # integer coordinates are packed into 21 bits each: +-1 048 576 half cells, 5 km at cells of 1 cm; larger ones do not fit
 
 
 def extract_mesh(
@@ -58,40 +58,6 @@ def extract_mesh(
     )
 
 
-def touched_blocks(views: Sequence[DepthView], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
-    """Integer coordinates (M, 3), sorted, of the blocks of edge `edge` [m] that come within `margin` [m] (per axis) of a depth reading."""
-    small = edge / 4  # readings are first reduced to small cells, so that few are dilated
-    cells = [np.unique(_pack(_world_points(view, stride) // small)) for view in views]
-    corner = _unpack(np.unique(np.concatenate(cells or [np.empty(0, np.int64)]))) * small
-    low = np.floor((corner - margin) / edge).astype(np.int64)
-    high = np.floor((corner + small + margin) / edge).astype(np.int64)
-    reach = range(int(np.ceil((small + 2 * margin) / edge)) + 1)
-    blocks = [np.unique(_pack(np.minimum(low + np.array([i, j, k]), high))) for i in reach for j in reach for k in reach]
-    return _unpack(np.unique(np.concatenate(blocks)))
-
-
-def _world_points(view: DepthView, stride: int) -> NDArray[np.float64]:
-    """The readings (N, 3) [m] of every `stride`-th row and column."""
-    v, u = np.mgrid[0 : view.camera.height : stride, 0 : view.camera.width : stride]
-    z = view.depth[v, u].astype(np.float64)
-    measured = z > 0
-    u, v, z = u[measured], v[measured], z[measured]
-    points = np.stack([(u - view.camera.cx) / view.camera.fx * z, (v - view.camera.cy) / view.camera.fy * z, z], -1)
-    return points @ view.T_wc[:3, :3].T + view.T_wc[:3, 3]
-
-
-def _pack(coordinates: NDArray) -> NDArray[np.int64]:
-    """Integer coordinates (N, 3) as one sortable key (N,)."""
-    x, y, z = (coordinates.astype(np.int64) + _OFFSET).T
-    return (x << 42) | (y << 21) | z
-
-
-def _unpack(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of `_pack`."""
-    mask = (1 << 21) - 1
-    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - _OFFSET
-
-
 @dataclass(frozen=True)
 class _Piece:
     """The triangles of one block."""
@@ -125,7 +91,7 @@ def _seam_keys(local: NDArray, origin: NDArray[np.int64]) -> NDArray[np.int64]:
     middle = 2 * nearest
     middle[rows, axis] = 2 * np.floor(local[rows, axis]) + 1
     on_face = (((nearest == 0) | (nearest == CELLS)) & (off < 1e-5)).any(1)
-    return np.where(on_face, _pack(middle + 2 * origin), -1)
+    return np.where(on_face, pack(middle + 2 * origin), -1)
 
 
 def _concatenate(pieces: Iterator[_Piece]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""A map in one file: the field's weights, and the depth of views, which restricts meshes to observed surface."""
+"""A map in one file: the field's weights, the fused volume, and the depth of views, which restricts meshes to observed surface."""
 
 import json
 from collections.abc import Sequence
@@ -16,11 +16,13 @@ from torch import Tensor
 
 from idfslam.config import dump, update
 from idfslam.errors import ConfigError, ResultError
+from idfslam.fusion.tsdf_volume import TsdfVolume
+from idfslam.fusion.volume_codec import tensors_of, volume_of
 from idfslam.geometry.camera import Camera, indices_by_camera
 from idfslam.geometry.depth_view import DepthView, reduced_view
 from idfslam.mapping.field import Field, grids_of, load_field
 from idfslam.mapping.fields import FIELDS, make_field
-from idfslam.mapping.fused import sdf_function, tracer
+from idfslam.mapping.implicit_surface import ImplicitSurface
 from idfslam.mapping.meshing import extract_mesh, observed
 from idfslam.mapping.sphere_tracing import trace_image
 from idfslam.mapping.surface_field import SurfaceField
@@ -38,14 +40,20 @@ _VIEW_BYTES = 1_200_000  # [bytes] of all depth images. More: more views. With t
 
 @dataclass(frozen=True)
 class SavedMap:
-    """A field, and the views that it was learnt from."""
+    """A field, the views that it was learnt from, and the volume that these were fused into."""
 
     field: SurfaceField
     views: Sequence[DepthView]
+    volume: TsdfVolume | None = None  # None: the surface is the field's alone
+
+    @property
+    def surface(self) -> ImplicitSurface:
+        """The map's signed distance."""
+        return ImplicitSurface(self.field, self.volume)
 
     def mesh(self, resolution: float) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m], with vertex colours."""
-        return mesh_of(self.field, self.views, resolution)
+        return mesh_of(self.surface, self.views, resolution)
 
     def render(self, T_wc: NDArray[np.float64], camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Colour (H, W, 3) and depth (H, W) [m] of the map for a camera at `T_wc` (4, 4). Only observed surface is rendered."""
@@ -56,14 +64,14 @@ class SavedMap:
             return torch.from_numpy(observed(points.cpu().double().numpy(), self.views, tolerance)).to(points.device)
 
         image = trace_image(
-            sdf_function(self.field),
+            self.surface.sdf,
             lambda points, directions: self.field(points, directions)[1],
             torch.from_numpy(T_wc).float().to(next(self.field.parameters()).device),
             camera,
             far=farthest,
             truncation=self.field.config.truncation,
             observed=seen,
-            tracer=tracer(self.field),
+            tracer=self.surface.tracer(),
         )
         return image.colour.cpu().numpy(), image.depth.cpu().numpy()
 
@@ -73,8 +81,9 @@ def _reach(views: Sequence[DepthView], T_wc: NDArray[np.float64]) -> float:
     return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
-def mesh_of(field: SurfaceField, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
-    """The zero level of a field where the views observed it. Colour that depends on the view direction is that of a head-on view."""
+def mesh_of(surface: ImplicitSurface, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
+    """The surface where the views observed it. Colour that depends on the view direction is that of a head-on view."""
+    field = surface.field
     device = next(field.parameters()).device
 
     def colour(points: Tensor) -> Tensor:
@@ -82,14 +91,15 @@ def mesh_of(field: SurfaceField, views: Sequence[DepthView], resolution: float) 
         return field(points, towards)[1]
 
     with torch.no_grad():
-        return extract_mesh(sdf_function(field), colour, views, resolution=resolution, truncation=field.config.truncation, device=device)
+        return extract_mesh(surface.sdf, colour, views, resolution=resolution, truncation=surface.truncation, device=device)
 
 
-def save_map(path: Path, field: SurfaceField, views: Sequence[DepthView]) -> None:
+def save_map(path: Path, field: SurfaceField, views: Sequence[DepthView], volume: TsdfVolume | None = None) -> None:
     """Writes a map as one safetensors file. The tables of a feature grid, and depths in millimetres, have 16 bits.
 
     As many views are written as fit, evenly spread. Those of the i-th camera are `views.i.depth` (V, H, W) and `views.i.T_wc` (V, 4, 4).
-    Metadata: `format`, `field` and `cameras` (JSON), and `precision` (how numbers are rounded). Equal maps give equal files.
+    `volume.blocks`, `volume.low`, `volume.high` and `volume.trust` are the volume's (`volume_codec`); a map without a volume lacks them.
+    Metadata: `format`, `field`, `cameras` and `volume` (JSON), and `precision` (how numbers are rounded). Equal maps give equal files.
     """
     tensors = {f"field.{name}": value.detach().cpu().contiguous() for name, value in field.state_dict().items()}
     config = field.config
@@ -116,6 +126,9 @@ def save_map(path: Path, field: SurfaceField, views: Sequence[DepthView]) -> Non
         "cameras": json.dumps([asdict(camera) for camera in cameras]),
         "precision": precision,
     }
+    if volume is not None:
+        tensors |= {f"volume.{name}": value for name, value in tensors_of(volume).items()}
+        metadata["volume"] = json.dumps({"voxel": volume.voxel, "truncation": volume.truncation})
     path.write_bytes(ordered(save(tensors, {"format": str(FORMAT), **metadata})))
 
 
@@ -130,7 +143,7 @@ def load_map(path: Path) -> SavedMap:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (safe_open is no mapping)
         representation = metadata.get("representation", Field.representation)  # files of older versions have no other
         field = _field(representation, update(FIELDS[representation][0](), json.loads(metadata["field"]), "its metadata"), tensors)
-        return SavedMap(field, _views(metadata, tensors))
+        return SavedMap(field, _views(metadata, tensors), _volume(metadata, tensors))
     except (OSError, SafetensorError, ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise ResultError(f"{path}: cannot be read as a map ({type(error).__name__}: {error}); expected a run's map.safetensors") from error
 
@@ -161,6 +174,15 @@ def _grown(field: SurfaceField, name: str, shape: Any) -> bool:
     size = shape[1] if entries is not None and len(shape) == 3 else shape[0] if name.endswith("_used") and len(shape) == 1 else 0
     fits = entries is None or (shape[0], shape[2]) == (entries[0], entries[2])
     return fits and size > 0 and size & (size - 1) == 0
+
+
+def _volume(metadata: dict[str, str], tensors: dict[str, Tensor]) -> TsdfVolume | None:
+    """The volume; None if the map has none. Raises ValueError or KeyError if its tensors make no volume."""
+    if "volume" not in metadata:
+        return None
+    named = {name.removeprefix("volume."): value for name, value in tensors.items() if name.startswith("volume.")}
+    values = json.loads(metadata["volume"])
+    return volume_of(named, float(values["voxel"]), float(values["truncation"]))
 
 
 def _views(metadata: dict[str, str], tensors: dict[str, Tensor]) -> list[DepthView]:

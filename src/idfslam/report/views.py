@@ -18,7 +18,6 @@ from idfslam.errors import FrameError
 from idfslam.export.tsdf_grid import observed_space
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.level import from_above
-from idfslam.mapping.fused import sdf_function
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.direction import best_direction, shown
 from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
@@ -93,7 +92,7 @@ class Room:
     def slices(self, saved: SavedMap) -> Iterator[tuple[float, Plan]]:
         """Heights above the lowest surface [m], each with the signed distance [m] on that plane, NaN where nothing was observed."""
         x, y = (np.arange(self.low[a], self.high[a], _SLICE_CELL) for a in (0, 1))
-        tr, device, sdf = saved.field.config.truncation, next(saved.field.parameters()).device, sdf_function(saved.field)
+        tr, device, sdf = saved.surface.truncation, next(saved.field.parameters()).device, saved.surface.sdf
         for share in _HEIGHTS:
             z = self.low[2] + share * (self.high[2] - self.low[2])
             local = np.stack(np.broadcast_arrays(x[None, :], y[::-1, None], z), -1)

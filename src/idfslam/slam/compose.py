@@ -51,6 +51,7 @@ from idfslam.slam.relocalisation_check import RelocalisationCheck
 from idfslam.slam.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.submap_merger import SubmapMerger
+from idfslam.slam.surface_fusion import NoFusion, SurfaceFusion, ViewFusion
 from idfslam.tracking.tracker import Tracker
 from idfslam.views.view_selection import ViewSelection
 
@@ -217,6 +218,10 @@ class System:
             return NoPolish()
         parts = self.graph, self.replay, self.relearn, self.adjustment, self.refinement, self.mapper
         return Polish(self.config.refinement, self.config.mapper.iterations, *parts)
+
+    @cached_property
+    def surface_fusion(self) -> SurfaceFusion:
+        return ViewFusion(self.config.fusion, self.graph, self.coverage) if self.config.fusion.enabled else NoFusion()
 
     @cached_property
     def finetuner(self) -> Finetuning:

@@ -15,9 +15,11 @@ from torch import Tensor
 from idfslam.config import FAST, Config
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
+from idfslam.fusion.tsdf_volume import TsdfVolume
 from idfslam.graph.held_out import is_held_out
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
+from idfslam.mapping.implicit_surface import ImplicitSurface
 from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.slam.compose import BackEnd, FrontEnd, Map, System
 from idfslam.slam.frame_order import FrameOrder
@@ -61,11 +63,12 @@ class Slam:
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
         self.segmentation = system.segmentation
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.map, system.replay
-        self.views, self.adjustment = system.views, system.adjustment
+        self.views, self.adjustment, self.surface_fusion = system.views, system.adjustment, system.surface_fusion
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
         self._archive: ImageArchive | None = None  # once the poses are final
+        self._volume: TsdfVolume | None = None  # likewise
         self.order = FrameOrder()
 
     def process(self, frame: Frame) -> FrameResult:
@@ -136,7 +139,10 @@ class Slam:
         self.recovery.start_in_map(self.replay.sample(EXAMPLES))
 
     def finish(self) -> None:
-        """Ends a run: maps the last frame too, and polishes the keyframes' poses and the map. Without any mapped frame there is no work."""
+        """Ends a run: maps the last frame too, polishes the keyframes' poses and the map, and fuses the depth of mapped views.
+
+        Without any mapped frame there is no work.
+        """
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
@@ -148,6 +154,9 @@ class Slam:
             self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
         self.back_end.finish()
         self.views.finish()
+        archive = self.archive()
+        with self.timer.stage("fuse"):
+            self._volume = self.surface_fusion.volume([] if archive is None else archive.depths)
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m], with vertex colours: the map's own, after `finish` those of the archive.
@@ -160,13 +169,14 @@ class Slam:
         if not 0 < cells < np.inf:
             raise ConfigError(f"resolution is {resolution}, expected metres above 0, such as {self.config.mesh.resolution}")
         self._check_mapped()
-        mesh, archive = mesh_of(self.mapper.learnt(), self.coverage.views(), cells), self.archive() if self._finished else None
+        surface = ImplicitSurface(self.mapper.learnt(), self._volume)
+        mesh, archive = mesh_of(surface, self.coverage.views(), cells), self.archive() if self._finished else None
         return mesh if archive is None or not len(mesh.vertices) else recoloured(mesh, archive)
 
     def save_map(self, path: Path) -> None:
         """Writes the map as one file, which `idfslam.mapping.saved_map.load_map` reads. Raises ResultError if nothing was mapped yet."""
         self._check_mapped()
-        save_map(path, self.mapper.learnt(), self.coverage.views())
+        save_map(path, self.mapper.learnt(), self.coverage.views(), self._volume)
 
     def archive(self) -> ImageArchive | None:
         """The images that views of the map are made of, at the present poses; None if none was kept."""

@@ -102,7 +102,8 @@ def _errors(
     if evaluation.mesh is None:
         return values
     m = evaluation.mesh
-    return values | {"accuracy_m": m.accuracy, "completion_m": m.completion, "completion_ratio": m.completion_ratio}
+    errors = {"accuracy_m": m.accuracy, "completion_m": m.completion, "completion_ratio": m.completion_ratio}
+    return values | errors | {"precision": m.precision, "f1": m.f1, "normal_angle": m.normal_angle}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -30,8 +30,8 @@ class Export:
     to: tuple[Format, ...]
     """One or more formats."""
     resolution: float = 0.02
-    """Cell edge of meshes and grids, and spacing of points [m]. The map's own finest cells are 4 cm in the preset `fast`; edges below
-    half of that add vertices, not detail."""
+    """Cell edge of meshes and grids, and spacing of points [m]. The map resolves 1.5 cm in the preset `fast` where the camera
+    saw the surface well, 4 cm elsewhere: smaller cells add vertices, not detail."""
     up: Up = "z"
     """Axis that points up in the files. `z`: up by gravity, as the floor shows it, the walls along x and y. `y`: the same with y up.
     `camera`: the axes of the run's own trajectory.txt and mesh.ply (the first camera: x right, y down, z forward). In GLB files y is

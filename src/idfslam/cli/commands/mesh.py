@@ -19,8 +19,8 @@ class Mesh:
     folder: Positional[Path]
     """Result folder."""
     resolution: float = 0.02
-    """Edge of the marching-cubes cells [m]. The map's own finest cells are 4 cm in the preset `fast`; edges below half of that add
-    vertices, not detail."""
+    """Edge of the marching-cubes cells [m]. The map resolves 1.5 cm in the preset `fast` where the camera
+    saw the surface well, 4 cm elsewhere: smaller cells add vertices, not detail."""
     colour: Literal["images", "map"] = "images"
     """Colours of the vertices: of the `images` that the run kept in its archive, or those that the `map` has learnt, which are softer."""
     out: Path | None = None

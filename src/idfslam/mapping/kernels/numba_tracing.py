@@ -7,6 +7,7 @@ of rays at a time, and grid and network stay in the cache. A ray that has ended 
 import numpy as np
 from numba import njit, prange
 
+from idfslam.fusion.kernels.numba_volume import blend_at
 from idfslam.mapping.kernels.numba_field import BLOCK, head, linear, relu
 from idfslam.mapping.kernels.numba_grid import locate, trilinear
 
@@ -18,11 +19,33 @@ _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 @njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)  # type: ignore[untyped-decorator]
 def trace(  # type: ignore[no-untyped-def] # noqa: C901 (a ray's life, a block of them at a time)
-    origins, directions, near, far, reach, caution, least, tables, inverse, lanes, w1, b1, ws, bs, depth
+    origins,
+    directions,
+    near,
+    far,
+    reach,
+    caution,
+    least,
+    tables,
+    inverse,
+    lanes,
+    w1,
+    b1,
+    ws,
+    bs,
+    truncation,
+    keys,
+    rows,
+    distance,
+    trust,
+    voxel,
+    step,
+    depth,
 ):
     """Fills depth (N,) at which rays from near (N,) on first pass from the front of a surface to its back; unchanged for other rays.
 
     reach (N,): the truncation distance in depth along each ray. caution: the share of the distance in a step. least: the least step [tr].
+    keys to step: `TsdfVolume.arrays` of the volume that is blended with the network.
     """
     inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
     mask = np.uint32(tables.shape[1] - 1)
@@ -68,7 +91,8 @@ def trace(  # type: ignore[no-untyped-def] # noqa: C901 (a ray's life, a block o
             head(ws, bs, h, s)
             kept = 0
             for i in range(count):
-                here = s[0, i]
+                of_network = s[0, i] * truncation
+                here = blend_at(xyz[0, i], xyz[1, i], xyz[2, i], of_network, keys, rows, distance, trust, voxel, step) / truncation
                 if before[i] > _ZERO and here <= _ZERO:
                     depth[ray[i]] = t_before[i] + (t[i] - t_before[i]) * (before[i] / (before[i] - here))
                     continue

@@ -1,0 +1,19 @@
+"""Constants of the voxel blocks, shared by the plain and the compiled forms.
+
+Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
+where it is).
+"""
+
+BLOCK = 8  # voxels along a block's edge. More: fewer blocks, with more voxels away from surfaces. Chosen by hand
+NEAREST = 0.05  # [m] least depth of a voxel in front of a camera. More: what is closer is not fused. Chosen by hand
+EDGE_SHARE = 0.02  # [1] difference of four neighbouring readings, of their depth, up to which depth is interpolated between them. More:
+# smoother surfaces of far things, and surfaces between things that are close behind one another. Chosen by hand
+ENOUGH = 48  # [1] readings a voxel, on average over a block, after which the block is left as it is: then errors that all readings share
+# count, and time. More: slower. Chosen by hand
+FREE = 0.1  # [1] weight of a reading that says that a voxel is free, over that of one at the surface: a coarse image looks past thin
+# things that others show. More: thin things vanish; less: what was wrongly read stays. Chosen by hand
+LEAST_SLANT = 0.2  # [1] cosine of ray and normal below which a reading counts as this slanted. More: grazing readings count more
+TILE = (
+    8  # [px] edge of the tiles of a depth image whose farthest readings rule out what lies behind. More: closer blocks are ruled out too,
+)
+# by the readings of larger tiles. Chosen by hand

@@ -1,0 +1,1 @@
+"""Kernels of fusion, compiled by Numba for the CPU."""

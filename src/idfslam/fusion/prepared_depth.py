@@ -1,0 +1,105 @@
+"""A depth image as it is fused: with the slant of the surface at each reading, and the reading's information.
+
+The slant is that of a plane through the readings around. The inverse depth of a plane is linear in the image, so the plane is a linear
+regression of inverse depths.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.compute.backend import pick
+from idfslam.fusion.constants import LEAST_SLANT, TILE
+from idfslam.geometry.camera import Camera
+from idfslam.geometry.depth_view import DepthView
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+from idfslam.sensing.depth_noise import BEST, noise_ratio
+
+Floats = NDArray[np.float32]
+
+REACH = 2  # [px] rows and columns around a reading that its plane is fitted to. More: smoother slants, less detail. Chosen by hand
+_LEAST_READINGS = 6  # readings that a plane needs; fewer: the surface counts as slanted as can be. More: edges count less. Chosen by hand
+# [1] Power of the share of the readings around that lie on the same surface, by which information falls towards edges: there a pixel may
+# show either side. More: what is fused keeps farther from edges. Chosen by hand
+_EDGE_POWER = 4
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedDepth:
+    """A depth image, with what fusion needs of each reading."""
+
+    depth: Floats  # (H, W) [m], 0: no reading
+    slope: Floats  # (H, W) distance to the surface's plane over the difference of depth along a ray: ray . normal, where the ray has z = 1
+    information: Floats  # (H, W) [1/m^2] of the distance to the plane
+    farthest: Floats  # (h, w) [m] the farthest reading of each tile of TILE x TILE pixels and of the tiles around it
+    camera: Camera
+    T_wc: NDArray[np.float64]  # (4, 4)
+
+
+def prepared(view: DepthView) -> PreparedDepth:
+    """The view with slants and information."""
+    slant_x, slant_y, count = inverse_depth_slopes(view.depth)
+    c, read = view.camera, view.depth > 0
+    q = 1 / np.where(read, view.depth, 1)
+    u, v = np.arange(c.width, dtype=np.float32), np.arange(c.height, dtype=np.float32)[:, None]
+    # The plane n . p = 1 has q = n . ray, so n = (dq/du fx, dq/dv fy, rest)
+    normal_x, normal_y = slant_x * np.float32(c.fx), slant_y * np.float32(c.fy)
+    ray_x, ray_y = (u - np.float32(c.cx)) / np.float32(c.fx), (v - np.float32(c.cy)) / np.float32(c.fy)
+    normal_z = q - normal_x * ray_x - normal_y * ray_y
+    length = np.sqrt(1 + ray_x**2 + ray_y**2)
+    cosine = q / (np.sqrt(normal_x**2 + normal_y**2 + normal_z**2) * length)
+    cosine = np.where(count >= _LEAST_READINGS, np.maximum(cosine, LEAST_SLANT), LEAST_SLANT).astype(np.float32)
+    slope = np.where(read, cosine * length, 0).astype(np.float32)
+    sigma = BEST * noise_ratio(torch.from_numpy(view.depth)).numpy() * length
+    inner = (count / np.float32((2 * REACH + 1) ** 2)) ** _EDGE_POWER
+    information = np.where(read, (cosine / sigma) ** 2 * inner, 0).astype(np.float32)
+    return PreparedDepth(view.depth, slope, information, _farthest(view.depth), c, view.T_wc)
+
+
+def _farthest(depth: Floats) -> Floats:
+    """The farthest reading (h, w) [m] of each tile and of those around it."""
+    rows, columns = (-(-size // TILE) for size in depth.shape)
+    padded = np.zeros((rows * TILE, columns * TILE), np.float32)
+    padded[: depth.shape[0], : depth.shape[1]] = depth
+    return np.asarray(cv2.dilate(padded.reshape(rows, TILE, columns, TILE).max((1, 3)), np.ones((3, 3), np.uint8)))
+
+
+def inverse_depth_slopes(depth: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """The slopes (H, W) [1/(m px)] of inverse depth along the columns and the rows, and the number of readings (H, W) that they come from.
+
+    Readings beyond an edge (`depth_edges`) belong to another surface and take no part.
+    """
+    return pick(torch.empty(0), compiled=compiled_inverse_depth_slopes, plain=plain_inverse_depth_slopes)(depth)
+
+
+def compiled_inverse_depth_slopes(depth: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """`inverse_depth_slopes`, compiled by Numba."""
+    from idfslam.fusion.kernels.numba_slopes import slopes
+
+    along_u, along_v, count = np.zeros_like(depth), np.zeros_like(depth), np.zeros(depth.shape, np.int32)
+    slopes(np.ascontiguousarray(depth), REACH, EDGE, EDGE_SHARE, along_u, along_v, count)
+    return along_u, along_v, count
+
+
+def plain_inverse_depth_slopes(depth: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
+    """`inverse_depth_slopes` in numpy."""
+    padded = np.pad(depth.astype(np.float64), REACH)
+    height, width = depth.shape
+    sums = np.zeros((9, height, width))
+    for j in range(2 * REACH + 1):
+        for i in range(2 * REACH + 1):
+            z = padded[j : j + height, i : i + width]
+            used = (z > 0) & (depth > 0) & (np.abs(z - depth) < EDGE + EDGE_SHARE * depth)
+            q, u, v = np.where(used, 1 / np.where(z > 0, z, 1), 0), (i - REACH) * used, (j - REACH) * used
+            sums += np.stack([used, u, v, q, u * u, u * v, v * v, u * q, v * q])
+    n = np.maximum(sums[0], 1)
+    u, v, q = sums[1] / n, sums[2] / n, sums[3] / n
+    uu, uv, vv, uq, vq = sums[4] / n - u * u, sums[5] / n - u * v, sums[6] / n - v * v, sums[7] / n - u * q, sums[8] / n - v * q
+    determinant = uu * vv - uv * uv
+    fits = determinant > 1e-3
+    determinant = np.where(fits, determinant, 1)
+    along_u, along_v = np.where(fits, (vv * uq - uv * vq) / determinant, 0), np.where(fits, (uu * vq - uv * uq) / determinant, 0)
+    return along_u.astype(np.float32), along_v.astype(np.float32), np.where(fits, sums[0], 0).astype(np.int32)

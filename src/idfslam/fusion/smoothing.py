@@ -1,0 +1,44 @@
+"""Noise taken out of fused distances: each is drawn towards those of the voxels around, as far as it is uncertain.
+
+The signed distance of a plane is linear, so that the mean over neighbours on all sides leaves it as it is; only edges are rounded, by
+fractions of a voxel. Where many near readings agree, nothing is smoothed.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idfslam.geometry.blocks import pack
+
+Floats = NDArray[np.float32]
+
+
+def around(blocks: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """The mean (M, B, B, B) of each voxel and those around it that were seen, by 1, 2, 1 along each axis; 0 where none was.
+
+    Information is no weight here: it falls on both sides of a surface, and not alike, which would move the surface.
+    """
+    total = seen.astype(np.float32)
+    sums = total * values
+    for axis in range(3):
+        before, after = (_neighbours(blocks, axis, step) for step in (-1, 1))
+        total, sums = (_binomial(array, axis + 1, before, after) for array in (total, sums))
+    return np.divide(sums, total, out=np.zeros_like(sums), where=total > 0)
+
+
+def _neighbours(blocks: NDArray[np.int64], axis: int, step: int) -> NDArray[np.int64]:
+    """(M,) the row of each block's neighbour along an axis; -1: it has none."""
+    keys = pack(blocks)
+    order = np.argsort(keys)
+    wanted = pack(blocks + step * np.eye(3, dtype=np.int64)[axis])
+    found = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[found] == wanted, found, -1)
+
+
+def _binomial(array: Floats, axis: int, before: NDArray[np.int64], after: NDArray[np.int64]) -> Floats:
+    """(1, 2, 1) / 4 along an axis of (M, B, B, B), over the borders of blocks; what has no neighbour counts as 0."""
+    inner = np.moveaxis(array, axis, 1)
+    sides = (np.where((rows >= 0)[:, None, None], inner[rows, end], 0)[:, None] for rows, end in ((before, -1), (after, 0)))
+    first, last = sides
+    padded = np.concatenate([first, inner, last], 1)
+    smooth = (padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]) / np.float32(4)
+    return np.ascontiguousarray(np.moveaxis(smooth, 1, axis))

@@ -1,0 +1,40 @@
+"""The surface of a map: one signed distance, fused where depth images saw the surface well, the network's where they did not."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from idfslam.fusion.tsdf_volume import TsdfVolume
+from idfslam.mapping import fused, sphere_tracing
+from idfslam.mapping.sphere_tracing import Trace
+from idfslam.mapping.surface_field import SurfaceField
+
+
+@dataclass(frozen=True, eq=False)
+class ImplicitSurface:
+    """The signed distance of a field and of a volume of fused depth images, blended by the trust of each voxel."""
+
+    field: SurfaceField
+    volume: TsdfVolume | None = None  # None: the field alone
+
+    @property
+    def truncation(self) -> float:
+        """tr [m], the unit of `sdf`."""
+        return self.field.config.truncation
+
+    @torch.no_grad()
+    def sdf(self, points: Tensor) -> Tensor:
+        """Signed distance (N,) [tr] at points (N, 3) [m], positive in front of the surface; without gradients."""
+        of_field = fused.sdf_function(self.field)(points)
+        if self.volume is None:
+            return of_field
+        distance = (of_field * self.truncation).float().cpu().numpy()
+        return torch.from_numpy(self.volume.blend(points.float().cpu().numpy(), distance)).to(points.device) / self.truncation
+
+    def tracer(self) -> Trace:
+        """`sphere_tracing.trace` through this surface, compiled if possible."""
+        if fused.fusable(self.field):
+            return partial(fused.trace, self.field, volume=self.volume)
+        return partial(sphere_tracing.trace, self.sdf)

@@ -1,0 +1,133 @@
+"""The fusion of depth images: compiled and plain forms, a plane, what noise and views behind it change, and what is left out."""
+
+import numpy as np
+import pytest
+
+from helpers.painted_wall import BOX, CAMERA, HALF, WALL, at, painted
+from idfslam.fusion.constants import BLOCK
+from idfslam.fusion.fuse import fuse, variance_factor
+from idfslam.fusion.integration import Voxels, compiled_integrate, plain_integrate
+from idfslam.fusion.prepared_depth import compiled_inverse_depth_slopes, plain_inverse_depth_slopes, prepared
+from idfslam.fusion.smoothing import around
+from idfslam.fusion.tsdf_volume import STEPS, TsdfVolume
+from idfslam.geometry.blocks import touched_blocks
+from idfslam.geometry.depth_view import DepthView
+
+VOXEL, TRUNCATION = 0.02, 0.08
+
+
+def view(x: float, turn: float = 0.0, noise: float = 0.0, seed: int = 0) -> DepthView:
+    T = at(x, 0.0, turn)
+    depth = painted(0, T).depth + np.random.default_rng(seed).normal(0, noise, (CAMERA.height, CAMERA.width)) * (noise > 0)
+    return DepthView(T, depth.astype(np.float32), CAMERA)
+
+
+def test_slopes_are_those_of_the_plain_form_and_of_a_plane() -> None:
+    depth = view(0.1, 0.3, 0.002).depth
+    depth[np.random.default_rng(1).random(depth.shape) < 0.1] = 0
+    for found, expected in zip(compiled_inverse_depth_slopes(depth), plain_inverse_depth_slopes(depth)):
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+    turn = 0.5
+    rays = (np.arange(CAMERA.width) - CAMERA.cx) / CAMERA.fx
+    plane = np.repeat(2 / (np.cos(turn) + np.sin(turn) * rays)[None], CAMERA.height, 0).astype(np.float32)
+    slanted = prepared(DepthView(np.eye(4), plane, CAMERA))
+    np.testing.assert_allclose(slanted.slope, 2 / plane, rtol=1e-3)  # the plane is 2 m from the camera
+
+
+def test_integration_is_that_of_the_plain_form() -> None:
+    views = [view(-0.2, 0.1, 0.01), view(0.3, -0.4, 0.01, 1)]
+    blocks = touched_blocks(views, BLOCK * VOXEL, TRUNCATION)
+    blocks = blocks[np.random.default_rng(0).permutation(len(blocks))[:150]]
+    found, expected = (Voxels.empty(VOXEL, TRUNCATION, blocks) for _ in range(2))
+    for one in views:
+        compiled_integrate(found, prepared(one))
+        plain_integrate(expected, prepared(one))
+    assert (found.weight > 0).mean() > 0.4 and found.scatter[:, 1].sum() > 1000
+    same = (np.abs(found.distance - expected.distance) < 1e-5) & (
+        np.abs(found.weight / expected.weight.max() - expected.weight / expected.weight.max()) < 1e-4
+    )
+    assert same.mean() > 0.999  # a voxel on the border of two pixels may get either
+    np.testing.assert_allclose(found.scatter.sum(0), expected.scatter.sum(0), rtol=0.01)
+
+
+def fused_at(volume: TsdfVolume, points: np.ndarray) -> np.ndarray:
+    """The fused distance [m], NaN where less than a tenth of it is trusted."""
+    zero, one = (volume.blend(points.astype(np.float32), np.full(len(points), value, np.float32)) for value in (0, 1))
+    trust = 1 - (one - zero)
+    return np.where(trust > 0.1, zero / np.maximum(trust, 0.1), np.nan)
+
+
+def test_the_surface_is_that_of_the_scene() -> None:
+    volume = fuse([view(x, turn) for x, turn in ((-0.3, 0.2), (0.0, 0.0), (0.3, -0.2))], 0.01, 40_000)
+    x, y = np.meshgrid(np.linspace(-0.15, 0.15, 20), np.linspace(-0.15, 0.15, 20))
+    front = np.stack([x.ravel(), y.ravel(), np.full(x.size, BOX)], 1)
+    wall = front + np.array([0.5, 0, WALL - BOX])
+    for offset in (-0.01, 0.0, 0.01):
+        for points in (front, wall):
+            np.testing.assert_allclose(fused_at(volume, points + np.array([0, 0, offset])), -offset, atol=5e-4)
+    assert np.isnan(fused_at(volume, front - np.array([0, 0, 0.03]))).all()  # free space, where the network counts
+    assert np.isnan(fused_at(volume, front + np.array([0, 0, 0.1]))).all()  # inside the box
+
+
+def test_noise_is_averaged_and_far_readings_count_less() -> None:
+    x, y = np.meshgrid(np.linspace(0.4, 0.6, 20), np.linspace(-0.2, 0.2, 20))
+    wall = np.stack([x.ravel(), y.ravel(), np.full(x.size, WALL)], 1)
+    spread = [np.nanstd(fused_at(fuse([view(0.01 * i, 0.0, 0.006, i) for i in range(count)], 0.01, 40_000), wall)) for count in (1, 16)]
+    assert spread[1] < 0.4 * spread[0]
+    far = view(0.5)
+    near = DepthView(far.T_wc, far.depth / 2, CAMERA)
+    assert prepared(far).information[60, 80] < prepared(near).information[60, 80] / 2
+
+
+def test_what_has_no_depth_is_not_fused() -> None:
+    """As what moves, whose depth is taken out."""
+    hidden = view(0.0)
+    hidden.depth[hidden.depth < WALL - 0.1] = 0
+    volume = fuse([hidden], 0.01, 40_000)
+    assert np.isnan(fused_at(volume, np.array([[0.0, 0.0, BOX]]))).all()
+    assert not np.isnan(fused_at(volume, np.array([[HALF + 0.3, 0.0, WALL]]))).any()
+
+
+def test_voxels_are_larger_where_blocks_would_be_too_many() -> None:
+    views = [view(0.0)]
+    many = fuse(views, 0.01, 40_000)
+    few = fuse(views, 0.01, len(many.blocks) // 4)
+    assert many.voxel == 0.01 and many.truncation == 0.03
+    assert len(few.blocks) <= len(many.blocks) // 4 and few.voxel > 0.015 and few.truncation == pytest.approx(3 * few.voxel)
+
+
+def test_further_views_add_to_the_blocks_of_the_others() -> None:
+    one, both = fuse([view(0.0)], 0.01, 40_000), fuse([view(0.0)], 0.01, 40_000, more=iter([view(0.2)]))
+    assert np.array_equal(one.blocks, both.blocks) and both.trust.mean() > one.trust.mean()
+
+
+def test_trust_is_full_nowhere_and_zero_where_nothing_was_read() -> None:
+    volume = fuse([view(0.0)], 0.01, 40_000)
+    assert volume.trust.max() < 255 and (volume.trust == 0).any()
+    assert np.abs(volume.distance).max() <= STEPS
+
+
+def test_the_scatter_tells_how_noisy_the_readings_are() -> None:
+    """Against the sensor's model, which expects 6 mm at 2 m: noise of that size, twice that, and none."""
+    factors = []
+    for noise in (0.0057, 0.0114, 0.0):
+        voxels = Voxels.empty(0.02, 0.08, touched_blocks([view(0.0)], BLOCK * 0.02, 0.04))
+        for i in range(12):
+            compiled_integrate(voxels, prepared(view(0.01 * i, 0.0, noise, i)))
+        factors.append(float(variance_factor(voxels)))
+    assert 0.2 < factors[0] < 1.2  # readings are interpolated between four, which takes out some of it
+    assert factors[1] > 2.5 * factors[0] and factors[2] < 0.02
+
+
+def test_a_plane_is_left_as_it_is_by_smoothing_over_the_borders_of_blocks() -> None:
+    blocks = np.array([(i, j, k) for i in range(2) for j in range(2) for k in range(2)], np.int64)
+    place = blocks[:, None, None, None] * BLOCK + np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), -1)
+    distance = (place @ np.array([0.01, -0.02, 0.03])).astype(np.float32)
+    inner = ((place > 0) & (place < 2 * BLOCK - 1)).all(-1)
+    smooth = around(blocks, distance, np.ones_like(distance, bool))
+    np.testing.assert_allclose(smooth[inner], distance[inner], atol=1e-6)
+    noisy = distance + np.random.default_rng(0).normal(0, 0.1, distance.shape).astype(np.float32)
+    assert (around(blocks, noisy, np.ones_like(noisy, bool)) - distance)[inner].std() == pytest.approx(0.1 * (6 / 16) ** 1.5, rel=0.1)
+    beyond = place[..., 0] >= BLOCK
+    assert not around(blocks[:4], noisy[:4], np.zeros_like(noisy[:4], bool)).any()
+    np.testing.assert_allclose(around(blocks, distance + ~beyond * 9, beyond)[inner & beyond].max(), distance.max(), atol=0.2)
