@@ -196,6 +196,7 @@ def test_page() -> None:
     text = markdown(results, tables)
     assert "| paper | Acc. [cm] | 2.00 | 2.00 |" in text
     assert "| *iDF-SLAM, printed* | *Acc. [cm]* | *-* | *4.86* |" in text
+    assert r"| *iMAP\*, printed* | *ATE RMSE [cm]* |" in text
     assert "Failed: room-nice: out of memory" in text
 
 

@@ -93,7 +93,8 @@ def markdown(results: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]) ->
         lines = [table["titles"], ["---", *["---:"] * (len(table["titles"]) - 1)]]
         for row in table["rows"]:
             mark = "*" if row["printed"] else ""
-            lines.append([f"{mark}{cell['text']}{mark}" if cell["text"] else "" for cell in row["cells"]])
+            texts = [cell["text"].replace("*", r"\*") for cell in row["cells"]]  # iMAP* has one of its own
+            lines.append([f"{mark}{text}{mark}" if text else "" for text in texts])
         parts += [f"{table['title']}. {table['about']}", "\n".join("| " + " | ".join(line) + " |" for line in lines)]
     parts += [f"Failed: {row['name']}: {row['failed']}" for row in results["rows"] if "failed" in row]
     return "\n\n".join(parts) + "\n"
