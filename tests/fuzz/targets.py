@@ -209,6 +209,12 @@ def _weights(folder: Path) -> Path:
     return Path(shutil.copy(Path(features.__file__).parent / "weights/extractor.safetensors", folder / "weights.safetensors"))
 
 
+def _decoders(folder: Path) -> Path:
+    from idfslam.mapping import occupancy_grids
+
+    return Path(shutil.copy(Path(occupancy_grids.__file__).parent / "weights/occupancy_decoders.safetensors", folder / "w.safetensors"))
+
+
 def _checkpoint(folder: Path) -> Path:
     from fuzz import small_run
 
@@ -238,6 +244,13 @@ def _read_weights(path: Path) -> object:
     from idfslam.tracking.features import load_extractor
 
     return load_extractor(path)
+
+
+def _read_decoders(path: Path) -> object:
+    from idfslam.config import OccupancyGridsConfig
+    from idfslam.mapping.occupancy_grids import OccupancyGrids
+
+    return OccupancyGrids(OccupancyGridsConfig(table_log2=6)).load_decoders(path)
 
 
 def _read_checkpoint(folder: Path) -> object:
@@ -398,6 +411,7 @@ TARGETS: dict[str, Target] = {
         Target("map.safetensors", _map, _read_map, 0.3),
         Target("archive.safetensors", _image_archive, _read_image_archive, 0.3),
         Target("weights", _weights, _read_weights, 0.3),
+        Target("decoders", _decoders, _read_decoders, 0.3),
         Target("checkpoint", _checkpoint, _read_checkpoint, 0.3),
         Target("mesh.ply", _mesh, load_mesh),
         Target("batch list, text", partial(_list, "list.txt"), lambda path: read_batch([str(path)], FAST), 1.0, "*.txt"),
