@@ -350,7 +350,7 @@ def test_distance_to_a_triangle_by_hand() -> None:
     expected = [0.5, 0.5, 5.0, 0.5**0.5, 0.5]  # above the face, an edge, a corner, the long edge; the line, 0.3 and 0.4 aside
     candidates = np.array([[0], [0], [0], [0], [1]])
     assert nearest_triangle(points, np.stack([flat, needle]), candidates)[0] == pytest.approx(expected)
-    distance, nearest = nearest_triangle(points[4:], np.stack([flat, needle]), np.array([[0, 1]]))
+    distance, nearest = nearest_triangle(np.array([[0.3, 0.4, 0.6]]), np.stack([flat, needle]), np.array([[0, 1]]))
     assert distance == pytest.approx(0.5) and nearest == [1]
 
 
