@@ -34,7 +34,7 @@ def wrong(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("mesh a b", "unexpected argument 'b' (help: idf-slam mesh --help)"),
         ("run x --frames abc", "--frames: found 'abc', expected INT (help: idf-slam run --help)"),
         ("run x --mapper.pixels abc", "--mapper.pixels: found 'abc', expected INT (help: idf-slam run --help)"),
-        ("run x --preset slow", "--preset: found slow, expected one of fast, paper (help: idf-slam run --help)"),
+        ("run x --preset slow", "--preset: found slow, expected one of fast, paper, imap, nice (help: idf-slam run --help)"),
         ("eval", "missing: PATH Result folder (help: idf-slam eval --help)"),
         ("run", "run: expected a recording, or --resume and the result folder of a run (help: idf-slam run --help)"),
     ],

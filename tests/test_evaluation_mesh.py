@@ -299,7 +299,7 @@ def test_a_whole_result_folder(tmp_path: Path) -> None:
     assert "rpe_1" in written and "rpe_30" in written
     assert (tmp_path / "trajectory.png").stat().st_size > 5000 and (tmp_path / "error.png").stat().st_size > 5000
     assert (written["mesh"]["near"], written["mesh"]["far"], written["mesh"]["range_from"]) == (0.1, 10, "protocol")
-    assert table(evaluation).row_count == 13  # with the largest jump and the RPE over one frame
+    assert table(evaluation).row_count == 15  # with the largest jump and the RPE over one frame
 
 
 def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -169,7 +169,8 @@ def test_a_resolution_without_a_surface_is_refused(
 
 def test_an_export_of_nothing_is_refused(known_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     error = refused(capsys, "export", known_run, "--to", "--out", tmp_path)
-    assert error == "error: --to: expected at least one of tum, kitti, nerfstudio, colmap, ply, obj, glb, points, splats, grid, blocks\n"
+    formats = "tum, kitti, nerfstudio, colmap, ply, obj, glb, points, splats, page, masks, grid, blocks"
+    assert error == f"error: --to: expected at least one of {formats}\n"
 
 
 @pytest.mark.parametrize("command", [("export", "--to", "ply"), ("export", "--to", "blocks"), ("mesh",)])

@@ -547,7 +547,7 @@ class LoopConfig:
 class FusionConfig:
     """The volume of fused depth images that sharpens the map's surface at the end of a run."""
 
-    enabled: UserOption[bool] = True
+    enabled: bool = True
     """Fuse the depth images of mapped views at their final poses. Meshes and views of the map are sharper, and its file is larger."""
     voxel: Positive = 0.015
     """Edge of a voxel [m]. Larger ones are faster and smaller, and smooth more."""

@@ -16,8 +16,12 @@ class SurfaceField(nn.Module, ABC):
 
     representation: ClassVar[str]  # its name in `FIELDS` (`mapping/fields.py`), and in files of maps
     config: Any  # the section of the configuration that it was made from, with `truncation` [m]
-    direction_encoding: nn.Module | None = None  # of the viewing direction, if colour depends on it
+    direction_encoding: nn.Module | None  # of the viewing direction, if colour depends on it
     bf16: bool = False  # whether its matrix products are computed in bf16
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.direction_encoding = None  # not of the class: it would hide the module that a field sets
 
     @abstractmethod
     def forward(self, points: Tensor, directions: Tensor | None = None) -> tuple[Tensor, Tensor]:
