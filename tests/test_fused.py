@@ -126,7 +126,7 @@ def in_steps(n: int, steps: int, *, compiled: bool) -> tuple[list[Losses], MapOp
     taught, generator = field(), torch.Generator().manual_seed(1)
     objective, optimiser = SampleObjective(config, SMALL.truncation), MapOptimiser(taught, config)
     assert fused.learns_in_steps(taught, config)
-    with optimiser.learning():
+    with optimiser.field.learning():
         if compiled:
             return objective.steps(taught, optimiser, rays(n * steps), steps, generator), optimiser
         losses = []

@@ -104,7 +104,7 @@ def test_rates_of_the_stages() -> None:
 def test_decoders_are_loaded_and_frozen() -> None:
     map = GridsMap(replace(NICE, device="cpu", occupancy_grids=SMALL), torch.device("cpu"), torch.Generator())
     assert not any(p.requires_grad for p in map.field.parameters())
-    with map.learning():
+    with map.field.learning():
         map._freeze_decoders(colour=False)
         learnt = {name.split(".")[0] for name, p in map.field.named_parameters() if p.requires_grad}
     assert learnt == {"coarse", "middle", "fine", "colour", "colour_decoder"}

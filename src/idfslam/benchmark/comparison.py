@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from idfslam.benchmark.table import Column, MeanStd, markdown_table
+from idfslam.benchmark.table import SURFACE, Column, MeanStd, markdown_table
 
 OURS = "idf-slam"
 RULES = (
@@ -13,17 +13,12 @@ RULES = (
 )
 COLUMNS = (
     Column("ate_m", "ATE RMSE [cm]", 100),
-    Column("accuracy_m", "accuracy [cm]", 100),
-    Column("completion_m", "completion [cm]", 100),
-    Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
-    Column("precision", "precision at 1 cm [%]", 100, 1),
-    Column("f1", "F1 at 1 cm [%]", 100, 1),
-    Column("normal_angle", "normals off [deg]"),
+    *SURFACE,
     Column("frames_per_second", "frames/s"),
     Column("peak_memory_mb", "peak memory [MiB]", digits=0),
     Column("lost_frames", "lost frames", digits=1),
 )
-_SURFACE = ("accuracy_m", "completion_m", "completion_ratio", "precision", "f1", "normal_angle")
+_SURFACE = tuple(column.key for column in SURFACE)
 _MORE_IS_BETTER = ("completion_ratio", "precision", "f1", "frames_per_second")
 _JUDGED = tuple(column.key for column in COLUMNS if column.key != "lost_frames")
 _LOST = 0.05  # [1] share of lost frames up to which a method can be ahead: errors are over tracked frames. Raised, one that tracks less can

@@ -19,7 +19,7 @@ from idfslam.benchmark.machine import machine
 from idfslam.benchmark.peer_runs import PeerRuns
 from idfslam.benchmark.processes import BenchError, frames_flag, run_module
 from idfslam.benchmark.published import published_for
-from idfslam.benchmark.table import Column, MeanStd, markdown_table
+from idfslam.benchmark.table import SURFACE, Column, MeanStd, markdown_table
 from idfslam.config import Config, dump
 from idfslam.errors import ConfigError, ResultError
 from idfslam.runs import result_folder
@@ -34,12 +34,7 @@ COLUMNS = (
     Column("ate_m", "ATE RMSE [cm]", 100),
     Column("rpe_1_deg", "RPE over one frame [deg]"),
     Column("jump_deg", "largest jump [deg]"),
-    Column("accuracy_m", "accuracy [cm]", 100),
-    Column("completion_m", "completion [cm]", 100),
-    Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
-    Column("precision", "precision at 1 cm [%]", 100, 1),
-    Column("f1", "F1 at 1 cm [%]", 100, 1),
-    Column("normal_angle", "normals off [deg]"),
+    *SURFACE,
     Column("frames_per_second", "frames/s"),
     Column("speed_kept", "speed kept"),
     Column("peak_memory_mb", "peak memory [MiB]", digits=0),

@@ -15,6 +15,17 @@ class Column:
     digits: int = 2
 
 
+SURFACE = (
+    Column("accuracy_m", "accuracy [cm]", 100),
+    Column("completion_m", "completion [cm]", 100),
+    Column("completion_ratio", "ratio < 5 cm [%]", 100, 1),
+    Column("precision", "precision at 1 cm [%]", 100, 1),
+    Column("f1", "F1 at 1 cm [%]", 100, 1),
+    Column("normal_angle", "normals off [deg]"),
+)
+"""What is measured of a mesh."""
+
+
 @dataclass(frozen=True)
 class MeanStd:
     """Mean and sample standard deviation of `count` values; a single value has no deviation."""

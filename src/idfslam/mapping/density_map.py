@@ -61,7 +61,7 @@ class DensityMap(JointMap):
 
     def optimise(self, draw: Draw, steps: int, poses: WindowPoses, *, first: bool = False, last: bool = False) -> dict[str, float]:
         count, numbers = self.config.mapper.pixels, dict[str, float]()
-        with self.learning():
+        with self.field.learning():
             for _ in range(steps):
                 frames = draw()
                 pixels = [self.uniform_pixels(frame, count) for frame in frames]

@@ -57,7 +57,7 @@ class GridsMap(JointMap):
         in_view = partial(features_in_view, TrainingView(frames[-1])) if c.in_view and not last else None
         adam = self._optimiser()
         numbers: dict[str, float] = {}
-        with self.learning():
+        with self.field.learning():
             self._freeze_decoders(colour=last)
             for step in range(steps):
                 stage = Stage.COLOUR if last else self._stage(step / steps)

@@ -5,8 +5,7 @@ iMAP and NICE-SLAM do both (Sec. 3.3 of each paper). How they sample, weigh and 
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -121,15 +120,6 @@ class JointMap(Map):
     def _backward(self, losses: RayLosses) -> None:
         with repeatable(self.device):
             losses.total.backward()
-
-    @contextmanager
-    def learning(self) -> Iterator[None]:
-        """A context in which the field's parameters collect gradients."""
-        self.field.requires_grad_(True)
-        try:
-            yield
-        finally:
-            self.field.requires_grad_(False)
 
 
 def explained_share(rendered: Tensor, measured: Tensor, error: float) -> float:

@@ -135,7 +135,7 @@ class Mapper(Map):
         numbers: dict[str, float] = {}
         if double_tables:
             self.optimiser.double_tables()
-        with self.optimiser.learning():
+        with self.field.learning():
             for first in range(0, iterations, self.config.redraw):
                 steps = min(self.config.redraw, iterations - first)
                 each = self.config.step_pixels // len(views) if self.config.step_pixels else self.config.pixels

@@ -1,8 +1,5 @@
 """Adam for the map: torch's for the networks, and a sparse one for the tables of a feature grid."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import torch
 
 from idfslam.config import MapperConfig
@@ -87,12 +84,3 @@ class MapOptimiser:
         """Marks the learnt entries of a loaded map's tables as used, although they were not learnt in this run."""
         if self.grid is not None:
             self.v = torch.where(self.grid.tables.detach().abs() > _USED, _USED_MOMENT, self.v)
-
-    @contextmanager
-    def learning(self) -> Iterator[None]:
-        """A context in which the map's parameters collect gradients. Outside they are frozen, so queries cannot change the gradients."""
-        self.field.requires_grad_(True)
-        try:
-            yield
-        finally:
-            self.field.requires_grad_(False)

@@ -1,6 +1,8 @@
 """What every map's field has in common, whatever it has learnt: a surface, and its colour."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import torch
@@ -30,6 +32,15 @@ class SurfaceField(nn.Module, ABC):
     @abstractmethod
     def sdf(self, points: Tensor) -> Tensor:
         """Points (N, 3) [m] -> (N,) in units of the truncation distance."""
+
+    @contextmanager
+    def learning(self) -> Iterator[None]:
+        """A context in which its parameters collect gradients. Outside they are frozen, so queries cannot change the gradients."""
+        self.requires_grad_(True)
+        try:
+            yield
+        finally:
+            self.requires_grad_(False)
 
     @property
     def finest_cells(self) -> float | None:

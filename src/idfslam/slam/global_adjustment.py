@@ -65,7 +65,7 @@ class GlobalAdjustment(KeyframeAdjustment):
     """Bundle adjustment with the camera as it is stated. The graph's edges hold what landmarks do not."""
 
     def __init__(self, graph: KeyframeGraph, seconds: float) -> None:
-        """seconds: time after which no further step begins [s]."""
+        """seconds: time after which no further step begins [s], from the search of landmarks on."""
         self.graph, self.seconds = graph, seconds
         self._adjusted: Adjusted | None = None
 
@@ -81,7 +81,7 @@ class GlobalAdjustment(KeyframeAdjustment):
         problem = _problem(keyframes, views, RelativePoses.of(links(self.graph, _EDGES)))
         if len(problem.points) < _LEAST_LANDMARKS:
             return False
-        adjusted = adjust(problem, seconds=self.seconds)
+        adjusted = adjust(problem, seconds=self.seconds - (perf_counter() - begun))
         noise = noise_of(adjusted.problem.seen, views[0])
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
         if noise > _AGREE or not adjusted.complete:
