@@ -63,9 +63,9 @@ def bench(
     Results go to FOLDER/NAME-SEED. FOLDER/bench.json and FOLDER/bench.md are rewritten after each recording. frames: of each recording;
     None: all. mesh: evaluate the surface if the true one is known. against: peers that run on the same frames after each seed, as
     NAME or as NAME=PYTHON of the environment that has it. overwrite: earlier results in `folder` are replaced.
-    report: receives a line after each run. executor: where the seeds run; None: on
-    this machine, one at a time, which is the only way to measure speed. If a run fails, the report says why and the others continue.
-    Returns the values of bench.json.
+    report: receives a line after each run. executor: where the seeds run; None: on this machine, one at a time, which is the only way to
+    measure speed. If a run fails, the report says why and the others continue. Returns the values of bench.json.
+
     Raises ConfigError or RecordingError, before the first run, for recordings or values that cannot be run, and ResultError for a folder
     that cannot be written to, is in use, holds anything but results, or holds results that are not to be replaced.
     """
@@ -104,7 +104,7 @@ def _summaries(runs: Sequence[dict[str, Any]], peers: PeerRuns) -> dict[str, Any
 def _run(executor: Executor, spec: RecordingSpec, seed: int, *, folder: Path, mesh: bool, report: Callable[[str], None]) -> dict[str, Any]:
     """One run and its evaluation: the measured values, or the reason of the failure."""
     out = folder / f"{spec.name}-{seed}"
-    values = ["--config", str(folder / VALUES), "--seed", str(seed), "--no-report", "--overwrite"]
+    values = ["--config", str(folder / VALUES), "--seed", str(seed)]
     try:
         run_module(executor, "idfslam.cli", "run", spec.path, "--out", str(out), "--overwrite", *frames_flag(spec), "--no-report", *values)
         metrics = read_metrics(out)

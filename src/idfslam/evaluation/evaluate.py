@@ -1,7 +1,9 @@
 """Evaluates the trajectory and the mesh in a result folder against ground truth."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.doubt import ReportedFrames, doubt_rates
 from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.files import ERROR_PICTURE, EVALUATION, FILES, TRAJECTORY_PICTURE
-from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol, mesh_error
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, MeshError, find_protocol, mesh_error
 from idfslam.evaluation.plots import plot_error, plot_trajectory
 from idfslam.evaluation.trajectory_error import (
     AbsoluteTrajectoryError,
@@ -74,27 +76,8 @@ def evaluate(
     if what := doubt(estimate.poses, truth, ate):
         log.warning("%s: %s", folder, what)
     if gt_mesh is not None:
-        if camera is None:
-            raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point: they decide what was seen")
-        if not is_rotation_determined(truth[ate.frames, :3, 3]):
-            log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
-        reconstruction = load_mesh(folder / "mesh.ply")
-        try:
-            mesh = mesh_error(
-                reconstruction,
-                gt_mesh,
-                poses=truth,
-                camera=camera,
-                protocol=protocol,
-                T_gt_est=ate.T_gt_est,
-                sensor_range=sensor_range,
-                samples=samples,
-                views=views,
-                seed=seed,
-            )
-            result = replace(result, mesh=mesh)
-        except ResultError as error:  # such as a trajectory so wrong that no mesh is in view: the trajectory's error is still worth knowing
-            log.warning("%s: the mesh is not evaluated: %s", folder, error)
+        mesh = partial(mesh_error, protocol=protocol, sensor_range=sensor_range, samples=samples, views=views, seed=seed)
+        result = replace(result, mesh=_mesh_errors(folder, gt_mesh, camera, truth, ate, mesh))
     with ledger.replacing(EVALUATION) as part:
         result.save(part)
     with ledger.replacing(TRAJECTORY_PICTURE) as part:
@@ -102,6 +85,27 @@ def evaluate(
     with ledger.replacing(ERROR_PICTURE) as part:
         plot_error(part, ate, estimate.timestamps)
     return result
+
+
+def _mesh_errors(
+    folder: Path,
+    gt_mesh: trimesh.Trimesh,
+    camera: Camera | None,
+    truth: NDArray[np.float64],
+    ate: AbsoluteTrajectoryError,
+    measure: Callable[..., MeshError],
+) -> MeshError | None:
+    """The errors of FOLDER/mesh.ply, by `mesh_error` with its other arguments given; None, with a warning, if nothing of it counts."""
+    if camera is None:
+        raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point: they decide what was seen")
+    if not is_rotation_determined(truth[ate.frames, :3, 3]):
+        log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
+    reconstruction = load_mesh(folder / "mesh.ply")
+    try:
+        return measure(reconstruction, gt_mesh, poses=truth, camera=camera, T_gt_est=ate.T_gt_est)
+    except ResultError as error:  # such as a trajectory so wrong that no mesh is in view: the trajectory's error is still worth knowing
+        log.warning("%s: the mesh is not evaluated: %s", folder, error)
+        return None
 
 
 def evaluate_poses(
