@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from idfslam.datasets import generated, input_summary
-from idfslam.datasets.cameras.calibration import Calibration, override
+from idfslam.datasets.cameras.calibration import Calibration, given_values
 from idfslam.datasets.cameras.camera_files import read_beside_recording, read_given
 from idfslam.datasets.generated.kidnapped import Kidnapped
 from idfslam.datasets.images import video
@@ -95,8 +95,8 @@ def open_recording(
 
     Raises RecordingError if the recording as a whole cannot be used, ConfigError if an argument is out of range.
     """
-    given = Calibration() if camera_file is None else read_given(absolute(without_scheme(camera_file)))
-    user_calibration, user_topics = override(camera, depth_scale), Topics.of(topics)
+    of_file = Calibration() if camera_file is None else read_given(absolute(without_scheme(camera_file)))
+    given_calibration, given_topics = given_values(camera, depth_scale), Topics.of(topics)
     if format is not None and format not in FORMATS:
         raise ConfigError(f"format '{format}', expected one of {', '.join(FORMATS)}")
     if not str(path).strip():
@@ -110,14 +110,14 @@ def open_recording(
         dataset = Kidnapped(open_recording(inner, **options, report=False))
     elif kind is not None:
         dataset = generated.open_generated(
-            str(path), kind, user_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
+            str(path), kind, given_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
         )
-        dataset = dataset if camera_file is None else Recalibrated(dataset, given)
+        dataset = dataset if camera_file is None else Recalibrated(dataset, of_file)
     else:
         file = absolute(without_scheme(path))
         try:
             place, reader = _find(file, format)
-            dataset = _open(place, reader, user_calibration.over(given).over(read_beside_recording(place)), user_topics)
+            dataset = _open(place, reader, given_calibration.over(of_file).over(read_beside_recording(place)), given_topics)
         except OSError as error:
             raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
     selection = Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)

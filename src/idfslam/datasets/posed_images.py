@@ -43,7 +43,7 @@ class PosedFrame:
 def open_frames(
     path: Path,
     frames: Sequence[PosedFrame],
-    override: Calibration,
+    stated: Calibration,
     source: str,
     *,
     depth_scale: float | None = None,
@@ -81,7 +81,7 @@ def open_frames(
         depth_timestamps=None if has_depth.all() else stamps_of(stamps, partner),
         stamps_source=stamps_source,
         ground_truth=lambda: Truth(np.stack([frame.T_wc for frame in frames]), source),
-        calibration=override.over(calibration).resized(recorded, size).over(scale or usual_scale(files)),
+        calibration=stated.over(calibration).resized(recorded, size).over(scale or usual_scale(files)),
     )
 
 

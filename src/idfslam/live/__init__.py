@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from idfslam.datasets import generated
-from idfslam.datasets.cameras.calibration import Calibration, override
+from idfslam.datasets.cameras.calibration import Calibration, given_values
 from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.errors import ConfigError
 from idfslam.live.depth_camera import Capture, DepthCamera
@@ -57,8 +57,8 @@ def open_live(
     """
     if frames is not None and frames < 1:
         raise ConfigError(f"frames {frames}, expected at least 1")
-    given = Calibration() if camera_file is None else read_given(Path(camera_file))
-    calibration = override(camera, depth_scale).over(given)
+    of_file = Calibration() if camera_file is None else read_given(Path(camera_file))
+    calibration = given_values(camera, depth_scale).over(of_file)
     path = replayed_path(name)
     if path is None:
         if format is not None or topics or start or stride != 1:

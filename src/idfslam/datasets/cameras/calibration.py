@@ -132,7 +132,7 @@ def assumed_scale(depth_scale: float, why: str = "assumed") -> Calibration:
     return Calibration(depth_scale=depth_scale, assumed=why)
 
 
-def override(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
+def given_values(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
     """The user's values: any of fx, fy, cx, cy, field_of_view, depth_scale and TIMES; None counts as not given.
 
     Raises ConfigError for other keys, and for times that are no sensor's.

@@ -50,7 +50,7 @@ def _files(path: Path) -> list[Path]:
     return sorted(file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES and not file.name.startswith("."))
 
 
-def open_array_recording(path: Path, override: Calibration) -> Recording:
+def open_array_recording(path: Path, stated: Calibration) -> Recording:
     """Opens a file, or the only one in a folder."""
     files = [path] if path.is_file() else _files(path)
     if len(files) != 1:
@@ -69,7 +69,7 @@ def open_array_recording(path: Path, override: Calibration) -> Recording:
         timestamps=stamps,
         stamps_source=stamps_source,
         ground_truth=lambda: arrays.truth(images.frames_last),
-        calibration=override.over(arrays.camera()).over(metres_if(floats)),
+        calibration=stated.over(arrays.camera()).over(metres_if(floats)),
     )
 
 

@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() == ".mkv"
 
 
-def open_azure_kinect(path: Path, override: Calibration) -> Recording:
+def open_azure_kinect(path: Path, stated: Calibration) -> Recording:
     """Pairs colour and depth images whose stamps differ by at most 20 ms, once the depth delay in the recording's tags is subtracted.
 
     Every colour image is a frame, also one without a depth image.
@@ -59,7 +59,7 @@ def open_azure_kinect(path: Path, override: Calibration) -> Recording:
     def read(i: int) -> tuple[NDArray[np.uint8], Depth | None]:
         return colour.colour(i, size if depth_camera else None), depth.grey16(int(partner[i])) if partner[i] >= 0 else None
 
-    calibration = override.over(calibration).over(Calibration(depth_readout=0))
+    calibration = stated.over(calibration).over(Calibration(depth_readout=0))
     return Recording(
         path.stem,
         read,

@@ -24,7 +24,7 @@ def recognises(path: Path) -> bool:
     return (path / INFO).is_file() and any(path.glob("frame-*.color.*")) and any(path.glob("frame-*.depth.*"))
 
 
-def open_bundle_fusion(path: Path, override: Calibration) -> Recording:
+def open_bundle_fusion(path: Path, stated: Calibration) -> Recording:
     """Opens a folder. A pose of inf means that the frame was not registered."""
     pairs = paired(numbered(path, "frame-*.color.*"), numbered(path, "frame-*.depth.*"), path)
     camera = read_info(path / INFO) if (path / INFO).is_file() else Calibration()
@@ -35,7 +35,7 @@ def open_bundle_fusion(path: Path, override: Calibration) -> Recording:
         depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
-        calibration=override.over(camera).over(usual_scale(pairs.files)),
+        calibration=stated.over(camera).over(usual_scale(pairs.files)),
     )
 
 

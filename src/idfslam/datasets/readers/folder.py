@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
     return find_images(path) is not None
 
 
-def open_folder(path: Path, override: Calibration) -> Recording:
+def open_folder(path: Path, stated: Calibration) -> Recording:
     """Opens a folder. Poses, camera-to-world in metres, are read from pose/NUMBER.txt (4x4) or traj.txt (16 numbers a line)."""
     found = find_images(path)
     if found is None:
@@ -65,7 +65,7 @@ def open_folder(path: Path, override: Calibration) -> Recording:
         stamps_source=source,
         depth_timestamps=depth_timestamps,
         ground_truth=lambda: read_poses(path, pairs, timestamps),
-        calibration=override.over(usual_scale(pairs.files)),
+        calibration=stated.over(usual_scale(pairs.files)),
         depth_camera=read_depth_camera(path),
     )
 

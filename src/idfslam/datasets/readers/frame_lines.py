@@ -44,7 +44,7 @@ def recognises(path: Path) -> bool:
     return any(f'"{name}"' in head for name in (*_CAMERA, "fx"))
 
 
-def open_frame_lines(path: Path, override: Calibration) -> Recording:
+def open_frame_lines(path: Path, stated: Calibration) -> Recording:
     """Opens the frames whose colour exists."""
     file = _file(path)
     if file is None:
@@ -67,7 +67,7 @@ def open_frame_lines(path: Path, override: Calibration) -> Recording:
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise RecordingError(f"{file}: line {number}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
     T_wc = [from_opengl(pose) for pose in _by_rows(np.array(poses).reshape(-1, 4, 4))]
-    return open_frames(path, [PosedFrame(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], override, str(file))
+    return open_frames(path, [PosedFrame(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], stated, str(file))
 
 
 def _named(path: Path, values: Mapping[str, Any], names: tuple[str, ...], numbered_file: Path | None) -> Path:

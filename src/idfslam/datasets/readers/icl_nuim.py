@@ -39,7 +39,7 @@ def recognises(path: Path) -> bool:
     return any(path.glob("*.gt.freiburg")) or (any(map(_NAME.search, names(path))) and not (path / CAM_PARAMS).exists())
 
 
-def open_icl_nuim(path: Path, override: Calibration) -> Recording:
+def open_icl_nuim(path: Path, stated: Calibration) -> Recording:
     numbers, pairs = read_associations(path / "associations.txt")
     return Recording(
         path.name,
@@ -47,7 +47,7 @@ def open_icl_nuim(path: Path, override: Calibration) -> Recording:
         timestamps=numbers / FPS,
         stamps_source=ASSUMED,
         ground_truth=lambda: read_ground_truth(path, numbers),
-        calibration=override.over(PUBLISHED).over(usual_scale(pairs, 5000, "ICL-NUIM layout")),
+        calibration=stated.over(PUBLISHED).over(usual_scale(pairs, 5000, "ICL-NUIM layout")),
         depth_camera=read_depth_camera(path),
     )
 

@@ -34,7 +34,7 @@ def recognises(path: Path) -> bool:
     return _kind(folder) is not None and (folder / "depth").is_dir()
 
 
-def open_polycam(path: Path, override: Calibration) -> Recording:
+def open_polycam(path: Path, stated: Calibration) -> Recording:
     """Opens the frames that have image and camera of one name."""
     folder = _keyframes(path)
     kind = _kind(folder)
@@ -45,7 +45,7 @@ def open_polycam(path: Path, override: Calibration) -> Recording:
     frames = [
         _frame(colour, depth.get(number), cameras[number], confidence.get(number)) for number, colour in images.items() if number in cameras
     ]
-    return open_frames(path, frames, override, str(folder / f"{kind}cameras"))
+    return open_frames(path, frames, stated, str(folder / f"{kind}cameras"))
 
 
 def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | None) -> PosedFrame:

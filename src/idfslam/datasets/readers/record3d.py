@@ -41,7 +41,7 @@ def recognises(path: Path) -> bool:
     return path.suffix == ".r3d" or ((path / "rgbd").is_dir() and (path / "metadata").is_file()) or any(path.glob("*.r3d"))
 
 
-def open_record3d(path: Path, override: Calibration) -> Recording:
+def open_record3d(path: Path, stated: Calibration) -> Recording:
     """Opens a .r3d file, a folder with one, or an unpacked one."""
     if path.is_dir() and not (path / "rgbd").is_dir():
         files = sorted(path.glob("*.r3d"))
@@ -56,7 +56,7 @@ def open_record3d(path: Path, override: Calibration) -> Recording:
     except FrameError as error:
         raise RecordingError(str(error)) from error
     size = limited_size(width, height)
-    calibration = override.over(metadata.camera.resized(metadata.size or (width, height), (width, height)))
+    calibration = stated.over(metadata.camera.resized(metadata.size or (width, height), (width, height)))
     return Recording(
         path.stem,
         lambda i: (downscaled_colour(images.colour(i), size), upscaled_depth(images.depth(i), size)),

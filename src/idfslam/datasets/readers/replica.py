@@ -19,11 +19,11 @@ def recognises(path: Path) -> bool:
     return (path / "results").is_dir()
 
 
-def open_replica(path: Path, override: Calibration) -> Recording:
+def open_replica(path: Path, stated: Calibration) -> Recording:
     """Opens a scene; cam_params.json is in the folder or, as published, in its parent."""
     images = path / "results"
     pairs = paired(numbered(images, "frame*"), numbered(images, "depth*"), images)
-    stated = override.over(read_cam_params(path.parent))
+    of_scene = stated.over(read_cam_params(path.parent))
     return Recording(
         path.name,
         ImageFiles(pairs.files),
@@ -31,7 +31,7 @@ def open_replica(path: Path, override: Calibration) -> Recording:
         depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_trajectory(path / "traj.txt", pairs, pairs.places / FPS),
-        calibration=stated.over(PUBLISHED).over(usual_scale(pairs.files, 6553.5, "Replica layout")),
+        calibration=of_scene.over(PUBLISHED).over(usual_scale(pairs.files, 6553.5, "Replica layout")),
         depth_camera=read_depth_camera(path),
     )
 

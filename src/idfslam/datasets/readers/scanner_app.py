@@ -23,12 +23,12 @@ def recognises(path: Path) -> bool:
     return all(any(path.glob(pattern)) for pattern in ("frame_*.jpg", "frame_*.json", "depth_*.png"))
 
 
-def open_scanner_app(path: Path, override: Calibration) -> Recording:
+def open_scanner_app(path: Path, stated: Calibration) -> Recording:
     """Opens the frames that have image and JSON of one number."""
     images, depth, confidence = (numbered(path, pattern) for pattern in ("frame_*", "depth_*", "conf_*"))
     states = numbered(path, "frame_*", suffixes=frozenset({".json"}))
     frames = [_frame(images[number], depth.get(number), states[number], confidence.get(number)) for number in images if number in states]
-    return open_frames(path, frames, override, f"{path}: frame_*.json")
+    return open_frames(path, frames, stated, f"{path}: frame_*.json")
 
 
 def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | None) -> PosedFrame:

@@ -40,22 +40,22 @@ def recognises(path: Path) -> bool:
     return exported or any(path.glob("*.sens"))
 
 
-def open_scannet(path: Path, override: Calibration) -> Recording:
+def open_scannet(path: Path, stated: Calibration) -> Recording:
     """Opens a .sens file, a folder with one, or an exported folder (preferred if both are there)."""
     if path.is_dir() and (path / "color").is_dir():
-        return _open_exported(path, override)
+        return _open_exported(path, stated)
     files = [path] if path.is_file() else sorted(path.glob("*.sens"))
     if len(files) != 1:
         raise RecordingError(f"{path}: {len(files)} .sens files, expected color/, depth/ and intrinsic/ or one .sens file: name one")
-    return _open_sens(files[0], override)
+    return _open_sens(files[0], stated)
 
 
-def _open_exported(path: Path, override: Calibration) -> Recording:
+def _open_exported(path: Path, stated: Calibration) -> Recording:
     pairs = paired(numbered(path / "color"), numbered(path / "depth"), path)
     depth = read_camera_file(path / "intrinsic", ("intrinsic_depth.txt",))
     colour = read_camera_file(path / "intrinsic", ("intrinsic_color.txt",))
     size = None if pairs.has_depth.all() else _depth_size([file for _, file in pairs.files if file is not None])
-    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if override.complete else colour, depth, size)
+    read: ReadImages = ColourOnDepth(ImageFiles(pairs.files), None if stated.complete else colour, depth, size)
     return Recording(
         path.name,
         read,
@@ -63,7 +63,7 @@ def _open_exported(path: Path, override: Calibration) -> Recording:
         depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_poses(path, pairs, pairs.places / FPS),
-        calibration=override.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
+        calibration=stated.over(depth).over(usual_scale(pairs.files, why="ScanNet layout")),
     )
 
 
@@ -135,12 +135,12 @@ class SensFrame:
     T_wc: NDArray[np.float64]  # (4, 4)
 
 
-def _open_sens(path: Path, override: Calibration) -> Recording:
+def _open_sens(path: Path, stated: Calibration) -> Recording:
     header, frames = read_sens_index(path)
     stamps, depth_stamps = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "depth_stamp"))
     truth = np.stack([frame.T_wc for frame in frames])
     has_truth = np.isfinite(truth).all((1, 2)).any()
-    warp = None if override.complete else header.colour
+    warp = None if stated.complete else header.colour
     increasing = bool(np.all(np.diff(stamps) > 0))
     one_clock = increasing and bool(np.all(np.abs(depth_stamps - stamps) < LONGEST))
     return Recording(
@@ -150,7 +150,7 @@ def _open_sens(path: Path, override: Calibration) -> Recording:
         depth_timestamps=depth_stamps if one_clock else None,
         stamps_source=STATED if increasing else ASSUMED,
         ground_truth=(lambda: Truth(truth, str(path))) if has_truth else None,
-        calibration=override.over(header.depth),
+        calibration=stated.over(header.depth),
     )
 
 

@@ -22,7 +22,7 @@ def recognises(path: Path) -> bool:
     return any(path.glob("frame-*.color.png")) or any(path.glob("seq-*/frame-*.color.png"))
 
 
-def open_seven_scenes(path: Path, override: Calibration) -> Recording:
+def open_seven_scenes(path: Path, stated: Calibration) -> Recording:
     """Opens the folder of a sequence, or of a scene with one sequence only."""
     path = _sequence(path)
     pairs = paired(numbered(path, "frame-*.color.png"), numbered(path, "frame-*.depth.png"), path)
@@ -33,7 +33,7 @@ def open_seven_scenes(path: Path, override: Calibration) -> Recording:
         depth_timestamps=pairs.depth_timestamps(pairs.places / FPS),
         stamps_source=ASSUMED,
         ground_truth=lambda: read_pose_files(path, "frame-*.pose.txt", pairs),
-        calibration=override.over(read_beside(path, path.parent)).over(PUBLISHED).over(assumed_scale(1000, "7-Scenes layout")),
+        calibration=stated.over(read_beside(path, path.parent)).over(PUBLISHED).over(assumed_scale(1000, "7-Scenes layout")),
         depth_camera=read_depth_camera(path, path.parent),
     )
 

@@ -36,7 +36,7 @@ def recognises(path: Path) -> bool:
     return all((path / name).is_file() for name in ("rgb.mp4", "odometry.csv")) and (path / "depth").is_dir()
 
 
-def open_stray_scanner(path: Path, override: Calibration) -> Recording:
+def open_stray_scanner(path: Path, stated: Calibration) -> Recording:
     """Opens an export. Video frame, depth image, confidence and odometry line with equal numbers are one frame.
 
     A frame without a depth image has the nearest in time, if that is near.
@@ -55,7 +55,7 @@ def open_stray_scanner(path: Path, override: Calibration) -> Recording:
         log.warning("%s: %d frames of video, %d of which have a line in odometry.csv: these are read", path, len(track), len(numbers))
     warn_without_own(str(path), int(has_depth.sum()), len(numbers))
     rows = [odometry.rows[i] for i in numbers]
-    calibration = override.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
+    calibration = stated.over(odometry.camera).over(read_camera_file(path, ("camera_matrix.csv",)))
     size, timestamps = limited_size(*track.size), odometry.table[rows, 0]
     partner = of_frames(has_depth, timestamps)
     depths = [numbers[k] if k >= 0 else None for k in partner.tolist()]

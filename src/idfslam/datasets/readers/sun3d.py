@@ -29,7 +29,7 @@ def _has_names(folder: Path) -> bool:
     return any(_NAME.fullmatch(file.stem) for file in folder.glob("*-*"))
 
 
-def open_sun3d(path: Path, override: Calibration) -> Recording:
+def open_sun3d(path: Path, stated: Calibration) -> Recording:
     """Opens a sequence. Its poses, of structure from motion, are not read."""
     if not recognises(path):
         raise RecordingError(f"{path}: expected image/ and depth/ with files named NUMBER-MICROSECONDS, as SUN3D has them")
@@ -42,7 +42,7 @@ def open_sun3d(path: Path, override: Calibration) -> Recording:
         depth_timestamps=pairs.depth_timestamps(timestamps),
         stamps_source=ASSUMED if pairs.stamps is None else "file names",
         ground_truth=None,
-        calibration=override.over(assumed_scale(1000, "SUN3D layout")),
+        calibration=stated.over(assumed_scale(1000, "SUN3D layout")),
     )
 
 

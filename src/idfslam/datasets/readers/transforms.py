@@ -29,7 +29,7 @@ def recognises(path: Path) -> bool:
     return (path / TRANSFORMS).is_file() and any(f'"{name}"' in read_text(path / TRANSFORMS) for name in _DEPTH)
 
 
-def open_transforms(path: Path, override: Calibration) -> Recording:
+def open_transforms(path: Path, stated: Calibration) -> Recording:
     """Opens all frames; one that names no depth image has none of its own."""
     file = path / TRANSFORMS
     if not file.is_file():
@@ -45,7 +45,7 @@ def open_transforms(path: Path, override: Calibration) -> Recording:
     if "FISHEYE" in model.upper() and any(lens):
         raise RecordingError(f"{file}: camera_model {model}, expected OPENCV or PINHOLE: undistort the images")
     scale = 1 / unit if unit > 0 else None
-    return open_frames(path, frames, override, str(file), depth_scale=scale, distortion=lens if any(lens) else None)
+    return open_frames(path, frames, stated, str(file), depth_scale=scale, distortion=lens if any(lens) else None)
 
 
 def _frame(path: Path, values: Mapping[str, Any]) -> PosedFrame:

@@ -55,7 +55,7 @@ def _associations(path: Path) -> Path | None:
     return next((path / name for name in _ASSOCIATIONS if (path / name).is_file()), None)
 
 
-def open_tum(path: Path, override: Calibration) -> Recording:
+def open_tum(path: Path, stated: Calibration) -> Recording:
     """Opens a sequence. Every colour image is a frame, and the true pose is the nearest to its stamp within 20 ms."""
     stamps, files = _paired_by_stamp(path) if _has_lists(path) else _associated(path)
     timestamps = stamps[:, 0]
@@ -65,7 +65,7 @@ def open_tum(path: Path, override: Calibration) -> Recording:
         timestamps=timestamps,
         depth_timestamps=stamps[:, 1],
         ground_truth=lambda: read_ground_truth(path / "groundtruth.txt", timestamps),
-        calibration=override.over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
+        calibration=stated.over(published(path)).over(usual_scale(files, 5000, "TUM layout")),
         depth_camera=read_depth_camera(path),
     )
 

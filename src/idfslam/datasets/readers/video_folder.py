@@ -39,7 +39,7 @@ def recognises(path: Path) -> bool:
     return depth_folder(path) is not None and colour_video(path) is not None
 
 
-def open_video_folder(path: Path, override: Calibration) -> Recording:
+def open_video_folder(path: Path, stated: Calibration) -> Recording:
     """Opens a folder. Video frame i belongs to the i-th depth image in the order of their numbers; stamps are the video's.
 
     A frame without a depth image has the nearest in time, if that is near.
@@ -62,7 +62,7 @@ def open_video_folder(path: Path, override: Calibration) -> Recording:
         timestamps=timestamps,
         depth_timestamps=shown.depth_timestamps(timestamps),
         ground_truth=lambda: read_poses(path, pairs, timestamps),
-        calibration=override.over(usual_scale(pairs.files)),
+        calibration=stated.over(usual_scale(pairs.files)),
         depth_camera=read_depth_camera(path),
         random_access=False,
     )

@@ -63,13 +63,13 @@ def _bag(path: Path) -> Path:
     return _bag(files[0])
 
 
-def open_ros(path: Path, override: Calibration, topics: Topics | None = None) -> Recording:
+def open_ros(path: Path, stated: Calibration, topics: Topics | None = None) -> Recording:
     """Pairs images whose header stamps differ by at most 20 ms. Every colour image is a frame, also one without a depth image."""
     topics, path = topics or Topics(), _bag(path)
     bag = Bag(path)
     colour, depth = find_images(bag, topics)
-    camera = Calibration() if override.complete else find_camera(bag, colour, topics.camera_info)
-    if not override.over(camera).complete:
+    camera = Calibration() if stated.complete else find_camera(bag, colour, topics.camera_info)
+    if not stated.over(camera).complete:
         infos = ", ".join(bag.topics(CAMERA_INFO)) or "none at all"
         advice = "name it with --topics.camera-info, or give --camera.fx --camera.fy --camera.cx --camera.cy"
         raise RecordingError(f"{path}: no {CAMERA_INFO} for {colour.name} (found {infos}): {advice}")
@@ -96,7 +96,7 @@ def open_ros(path: Path, override: Calibration, topics: Topics | None = None) ->
         timestamps=timestamps,
         depth_timestamps=stamps_of(stamps[depth.name], partner),
         ground_truth=None if pose_topic is None else lambda: read_truth(bag, pose_topic, colour.frame, frames, timestamps),
-        calibration=override.over(camera).over(Calibration(depth_scale=scale)),
+        calibration=stated.over(camera).over(Calibration(depth_scale=scale)),
         depth_camera=_depth_camera(bag, colour, depth, frames, named=topics.depth is not None),
     )
 
