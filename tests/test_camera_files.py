@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from helpers.recordings import HEIGHT, WIDTH, write_cam_params, write_folder, write_replica, write_sens, write_seven_scenes, write_tum
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.calibration import Calibration
-from idfslam.datasets.cameras.camera_files import read_beside, read_camera_json
+from idfslam.datasets.cameras.camera_files import read_beside
+from idfslam.datasets.cameras.camera_json import read_camera_json
 from idfslam.datasets.cameras.camera_text import parse_camera
 from idfslam.datasets.provenance import provenance
 from idfslam.datasets.recording_path import absolute, names
 from idfslam.errors import RecordingError
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.depth_deformation import DepthDeformation
 
 PINHOLE = (527.21, 526.5, 322.25, 238.73)
 LENS = (0.1, -0.2, 0.001, -0.002, 0.05)
@@ -202,6 +204,16 @@ def test_open3d_s_matrix_is_stored_by_columns(tmp_path: Path) -> None:
         json.dumps({"width": 640, "height": 480, "depth_scale": 0.001, "intrinsic_matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]})
     )
     assert read_camera_json(path) == Calibration(*PINHOLE, 640, 480, depth_scale=1000, source=str(path))
+
+
+def test_every_json_file_may_state_times_and_a_deformation_of_depth(tmp_path: Path) -> None:
+    path = tmp_path / "camera_intrinsic.json"
+    fx, fy, cx, cy = PINHOLE
+    matrix = {"width": 640, "height": 480, "intrinsic_matrix": [fx, 0, 0, 0, fy, 0, cx, cy, 1]}
+    path.write_text(json.dumps({"camera": {**matrix, "readout": 0.02, "depth_deformation": {"range": 0.01}}}))
+    found = read_camera_json(path)
+    assert values(found) == PINHOLE
+    assert (found.readout, found.deformation) == (0.02, DepthDeformation(range=0.01))
 
 
 def test_cam_params_without_an_outer_name(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from idfslam.adjustment.self_calibration import EXPLAINED, Estimate, Footage, co
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.calibration import TIMES
-from idfslam.datasets.cameras.camera_files import DEFORMATION
+from idfslam.datasets.cameras.camera_json import DEFORMATION
 from idfslam.datasets.provenance import Provenance, is_guessed, provenance
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
