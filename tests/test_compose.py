@@ -12,7 +12,7 @@ import torch
 
 from helpers.box_room import BOX_FRAMES, box_poses
 from helpers.small_config import small
-from idfslam.config import FAST, PAPER, Config
+from idfslam.config import FAST, PAPER, PRESETS, Config
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError
 from idfslam.frame import Status
@@ -118,6 +118,13 @@ def test_an_unknown_part_ends_in_one_line(key: str, names: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Slam(replace(FAST, **{key: "guessing"}))
     assert str(caught.value) == f"{key} 'guessing', expected one of {names}"
+
+
+@pytest.mark.parametrize("preset", ["imap", "nice"])
+def test_alignment_to_a_map_without_signed_distance_ends_in_one_line(preset: str) -> None:
+    with pytest.raises(ConfigError, match="expected neural_field: frames are aligned to a signed distance; choose front_end") as caught:
+        Slam(replace(PRESETS[preset], front_end="alignment", device="cpu"))
+    assert "\n" not in str(caught.value)
 
 
 def true_poses() -> np.ndarray:

@@ -126,6 +126,10 @@ class System:
 
     @cached_property
     def aligner(self) -> MapAligner:
+        if isinstance(self.map, JointMap):
+            c = self.config
+            found = f"front_end 'alignment' with map_representation '{c.map_representation}', expected neural_field"
+            raise ConfigError(f"{found}: frames are aligned to a signed distance; choose front_end inverse_rendering for this map")
         query = distance_query(self.map.published)
         return MapAligner(self.config.alignment, query, self.config.field.truncation, self.generator, self.coverage.observed.contains)
 
