@@ -7,7 +7,7 @@ from torch import Tensor
 
 from idfslam.alignment.continuous_motion import ContinuousMotion, joint_system
 from idfslam.alignment.depth_term import DepthTerm
-from idfslam.alignment.gauss_newton import ImageTerm, JointSolver
+from idfslam.alignment.gauss_newton import ImageTerm, JointSolver, joint_step, plain_joint_step
 from idfslam.alignment.motion import change_between, moved
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.sensing.rectification import RowTimes
@@ -132,3 +132,14 @@ def test_the_velocity_between_the_first_two_poses() -> None:
     motion.start(EYE, moved(EYE, torch.from_numpy(VELOCITY / 30)), 1 / 30)
     np.testing.assert_allclose(motion.velocity, VELOCITY, atol=1e-9)
     assert np.sqrt(np.diag(motion.velocity_covariance)) == pytest.approx(30 * 2**0.5 * 2e-3)  # both poses are exact to 2 mm, 2 mrad
+
+
+def test_compiled_joint_step(jacobians: tuple[Tensor, Tensor]) -> None:
+    J, rows = jacobians
+    times, change = RowTimes(0.026, 0.03, -0.012), np.array([0.01, -0.02, 0.005, 0.01, 0.02, -0.01])
+    depth = rows_of(J[:200], rows[:200], change, VELOCITY, -0.012 + 0.03 * rows[:200])
+    images = rows_of(J[200:], rows[200:], change, VELOCITY, 0.026 * rows[200:])
+    information = ContinuousMotion().predict(0.0, EYE).with_reference_error
+    from_prior = np.random.default_rng(0).normal(0, 0.05, 18)
+    found = joint_step(depth, images, times, information, 3.0, from_prior)
+    np.testing.assert_allclose(found, plain_joint_step(depth, images, times, information, 3.0, from_prior), rtol=1e-7, atol=1e-10)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 from idfslam.alignment import variance_factor as module
 from idfslam.alignment.depth_term import DepthTerm
@@ -15,7 +14,7 @@ NOISE, STILL = 0.0015, np.zeros(6)
 
 def sums(information: float, pull: float) -> RowMoments:
     """Information [1/m^2] in each direction, and a pull of so many metres along x; in units of depth."""
-    H = information * torch.eye(6, dtype=torch.float64)[None] * NOISE**2
+    H = information * np.eye(6)[None] * NOISE**2
     return RowMoments(H, H[:, :, 0] * pull)
 
 

@@ -84,7 +84,7 @@ def distorted(H: Array, b: Array) -> tuple[Array, Array]:
 
 def joint_system(depth: RowMoments, images: RowMoments, times: RowTimes) -> tuple[Array, Array]:
     """The normal equations H (12, 12), b (12,) of pose and velocity: a residual at time s has the Jacobian (J, s J)."""
-    D, C, d, i = depth.H.numpy(), images.H.numpy(), depth.b.numpy(), images.b.numpy()
+    D, C, d, i = depth.H, images.H, depth.b, images.b
     a, r, c = times.depth_delay, times.depth_readout, times.readout
     cross = a * D[0] + r * D[1] + c * C[1]
     square = a * a * D[0] + 2 * a * r * D[1] + r * r * D[2] + c * c * C[2]

@@ -63,7 +63,7 @@ def compiled_depth_term(
 
     out = RowMoments.zeros(moments=rows is not None)
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma, sigma if rows is None else rows)]
-    sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, out.H.numpy(), out.b.numpy())  # type: ignore[call-arg]
+    sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, out.H, out.b)  # type: ignore[call-arg]
     weight, squares, robustly, count, radius = sums
     rmse, noise = ((total / max(weight, 1e-9)) ** 0.5 for total in (squares, robustly))
     return DepthTerm(out, weight, count / len(distance), rmse, noise, radius)

@@ -50,8 +50,7 @@ def compiled_displacement(
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
     times, velocity = (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
     seen, pixels = median_displacement(
-        marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy(), T_wc[:3, :3].T.contiguous().numpy(),
-        T_wk[:3, :3].contiguous().numpy(), (T_wk[:3, 3] - T_wc[:3, 3]).numpy(), times, velocity,
+        marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy(), T_wk.numpy(), T_wc.numpy(), times, velocity,
         image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio,
     )  # fmt: skip
     return int(seen), float(pixels)

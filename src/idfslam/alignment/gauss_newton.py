@@ -11,7 +11,7 @@ from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, dist
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.row_moments import PoseEquations, RowMoments
+from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.sensing.rectification import RowTimes
 
@@ -58,7 +58,15 @@ class PoseSolver:
 
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
         sums = depth.sums + images.sums
-        return damped_step(sums.H[0], sums.b[0], depth.weight, depth.radius, self.prior_information, self.change, self.T)
+        return damped_step(
+            torch.from_numpy(sums.H[0]),
+            torch.from_numpy(sums.b[0]),
+            depth.weight,
+            depth.radius,
+            self.prior_information,
+            self.change,
+            self.T,
+        )
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> None:
         """None: the velocity is not estimated."""
@@ -82,10 +90,8 @@ class JointSolver:
         return FrameMotion(self.times, self.velocity)
 
     def step(self, depth: DepthTerm, images: ImageTerm) -> float:
-        H, b = distorted(*joint_system(depth.sums, images.sums, self.times))
         from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
-        b = self.scale * (b - H[:, 12:] @ self.reference_error) - self._information @ np.concatenate(from_prior)
-        delta = np.linalg.solve(self.scale * H + self._information, b)
+        delta = joint_step(depth.sums, images.sums, self.times, self._information, self.scale, np.concatenate(from_prior))
         self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))
         self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]
         return float(np.abs(delta[:6]).max())
@@ -96,6 +102,32 @@ class JointSolver:
         covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]
         sums = depth.sums.scaled(self.scale), images.sums.scaled(self.scale)
         return JointEstimate(self.velocity, np.asarray(covariance, np.float64), *sums)
+
+
+def joint_step(depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array) -> Array:
+    """(18,) the change of pose, velocity and the references' error of velocity.
+
+    information (18, 18): of the prior, from which these are `from_prior` (18,) away. scale: of the sums, in units of information.
+    """
+    return pick(torch.empty(0), compiled=compiled_joint_step, plain=plain_joint_step)(depth, images, times, information, scale, from_prior)
+
+
+def compiled_joint_step(
+    depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array
+) -> Array:
+    """`joint_step` by Numba."""
+    from idfslam.alignment.kernels import numba_alignment
+
+    delta = np.empty(18)
+    numba_alignment.joint_step(depth.H, depth.b, images.H, images.b, times.array, information, scale, from_prior, delta)  # type: ignore[call-arg]
+    return delta
+
+
+def plain_joint_step(depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array) -> Array:
+    """`joint_step` in numpy."""
+    H, b = distorted(*joint_system(depth, images, times))
+    right = scale * (b - H[:, 12:] @ from_prior[12:]) - information @ from_prior
+    return np.asarray(np.linalg.solve(scale * H + information, right))
 
 
 def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:

@@ -228,14 +228,12 @@ def compiled_photometric_term(
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
     sums = RowMoments.zeros(moments=moments)
-    R_cw = T_wc[:3, :3].T.contiguous().numpy()
-    shift = (T_wk[:3, 3] - T_wc[:3, 3]).numpy()
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
     times, velocity = (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
     seen, noise = photometric_system(
-        marks.points.numpy(), marks.luminance[level].numpy(), R_cw, T_wk[:3, :3].contiguous().numpy(), shift, times, velocity,
+        marks.points.numpy(), marks.luminance[level].numpy(), T_wk.numpy(), T_wc.numpy(), times, velocity,
         image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest,
-        sums.H.numpy(), sums.b.numpy(),
+        sums.H, sums.b,
     )  # fmt: skip
     return Term(sums, seen, noise)
 

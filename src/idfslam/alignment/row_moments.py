@@ -6,21 +6,25 @@ on the velocity by s J. So the normal equations of pose and velocity follow from
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class RowMoments:
-    """Sums over residuals r with weights w: H[k] = sum w f^k J^T J and b[k] = -sum w f^k J^T r."""
+    """Sums over residuals r with weights w: H[k] = sum w f^k J^T J and b[k] = -sum w f^k J^T r. They are on the host."""
 
-    H: Tensor  # (3, 6, 6) float64; (1, 6, 6) without moments
-    b: Tensor  # (2, 6) float64; (1, 6) without moments
+    H: Array  # (3, 6, 6); (1, 6, 6) without moments
+    b: Array  # (2, 6); (1, 6) without moments
 
     @classmethod
     def zeros(cls, *, moments: bool) -> "RowMoments":
         """Empty sums, with room for moments or without."""
-        return cls(torch.zeros(3 if moments else 1, 6, 6, dtype=torch.float64), torch.zeros(2 if moments else 1, 6, dtype=torch.float64))
+        return cls(np.zeros((3 if moments else 1, 6, 6)), np.zeros((2 if moments else 1, 6)))
 
     @classmethod
     def of(cls, J: Tensor, w: Tensor, r: Tensor, rows: Tensor | None) -> "RowMoments":
@@ -28,7 +32,7 @@ class RowMoments:
         powers = [torch.ones_like(w)] if rows is None else [torch.ones_like(w), rows, rows * rows]
         H = torch.stack([(J * (w * power)[:, None]).T @ J for power in powers])
         b = torch.stack([-(J * (w * power)[:, None]).T @ r for power in powers[:2]])
-        return cls(H.double().cpu(), b.double().cpu())
+        return cls(H.double().cpu().numpy(), b.double().cpu().numpy())
 
     def __add__(self, other: "RowMoments") -> "RowMoments":
         return RowMoments(self.H + other.H, self.b + other.b)
@@ -46,10 +50,10 @@ class PoseEquations:
 
     @property
     def H(self) -> Tensor:
-        """(6, 6) float64."""
-        return self.sums.H[0]
+        """(6, 6) float64, on the host."""
+        return torch.from_numpy(self.sums.H[0])
 
     @property
     def b(self) -> Tensor:
-        """(6,) float64."""
-        return self.sums.b[0]
+        """(6,) float64, on the host."""
+        return torch.from_numpy(self.sums.b[0])

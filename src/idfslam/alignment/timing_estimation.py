@@ -75,14 +75,14 @@ class TimingEstimator(Stateful):
         colour's. since_references (6,): the frame's velocity minus that of its references, along world axes.
         """
         H, b = distorted(*joint_system(depth, images, times))
-        D, C = depth.H.numpy(), images.H.numpy()
+        D, C = depth.H, images.H
         u = since_references
         by_pose = np.stack([C[1] @ u, D[1] @ u, D[0] @ u], 1)
         delay, r, c = times.depth_delay, times.depth_readout, times.readout
         by_velocity = np.stack([c * C[2] @ u, (delay * D[1] + r * D[2]) @ u, (delay * D[0] + r * D[1]) @ u], 1)
         cross = np.concatenate([by_pose, by_velocity, by_velocity])
         square = np.array([[u @ C[2] @ u, 0, 0], [0, u @ D[2] @ u, u @ D[1] @ u], [0, u @ D[1] @ u, u @ D[0] @ u]])
-        gradient = np.array([u @ images.b[1].numpy(), u @ depth.b[1].numpy(), u @ depth.b[0].numpy()])
+        gradient = np.array([u @ images.b[1], u @ depth.b[1], u @ depth.b[0]])
         gain = np.linalg.solve(H + prior.with_reference_error, cross)
         information = square - cross.T @ gain
         at = np.array([times.readout, times.depth_readout, times.depth_delay - lag])

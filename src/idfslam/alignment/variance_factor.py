@@ -31,12 +31,12 @@ def variance_factor(depth: DepthTerm, images: ImageTerm, last_step: Array, depth
 
 def _birge_ratio(depth: DepthTerm, images: ImageTerm, last_step: Array, depth_noise: float) -> float:
     """Chi-squared of the measurements about their common solution, over its degrees of freedom; 1 for fewer than two measurements."""
-    measurements = [sums for sums in (depth.sums, *images.parts) if float(sums.H[0].abs().max()) > 0]
+    measurements = [sums for sums in (depth.sums, *images.parts) if sums.H[0].any()]
     if len(measurements) < 2:
         return 1.0
     chi_squared = 0.0
     for sums in measurements:
-        H = sums.H[0].numpy() / depth_noise**2
-        b = sums.b[0].numpy() / depth_noise**2 - H @ last_step
+        H = sums.H[0] / depth_noise**2
+        b = sums.b[0] / depth_noise**2 - H @ last_step
         chi_squared += float(b @ np.linalg.solve(H + _SCALE_FLOOR * np.eye(6), b))
     return INDEPENDENT * chi_squared / (6 * (len(measurements) - 1))

@@ -19,7 +19,15 @@ from idfslam.storage.state import State, Stateful
 _CELL = 0.06
 _BITS = 21  # of a cell's place along each axis. More: nothing, three of them just fit into 64 bits; they reach 60 km to each side
 _ORIGIN = 1 << _BITS - 1  # added to a place, so that no number is negative: a fact, not a choice
-_NEIGHBOURS = np.array(list(itertools.product((-1, 1), repeat=3)))  # of a half cell: the cells within half an edge
+
+
+def _keys(places: NDArray[Any]) -> NDArray[np.int64]:
+    """A number for each of some cells, whose places are whole numbers (..., 3)."""
+    x, y, z = np.moveaxis(places.astype(np.int64) + _ORIGIN, -1, 0)
+    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
+
+
+_MEET = _keys(np.array(list(itertools.product((0, 1), repeat=3)))) - _keys(np.zeros(3))  # keys of cells before that of their corner
 
 
 class ObservedSpace(Stateful):
@@ -38,8 +46,8 @@ class ObservedSpace(Stateful):
 
     def add(self, points: NDArray[np.floating]) -> None:
         """Adds the cells of readings (N, 3) [m] in the world, and for each reading the seven others that are nearest to it."""
-        halves = np.unique(_keys(np.floor(points / (_CELL / 2))))
-        keys = np.unique(_keys((_places(halves)[:, None] + _NEIGHBOURS) // 2))
+        corners = np.unique(_keys(np.floor(points / _CELL + 0.5)))  # of cells, the nearest to each reading: eight cells meet there
+        keys = np.unique(corners[:, None] - _MEET)
         new = keys[~self._known(keys)]
         if len(new):
             self._cells = np.sort(np.concatenate([self._cells, new]))
@@ -53,14 +61,3 @@ class ObservedSpace(Stateful):
             return np.zeros(len(keys), bool)
         place = np.searchsorted(self._cells, keys).clip(max=len(self._cells) - 1)
         return np.asarray(self._cells[place] == keys)
-
-
-def _keys(places: NDArray[Any]) -> NDArray[np.int64]:
-    """A number for each of some cells, whose places are whole numbers (..., 3)."""
-    x, y, z = np.moveaxis(places.astype(np.int64) + _ORIGIN, -1, 0)
-    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
-
-
-def _places(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of `_keys`: places (N, 3)."""
-    return np.stack([keys >> 2 * _BITS, (keys >> _BITS) & (2 * _ORIGIN - 1), keys & (2 * _ORIGIN - 1)], -1) - _ORIGIN

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from time import perf_counter
 
 from idfslam.compute.devices import threads
@@ -16,7 +15,6 @@ class MapUpdates(ABC):
     """Runs the updates of a map, one after the other."""
 
     in_background = False  # whether an update continues after `run` has returned
-    foreground_share = 1.0  # share of the cores for the frames that are tracked meanwhile
 
     @abstractmethod
     def run(self, update: Callable[[], LossValues], publish: Callable[[], None]) -> LossValues:
@@ -40,17 +38,12 @@ class MapUpdates(ABC):
     @abstractmethod
     def restore(self, state: State) -> None: ...
 
-    def foreground(self) -> AbstractContextManager[None]:
-        """A context in which compiled loops use `foreground_share` of the cores."""
-        return threads(self.foreground_share)
-
 
 class InTurns(MapUpdates):
     """Each update ends before the next frame is tracked, as in the paper."""
 
     def run(self, update: Callable[[], LossValues], publish: Callable[[], None]) -> LossValues:
-        with threads(1.0):
-            losses = update()
+        losses = update()
         publish()
         return losses
 
@@ -71,11 +64,11 @@ class InTurns(MapUpdates):
 class InBackground(MapUpdates):
     """Updates run in a thread of their own. A new update waits for the one before and publishes it.
 
-    Compiled code releases the interpreter's lock, so on two cores an update does not slow down the frames that are tracked meanwhile.
+    Compiled code releases the interpreter's lock, so that the frames that are tracked meanwhile go on. Their loops use all cores: an update
+    is seldom running, and it has half of them at most.
     """
 
     in_background = True
-    foreground_share = 0.5
 
     def __init__(self) -> None:
         self._milliseconds: list[float] = []

@@ -8,7 +8,7 @@ rolling shutter video from hand-held devices", CVPR 2010, for rotations). All th
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -116,13 +116,13 @@ def _motions(velocity: Array, times: Array) -> NDArray[np.float32]:
     return np.concatenate([turn, half @ (times[:, None] * velocity[:3])[..., None]], 2).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _rectified_depth(depth, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W) [m]: for each pixel the raw reading that lands on it, found by fixed-point iteration; 0 where none lands near it."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     out = np.zeros_like(depth)
-    for v in range(height):
+    for v in prange(height):
         shift_u, shift_v = np.float32(0), np.float32(0)  # from the pixel to its raw one; that of the neighbour is a good first guess
         for u in range(width):
             z = np.float32(0)
@@ -162,15 +162,15 @@ def _reading(depth, u, v):  # type: ignore[no-untyped-def]
     return depth[y + (1 if b >= 0.5 else 0), x + (1 if a >= 0.5 else 0)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def _rectified_colour(colour, depth, farthest, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W, 3) in steps of 1/255: for each pixel the raw one at which its point was seen; without depth, a point at the last depth."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     out = np.empty_like(colour)
-    for v in range(height):
+    for v in prange(height):
         z = np.float32(farthest)
-        row = v
+        row = np.int64(v)  # a name of its own: the loop index of a parallel loop must not change
         for u in range(width):
             if depth[v, u] > 0:
                 z = depth[v, u]

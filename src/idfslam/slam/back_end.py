@@ -2,10 +2,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from idfslam.compute.devices import threads
 from idfslam.config import Config
 from idfslam.graph.coverage import Coverage
 from idfslam.graph.frame_poses import FramePoses
@@ -49,10 +47,6 @@ class BackEnd(Stateful, ABC):
 
     def finish(self) -> None:
         """Called after the last frame."""
-
-    def foreground(self) -> AbstractContextManager[None]:
-        """A context for processing a frame, in which compiled loops use the cores that the back end does not."""
-        return nullcontext()
 
     def loops(self) -> Sequence[Loop]:
         """The loops that were closed."""
@@ -103,9 +97,6 @@ class KeyframeMapping(BackEnd):
         hooks = {name: value for hook in self.hooks for name, value in hook.figures().items()}
         return hooks | self.finetuner.figures()
 
-    def foreground(self) -> AbstractContextManager[None]:
-        return self.mapper.updates.foreground()
-
     def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Refines the keyframe's pose, inserts it into the graph, and trains the map on it and on replayed ones (Sec. IV)."""
         last = self.graph.last_keyframe
@@ -155,14 +146,14 @@ class KeyframeMapping(BackEnd):
 
     def _follow(self, keyframe: Keyframe) -> None:
         """Trains the map around the newest keyframe before the next frame, after its whole submap has moved."""
-        with self.timer.stage("map"), threads(1.0):
+        with self.timer.stage("map"):
             for _ in range(_UPDATES_AFTER_MERGE):
                 self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
 
     def _initialise(self, keyframe: Keyframe) -> dict[str, float]:
         """Trains the map on the first keyframe of a submap. Replay preserves the other submaps."""
         replayed = self._replayed(keyframe) if keyframe.host else []
-        with self.timer.stage("map"), threads(1.0):
+        with self.timer.stage("map"):
             return self._learn([keyframe, *replayed], self.config.mapper.first_iterations)
 
     def _update_map(self, view: Keyframe, *, at_once: bool, double_tables: bool = False) -> dict[str, float]:
@@ -177,7 +168,7 @@ class KeyframeMapping(BackEnd):
             self.refinement.refine(replayed[: self.config.refinement.poses_per_update])
         window = [view, *replayed]
         if at_once:
-            with self.timer.stage("map"), threads(1.0):
+            with self.timer.stage("map"):
                 losses = self._learn(window, iterations, double_tables=double_tables)
         else:
             self.relearn.trained(window)

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 _EARLY = 12  # stored keyframes at the early check; more: surer and later. This and the rest: chosen by hand
 _STRETCH = 12  # keyframes in a row that are checked together; more: surer, slower
 _STRETCHES = 2  # such stretches at the end of a run, one of them its last keyframes; more: surer, slower
-_ROUNDS = 2  # times that tracks are searched; more: slower, a very wrong camera is told more exactly
+_ROUNDS = 2  # times that tracks are searched where the first search raises doubts; more: slower, a wrong camera is told more exactly
 _SECONDS = 10.0  # [s] after which no further round begins; more: surer on slow machines
 
 
@@ -52,9 +52,7 @@ class CameraCheck(KeyframeHook):
         keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == largest]
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
-        self._estimate = self_calibrate(_footage([[keyframes[i] for i in chosen]]), rounds=_ROUNDS, seconds=_SECONDS)
-        if self._estimate is not None and not self._estimate.explains_images:
-            self._estimate = None
+        self._estimate = _estimated(_footage([[keyframes[i] for i in chosen]]))
         if self._estimate is not None and not told:
             _tell(self._estimate)
 
@@ -74,10 +72,18 @@ def _footage(parts: Sequence[Sequence[Keyframe]]) -> list[Footage]:
     return [Footage([View.of(k.frame) for k in part], np.array([k.T_wk.numpy() for k in part])) for part in kept if part]
 
 
+def _estimated(footage: Sequence[Footage]) -> Estimate | None:
+    """The camera that fits; None if none is to be believed. Only a camera in doubt is searched for more exactly."""
+    estimate = self_calibrate(footage, rounds=1)
+    if estimate is not None and estimate.explains_images and doubts(estimate):
+        estimate = self_calibrate(footage, rounds=_ROUNDS, seconds=_SECONDS)
+    return estimate if estimate is not None and estimate.explains_images else None
+
+
 def _told(footage: Sequence[Footage]) -> bool:
     """Checks the camera, and says whether doubts were told."""
-    estimate = self_calibrate(footage, rounds=_ROUNDS, seconds=_SECONDS)
-    return estimate is not None and estimate.explains_images and _tell(estimate)
+    estimate = _estimated(footage)
+    return estimate is not None and _tell(estimate)
 
 
 def _tell(estimate: Estimate) -> bool:

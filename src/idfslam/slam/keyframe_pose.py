@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 
 from idfslam.alignment.aligner import MapAligner
-from idfslam.compute.devices import threads
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
@@ -57,7 +56,7 @@ class KeyframeRegistration(KeyframePose):
 
     def refine(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         if tracked.source is not Source.REGISTERED:  # the front end has just registered those
-            with self.timer.stage("register"), threads(1.0):
+            with self.timer.stage("register"):
                 self._register(keyframe, tracked)
         return {}
 

@@ -77,27 +77,25 @@ class Slam:
         Raises FrameError if the frame's index is not the number of frames before it, or if its camera is another than theirs.
         """
         self.order.check(frame)
-        with self.back_end.foreground():
-            view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
-            self.segmentation.predict(view)
-            tracked = self._track(view, mode)  # Sec. V
-            if is_held_out(frame.index, self.config.hold_out):
-                tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
-            view.T_wk = tracked.T_wc
-            self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
-            self.recovery.close_gap(frame.index, mode)
-            evidence = tracked.evidence
-            selected = self.keyframe_selection.selects(
-                view, tracked.status, evidence.in_view, evidence.step, clear=tracked.clear
-            )  # Sec. III
-            mappable = tracked.may_be_mapped and view.has_depth and not selected
-            self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
-            losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
-            if tracked.may_be_mapped and view.has_depth:
-                with self.timer.stage("archive"):
-                    self.views.add(view, self.keyframe_selection.sharpness.latest)
-            self.segmentation.remember(view, tracked)
-            return self.history.report(frame, tracked, losses, keyframe=selected, moving=view.moving)
+        view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
+        self.segmentation.predict(view)
+        tracked = self._track(view, mode)  # Sec. V
+        if is_held_out(frame.index, self.config.hold_out):
+            tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
+        view.T_wk = tracked.T_wc
+        self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
+        self.recovery.close_gap(frame.index, mode)
+        evidence = tracked.evidence
+        in_view, step = evidence.in_view, evidence.step
+        selected = self.keyframe_selection.selects(view, tracked.status, in_view, step, clear=tracked.clear)  # Sec. III
+        mappable = tracked.may_be_mapped and view.has_depth and not selected
+        self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
+        losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
+        if tracked.may_be_mapped and view.has_depth:
+            with self.timer.stage("archive"):
+                self.views.add(view, self.keyframe_selection.sharpness.latest)
+        self.segmentation.remember(view, tracked)
+        return self.history.report(frame, tracked, losses, keyframe=selected, moving=view.moving)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. The first frame with depth defines the world."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.compute.devices import resolve_precision
+from idfslam.compute.torch_threads import unlimited_torch_threads
 from idfslam.config import FinetuneConfig, TrackerConfig
 from idfslam.errors import ConfigError
 from idfslam.frame import Frame, Status
@@ -126,7 +127,8 @@ class Tracker(Stateful):
     def extract_features(self, frame: Frame | FrameFeatures) -> FrameFeatures:
         """A frame's trunk features, of the frame or of its `images`. The caller keeps them while the frame serves as a reference."""
         images = self.images(frame) if isinstance(frame, Frame) else frame
-        trunk = self.inference.trunk(images.colour[None].to(self.dtype, memory_format=torch.channels_last))[0]
+        with unlimited_torch_threads():
+            trunk = self.inference.trunk(images.colour[None].to(self.dtype, memory_format=torch.channels_last))[0]
         return replace(images, trunk=trunk)
 
     @torch.no_grad()

@@ -191,20 +191,22 @@ def _on_one_surface(depth, rows, columns, x, y) -> bool:  # type: ignore[no-unty
 
 
 @_inlined
-def _bilinear(image: Floats, u: float, v: float) -> float:
-    h, w = image.shape
-    u, v = min(max(u, 0.0), w - 1.001), min(max(v, 0.0), h - 1.001)
-    x, y = int(u), int(v)
-    a, c = u - x, v - y
-    return (image[y, x] * (1 - a) + image[y, x + 1] * a) * (1 - c) + (image[y + 1, x] * (1 - a) + image[y + 1, x + 1] * a) * c
-
-
-@_inlined
 def _brightness(image, u, v):  # type: ignore[no-untyped-def]
-    """The brightness of an image at a pixel, and its derivatives along u and v [1/px]."""
-    along_u = (_bilinear(image, u + 1, v) - _bilinear(image, u - 1, v)) / 2
-    along_v = (_bilinear(image, u, v + 1) - _bilinear(image, u, v - 1)) / 2
-    return _bilinear(image, u, v), along_u, along_v
+    """The brightness of an image at a pixel at least one from the border, and its derivatives along u and v [1/px].
+
+    All are bilinear between pixels; there, the derivatives are central differences.
+    """
+    x, y = min(int(u), image.shape[1] - 3), min(int(v), image.shape[0] - 3)
+    a, c = u - x, v - y
+    b, d = 1 - a, 1 - c
+    above, upper, lower, below = image[y - 1], image[y], image[y + 1], image[y + 2]
+    upper_middle, lower_middle = upper[x] * b + upper[x + 1] * a, lower[x] * b + lower[x + 1] * a
+    along_u = (
+        ((upper[x + 1] - upper[x - 1]) * b + (upper[x + 2] - upper[x]) * a) * d
+        + ((lower[x + 1] - lower[x - 1]) * b + (lower[x + 2] - lower[x]) * a) * c
+    ) / 2
+    along_v = ((lower_middle - (above[x] * b + above[x + 1] * a)) * d + ((below[x] * b + below[x + 1] * a) - upper_middle) * c) / 2
+    return upper_middle * d + lower_middle * c, along_u, along_v
 
 
 @_inlined
@@ -237,15 +239,16 @@ def _along_axes(R, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera):  # type: ignore[no-untyped-def]
-    """Fills d (M, 3), landmarks from the camera's centre along world axes, and camera (M, 3), the same along its own axes.
+def _landmarks_at_rows(points, R_cw, T_wk, T_wc, times, velocity, fy, cy, height, d, camera):  # type: ignore[no-untyped-def]
+    """Fills d (M, 3), landmarks from the camera's centre along world axes, and camera (M, 3), R_cw d, along its own axes.
 
     Both are as the rows of colour see them. Returns the landmarks as the rows of depth see them (M, 3): `photometric.at_their_rows`.
     """
     moves = times[0] != 0 or times[1] != 0 or times[2] != 0
     of_depth = np.empty_like(camera) if moves else camera
+    shift = T_wk[:3, 3] - T_wc[:3, 3]
     for i in range(len(points)):
-        x, y, z = _along_axes(R_wk, points[i, 0], points[i, 1], points[i, 2])
+        x, y, z = _along_axes(T_wk, points[i, 0], points[i, 1], points[i, 2])
         X, Y, Z = x + shift[0], y + shift[1], z + shift[2]
         d[i, 0], d[i, 1], d[i, 2] = X, Y, Z
         camera[i, 0], camera[i, 1], camera[i, 2] = _along_axes(R_cw, X, Y, Z)
@@ -283,24 +286,24 @@ def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
 
 @_compiled
 def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
-    points, target, R_cw, R_wk, shift, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
+    points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
 ):
     """Fills the normal equations of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
 
     H (K, 6, 6), b (K', 6): sums, and with K > 1 moments of the rows too. Returns the number of landmarks in view and the scale of the
     differences: `photometric.photometric_term`.
 
-    d = R_wk p + shift are the landmarks from the frame's centre along world axes, and R_cw d along the frame's axes. `depth` (H, W) [m]
-    is the frame's. It has `ratio` times as many pixels along each axis as the image. times (3,) [s]: read-out of colour and of depth, and
-    delay of depth; velocity (6,): with them, landmarks are seen where the camera is when their rows are read.
+    T_wk, T_wc (4, 4): the poses of the keyframe and of the frame. `depth` (H, W) [m] is the frame's. It has `ratio` times as many pixels
+    along each axis as the image. times (3,) [s]: read-out of colour and of depth, and delay of depth; velocity (6,): with them, landmarks
+    are seen where the camera is when their rows are read.
     """
     m = len(points)
     values, d = np.empty((m, 3)), np.empty((m, 3))
     inside = np.zeros(m, np.bool_)
     height, width = image.shape
     n, sum_t, sum_v, sum_tt, sum_vv = 0, 0.0, 0.0, 0.0, 0.0
-    camera = np.empty((m, 3))
-    rows_of_depth = _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera)
+    camera, R_cw = np.empty((m, 3)), T_wc[:3, :3].T
+    rows_of_depth = _landmarks_at_rows(points, R_cw, T_wk, T_wc, times, velocity, fy, cy, height, d, camera)
     for i in range(m):
         x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
         if z < NEAREST:
@@ -347,7 +350,7 @@ def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes
 
 @_compiled
 def median_displacement(  # type: ignore[no-untyped-def]
-    points, target, slopes, R_cw, R_wk, shift, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v
+    points, target, slopes, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v
 ):
     """The number of landmarks (M, 3) [m] within an image (h, w), and their median displacement [px]: `displacement.plain_displacement`.
 
@@ -355,7 +358,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     d, camera, found = np.empty((len(points), 3)), np.empty((len(points), 3)), np.empty((len(points), 4))
-    rows_of_depth = _landmarks_at_rows(points, R_cw, R_wk, shift, times, velocity, fy, cy, height, d, camera)
+    rows_of_depth = _landmarks_at_rows(points, T_wc[:3, :3].T, T_wk, T_wc, times, velocity, fy, cy, height, d, camera)
     n, hidden, sum_t, sum_v, sum_tt, sum_vv = 0, 0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(points)):
         x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
@@ -408,6 +411,37 @@ def _solved(A, b):  # type: ignore[no-untyped-def]
             b[i] -= A[k, i] * b[k]
         b[i] /= A[i, i]
     return b
+
+
+@_compiled
+def joint_step(depth_H, depth_b, image_H, image_b, times, information, scale, from_prior, delta) -> None:  # type: ignore[no-untyped-def]
+    """Fills delta (18,), the change of pose, velocity and the references' error of velocity: `gauss_newton.joint_step`.
+
+    Velocity and references' error act alike on the residuals, so that their rows and columns are the same.
+    """
+    readout, depth_readout, delay = times
+    left, right = information.copy(), np.empty(18)
+    for i in range(18):
+        k = i % 6
+        by_velocity = i >= 6
+        if by_velocity:
+            right[i] = scale * (delay * depth_b[0, k] + depth_readout * depth_b[1, k] + readout * image_b[1, k])
+        else:
+            right[i] = scale * (depth_b[0, k] + image_b[0, k])
+        for j in range(18):
+            m = j % 6
+            if by_velocity and j >= 6:
+                h = delay * (delay * depth_H[0, k, m] + 2 * depth_readout * depth_H[1, k, m])
+                h += depth_readout * depth_readout * depth_H[2, k, m] + readout * readout * image_H[2, k, m]
+            elif by_velocity or j >= 6:
+                h = delay * depth_H[0, k, m] + depth_readout * depth_H[1, k, m] + readout * image_H[1, k, m]
+            else:
+                h = depth_H[0, k, m] + image_H[0, k, m]
+            left[i, j] += scale * h
+            right[i] -= information[i, j] * from_prior[j]
+            if j >= 12:
+                right[i] -= scale * h * from_prior[j]
+    delta[:] = _solved(left, right)
 
 
 @_compiled
