@@ -7,7 +7,13 @@ from helpers.painted_wall import BOX, CAMERA, HALF, WALL, at, painted
 from idfslam.fusion.constants import BLOCK
 from idfslam.fusion.fuse import fuse, variance_factor
 from idfslam.fusion.integration import Voxels, compiled_integrate, plain_integrate
-from idfslam.fusion.prepared_depth import compiled_inverse_depth_slopes, plain_inverse_depth_slopes, prepared
+from idfslam.fusion.prepared_depth import (
+    compiled_inverse_depth_slopes,
+    compiled_planes,
+    plain_inverse_depth_slopes,
+    plain_planes,
+    prepared,
+)
 from idfslam.fusion.smoothing import around
 from idfslam.fusion.tsdf_volume import STEPS, TsdfVolume
 from idfslam.geometry.blocks import touched_blocks
@@ -27,6 +33,9 @@ def test_slopes_are_those_of_the_plain_form_and_of_a_plane() -> None:
     depth[np.random.default_rng(1).random(depth.shape) < 0.1] = 0
     for found, expected in zip(compiled_inverse_depth_slopes(depth), plain_inverse_depth_slopes(depth)):
         np.testing.assert_allclose(found, expected, atol=1e-6)
+    slopes = plain_inverse_depth_slopes(depth)
+    for found, expected in zip(compiled_planes(depth, CAMERA, *slopes), plain_planes(depth, CAMERA, *slopes)):
+        np.testing.assert_allclose(found, expected, rtol=1e-4)
     turn = 0.5
     rays = (np.arange(CAMERA.width) - CAMERA.cx) / CAMERA.fx
     plane = np.repeat(2 / (np.cos(turn) + np.sin(turn) * rays)[None], CAMERA.height, 0).astype(np.float32)

@@ -15,6 +15,7 @@ from idfslam.compute.backend import pick
 from idfslam.fusion.constants import LEAST_SLANT, TILE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView
+from idfslam.geometry.projection import intrinsics_of
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.depth_noise import BEST, noise_ratio
 
@@ -41,22 +42,44 @@ class PreparedDepth:
 
 def prepared(view: DepthView) -> PreparedDepth:
     """The view with slants and information."""
-    slant_x, slant_y, count = inverse_depth_slopes(view.depth)
-    c, read = view.camera, view.depth > 0
-    q = 1 / np.where(read, view.depth, 1)
+    slope, information = planes(view.depth, view.camera, *inverse_depth_slopes(view.depth))
+    return PreparedDepth(view.depth, slope, information, _farthest(view.depth), view.camera, view.T_wc)
+
+
+def planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats, count: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """`slope` and `information` (H, W) of a `PreparedDepth`, from the slopes (H, W) of inverse depth and the number of their readings."""
+    form = pick(torch.empty(0), compiled=compiled_planes, plain=plain_planes)
+    return form(depth, camera, along_u, along_v, count)
+
+
+def compiled_planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats, count: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """`planes`, compiled by Numba."""
+    from idfslam.fusion.kernels.numba_slopes import planes as fill
+
+    slope, information = np.zeros_like(depth), np.zeros_like(depth)
+    intrinsics = tuple(np.float32(value) for value in intrinsics_of(camera))
+    readings = _LEAST_READINGS, (2 * REACH + 1) ** 2, _EDGE_POWER
+    fill(np.ascontiguousarray(depth), intrinsics, along_u, along_v, count, readings, slope, information)
+    return slope, information
+
+
+def plain_planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats, count: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """`planes` in numpy."""
+    c, read = camera, depth > 0
+    q = 1 / np.where(read, depth, 1)
     u, v = np.arange(c.width, dtype=np.float32), np.arange(c.height, dtype=np.float32)[:, None]
     # The plane n . p = 1 has q = n . ray, so n = (dq/du fx, dq/dv fy, rest)
-    normal_x, normal_y = slant_x * np.float32(c.fx), slant_y * np.float32(c.fy)
+    normal_x, normal_y = along_u * np.float32(c.fx), along_v * np.float32(c.fy)
     ray_x, ray_y = (u - np.float32(c.cx)) / np.float32(c.fx), (v - np.float32(c.cy)) / np.float32(c.fy)
     normal_z = q - normal_x * ray_x - normal_y * ray_y
     length = np.sqrt(1 + ray_x**2 + ray_y**2)
     cosine = q / (np.sqrt(normal_x**2 + normal_y**2 + normal_z**2) * length)
     cosine = np.where(count >= _LEAST_READINGS, np.maximum(cosine, LEAST_SLANT), LEAST_SLANT).astype(np.float32)
     slope = np.where(read, cosine * length, 0).astype(np.float32)
-    sigma = BEST * noise_ratio(torch.from_numpy(view.depth)).numpy() * length
+    sigma = BEST * noise_ratio(torch.from_numpy(depth)).numpy() * length
     inner = (count / np.float32((2 * REACH + 1) ** 2)) ** _EDGE_POWER
     information = np.where(read, (cosine / sigma) ** 2 * inner, 0).astype(np.float32)
-    return PreparedDepth(view.depth, slope, information, _farthest(view.depth), c, view.T_wc)
+    return slope, information
 
 
 def _farthest(depth: Floats) -> Floats:

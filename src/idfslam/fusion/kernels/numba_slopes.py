@@ -1,6 +1,14 @@
-"""The slopes of inverse depth in a depth image, compiled by Numba. `prepared_depth` has the plain form."""
+"""The slopes of inverse depth in a depth image, and the planes that they tell, compiled by Numba. `prepared_depth` has the plain forms."""
 
+import numpy as np
 from numba import njit, prange
+
+from idfslam.fusion.constants import LEAST_SLANT
+from idfslam.sensing.depth_noise import BEST, GROWTH
+from idfslam.sensing.depth_noise import NEAREST as SHARPEST
+
+_LEAST_SLANT, _BEST, _GROWTH, _SHARPEST = np.float32(LEAST_SLANT), np.float32(BEST), np.float32(GROWTH), np.float32(SHARPEST)
+_ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
@@ -35,3 +43,32 @@ def slopes(depth, reach, edge, edge_share, along_u, along_v, count):  # type: ig
                 along_u[row, column] = (vv * uq - uv * vq) / determinant
                 along_v[row, column] = (uu * vq - uv * uq) / determinant
                 count[row, column] = int(n)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def planes(depth, intrinsics, along_u, along_v, count, readings, slope, information):  # type: ignore[no-untyped-def]
+    """Fills slope and information (H, W) of readings: `prepared_depth.plain_planes`.
+
+    readings: number that a plane needs, largest number, and the power of their share by which information falls towards edges.
+    """
+    fx, fy, cx, cy = intrinsics
+    least, most, power = readings
+    height, width = depth.shape
+    for row in prange(height):
+        ray_y = (np.float32(row) - cy) / fy
+        for column in range(width):
+            z = depth[row, column]
+            if z <= _ZERO:
+                continue
+            ray_x, q = (np.float32(column) - cx) / fx, _ONE / z
+            length = np.sqrt(_ONE + ray_x * ray_x + ray_y * ray_y)
+            cosine = _LEAST_SLANT
+            if count[row, column] >= least:
+                normal_x, normal_y = along_u[row, column] * fx, along_v[row, column] * fy
+                normal_z = q - normal_x * ray_x - normal_y * ray_y
+                cosine = max(q / (np.sqrt(normal_x * normal_x + normal_y * normal_y + normal_z * normal_z) * length), _LEAST_SLANT)
+            beyond = max(z - _SHARPEST, _ZERO)
+            sharpness = cosine / (_BEST * (_ONE + _GROWTH * beyond * beyond) * length)
+            share = np.float32(count[row, column]) / np.float32(most)
+            slope[row, column] = cosine * length
+            information[row, column] = sharpness * sharpness * share**power
