@@ -266,6 +266,10 @@ def test_an_unknown_camera_may_start_from_its_field_of_view(tmp_path: Path) -> N
     assert is_guessed(recording)
     with pytest.raises(ConfigError, match="field of view 200, expected 10 to 140 degrees"):
         open_recording(path, camera={"field_of_view": 200.0})
+    with pytest.raises(ConfigError, match="field of view nan, expected 10 to 140 degrees"):
+        open_recording(write_folder(tmp_path / "known"), camera={"field_of_view": float("nan")})
+    with pytest.raises(RecordingError, match=r"unknown .fy, cx, cy missing.: .*, or give none of them, so that the camera is guessed"):
+        open_recording(path, camera={"field_of_view": 60.0, "fx": 100.0})
 
 
 def test_published_values_hold_for_the_published_size_only(tmp_path: Path) -> None:

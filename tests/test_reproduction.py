@@ -88,10 +88,12 @@ def test_full_suite_takes_the_paper_s_sequences_where_they_are(tmp_path: Path) -
 
 
 def test_methods() -> None:
-    assert methods_of(()) == [name for name in ("imap", "nice", "paper", "fast") if name in PRESETS]
+    assert methods_of(None) == [name for name in ("imap", "nice", "paper", "fast") if name in PRESETS]
     assert methods_of(["fast", "paper"]) == ["paper", "fast"]
     with pytest.raises(ConfigError, match="--methods orb: no such preset, expected some of fast"):
         methods_of(["orb"])
+    with pytest.raises(ConfigError, match="--methods: expected some of fast, paper, imap, nice behind it"):
+        methods_of(())
 
 
 def test_finished_rows_are_kept(tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ def bench(
     if seeds < 1 or (frames is not None and frames < 1):
         raise ConfigError(f"--seeds {seeds}{'' if frames is None else f' --frames {frames}'}, expected at least 1")
     specs, peers = parse_recordings(recordings, frames), PeerRuns(against)
+    if peers.borrowing and not mesh:
+        raise ConfigError(f"--against {peers.borrowing[0]} with --no-mesh: only its surface is its own, leave one of the two out")
     results: dict[str, Any] = {"machine": machine(), "preset": config.preset, "seeds": seeds, "peers": peers.described(), "recordings": []}
     chosen = range(config.seed, config.seed + seeds)
     names = [name for spec in specs for seed in chosen for name in (f"{spec.name}-{seed}", *peers.folders(spec, seed))]

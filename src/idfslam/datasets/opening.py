@@ -128,6 +128,14 @@ def open_recording(
     return selection
 
 
+def is_there(path: str) -> bool:
+    """Whether a path is a file or folder, or the name of a generated recording."""
+    inner = generated.kidnapped_path(path)
+    if inner is not None:
+        return is_there(inner)
+    return generated.kind_of(path) is not None or absolute(without_scheme(path)).exists()
+
+
 def _open(path: Path, reader: Reader, calibration: Calibration, topics: Topics) -> Dataset:
     if topics == Topics():
         return reader.open(path, calibration)

@@ -101,7 +101,7 @@ def _realsense(which: str, calibration: Calibration) -> DepthCamera:
     from idfslam.live.realsense import RealSense
 
     if calibration != Calibration().with_times(calibration.timing()):
-        raise ConfigError("realsense: the device tells its own camera and depth scale, expected no override: leave the camera's values out")
+        raise ConfigError("realsense: the device tells its own camera and depth scale: leave the camera's values out")
     return RealSense(which, calibration)
 
 

@@ -24,6 +24,7 @@ from idfslam.datasets.provenance import Provenance, is_guessed, provenance
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
+from idfslam.live import is_live
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.progress import ProgressBar
@@ -60,7 +61,14 @@ def calibrate(
     truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
     have no true poses; ConfigError if their cameras differ.
     """
-    return calibrate_from([found for source in sources for found in keyframes_of(source, config, console)], truth=truth, console=console)
+    if not sources:
+        raise ConfigError("no recordings, expected at least one, or a result folder of `run`")
+    recordings = [_recording_of(source) for source in sources]
+    _check_one_camera(recordings)
+    if truth and all(recording.ground_truth is None for recording in recordings):
+        raise RecordingError(f"{recordings[0].name}: no true poses, which --truth takes the scale of depth from: leave it out")
+    pairs = zip(sources, recordings, strict=True)
+    return calibrate_from([found for pair in pairs for found in keyframes_of(*pair, config, console)], truth=truth, console=console)
 
 
 def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console | None = None) -> tuple[Estimate, Dataset]:
@@ -114,14 +122,28 @@ def calibrated(source: result_folder.Source, config: Config, path: Path, console
     return replace(source, camera=times or None, depth_scale=None, camera_file=str(path.absolute()))
 
 
-def keyframes_of(source: result_folder.Source, config: Config, console: Console | None) -> list[Keyframes]:
-    """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
+def _run_of(source: result_folder.Source) -> FinishedRun | None:
+    """The run, if the source is a result folder."""
     folder = Path(source.path)
-    if (folder / result_folder.KEYFRAMES).is_file() and (folder / result_folder.CONFIG).is_file():
-        run = FinishedRun(folder)
-        indices, poses = run.keyframes.indices, run.keyframes.poses
-        return [Keyframes(run.recording, indices, [View.of(run.recording[int(i)]) for i in indices], poses)]
-    return keyframes_by_slam(open_source(source, report=True), config, console, source)
+    is_run = (folder / result_folder.KEYFRAMES).is_file() and (folder / result_folder.CONFIG).is_file()
+    return FinishedRun(folder) if is_run else None
+
+
+def _recording_of(source: result_folder.Source) -> Dataset:
+    """The recording, or that of the result folder. Raises ConfigError for a live camera."""
+    if is_live(source.path):
+        raise ConfigError(f"{source.path}: a live camera, expected a recording: record it first, with `idf-slam record`")
+    run = _run_of(source)
+    return open_source(source, report=True) if run is None else run.recording
+
+
+def keyframes_of(source: result_folder.Source, recording: Dataset, config: Config, console: Console | None) -> list[Keyframes]:
+    """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
+    run = _run_of(source)
+    if run is None:
+        return keyframes_by_slam(recording, config, console, source)
+    indices, poses = run.keyframes.indices, run.keyframes.poses
+    return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses)]
 
 
 def keyframes_by_slam(
@@ -168,6 +190,17 @@ def _thinned(maps: Sequence[Keyframes]) -> list[Keyframes]:
     chosen[np.linspace(0, total - 1, _MOST_KEYFRAMES).round().astype(int)] = True
     parts = np.split(chosen, np.cumsum([len(found.views) for found in maps])[:-1])
     return [found[part] for found, part in zip(maps, parts) if part.any()]
+
+
+def check_camera_path(path: Path) -> None:
+    """Raises ConfigError for a path at which no camera file can be written, or from which none would be read as JSON."""
+    if path.suffix != ".json":
+        raise ConfigError(f"--out {path}: expected the name of a file that ends with .json, such as camera.json")
+    parent = next(folder for folder in (path.parent, *path.parent.parents) if folder.exists())
+    if path.is_dir():
+        raise ConfigError(f"--out {path}: is a folder, expected the name of a file")
+    if not parent.is_dir():
+        raise ConfigError(f"--out {path}: {parent} is a file, expected a folder: choose another name")
 
 
 def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:

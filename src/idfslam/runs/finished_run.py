@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.datasets import Dataset
-from idfslam.errors import ConfigError, ResultError
+from idfslam.datasets.opening import is_there
+from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.evaluation.doubt import ReportedFrames
 from idfslam.frame import Status
 from idfslam.geometry.trajectory import Trajectory, load_tum
@@ -26,9 +27,11 @@ class FinishedRun:
     """The results of a run. Each is read at its first use; a missing or damaged file raises a ResultError that names it."""
 
     def __init__(self, folder: Path, *, moved: Path | None = None) -> None:
-        """moved: the recording's path, if it is no longer the one in config.yaml."""
+        """moved: the recording's path, if it is no longer the one in config.yaml. Raises RecordingError if there is nothing."""
         self.folder, self._moved = folder, moved
         result_folder.existing(folder, result_folder.TRAJECTORY)
+        if moved is not None and not is_there(str(moved)):
+            raise RecordingError(f"{moved}: no such file or folder, expected the run's recording: correct --recording, or leave it out")
 
     @cached_property
     def trajectory(self) -> Trajectory:

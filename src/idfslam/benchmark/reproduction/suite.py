@@ -90,9 +90,11 @@ class Suite:
     notes: tuple[str, ...]
 
 
-def methods_of(given: Sequence[str]) -> list[str]:
-    """The presets to compare, in the order of the page. None given: all that there are. Raises ConfigError for an unknown one."""
-    if unknown := [name for name in given if name not in PRESETS]:
+def methods_of(given: Sequence[str] | None) -> list[str]:
+    """The presets to compare, in the order of the page. None: all. Raises ConfigError for an unknown one, and without any."""
+    if given is not None and not given:
+        raise ConfigError(f"--methods: expected some of {', '.join(PRESETS)} behind it")
+    if unknown := [name for name in given or () if name not in PRESETS]:
         raise ConfigError(f"--methods {unknown[0]}: no such preset, expected some of {', '.join(PRESETS)}")
     order = [name for name in ("imap", "nice", "paper", "fast") if name in PRESETS]
     return [name for name in order + [n for n in PRESETS if n not in order] if name in (given or PRESETS)]

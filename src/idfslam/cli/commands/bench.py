@@ -28,7 +28,7 @@ class Bench:
     """Number of seeds. The first is --seed."""
     frames: int | None = None
     """Number of frames of each recording. Default: all, or one tour of a generated recording."""
-    against: tuple[str, ...] = ()
+    against: tuple[str, ...] | None = None
     """Other systems to measure on the same frames, as far as they are installed: `open3d` (its dense SLAM), `orbslam3`, `rtabmap`, and
     `fusion` (plain TSDF fusion of our poses). NAME=PYTHON takes the Python of another environment. --out gets bench.html, a page that
     compares them."""
@@ -48,15 +48,19 @@ class Bench:
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.batch.open_executor import open_executor
+        from idfslam.benchmark.peers.choice import PEERS
         from idfslam.benchmark.runs import PAGE, REPORT, TABLE, bench, check_finished
         from idfslam.cli.tables import print_files
+        from idfslam.errors import ConfigError
         from idfslam.runs.run_folder import folder_for
 
+        if self.against == ():
+            raise ConfigError(f"--against: expected some of {', '.join(PEERS)} behind it")
         options: dict[str, Any] = {
             "seeds": self.seeds,
             "frames": self.frames,
             "mesh": self.mesh,
-            "against": self.against,
+            "against": self.against or (),
             "overwrite": self.overwrite,
         }
         executor = open_executor(self.cluster, self.workers, jobs=self.seeds)

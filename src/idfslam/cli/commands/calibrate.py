@@ -59,9 +59,11 @@ class Calibrate:
         from idfslam.adjustment.camera_findings import findings
         from idfslam.cli.tables import print_calibration
         from idfslam.datasets.generated import absolute_path
-        from idfslam.runs.calibration import calibrate, unexplained, write_camera
+        from idfslam.runs.calibration import calibrate, check_camera_path, unexplained, write_camera
         from idfslam.runs.result_folder import Source
 
+        if self.out is not None:
+            check_camera_path(self.out)
         camera, part = self.camera.given(), self.recording
         scale = camera.pop("depth_scale", None)
         file = None if part.camera_file is None else str(part.camera_file.absolute())

@@ -24,7 +24,7 @@ class Reproduce:
     data: Path = Path("data")
     """Folder of recordings: Replica/ as `idf-slam download replica` makes it, scannet/sceneNNNN_NN. Generated rooms stand in for what is
     not there."""
-    methods: tuple[str, ...] = ()
+    methods: tuple[str, ...] | None = None
     """Presets to compare. Default: all."""
     ablations: bool = True
     """Run the paper's preset with one part left out at a time, too."""
@@ -54,6 +54,8 @@ class Reproduce:
         from idfslam.report.reproduction_page import MATCHES, PAGE, TABLE, write_reproduction
 
         methods = methods_of(self.methods)
+        if self.small and self.data != Reproduce.data:
+            raise ConfigError(f"--data {self.data} with --small, which takes generated rooms alone: leave one of the two out")
         if self.data != Reproduce.data and not self.data.is_dir():
             raise ConfigError(
                 f"--data {self.data}: no such folder, expected one that holds Replica/ or scannet/; leave it out for generated rooms"

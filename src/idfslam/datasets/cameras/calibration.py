@@ -20,6 +20,7 @@ GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy 
 # [degrees] across the colour image, of a sensor about which nothing is known: Kinect 63, RealSense D435 69, Structure 59, iPad 66.
 # Calibration finds focal lengths that are up to about 10 % off. More: wider cameras are found, and narrower ones are not.
 USUAL_FIELD_OF_VIEW = 65.0
+_FIELDS_OF_VIEW = 10.0, 140.0  # [degrees] of pinhole cameras; wider: more slips of the keyboard pass. Chosen by hand
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,9 @@ class Calibration:
         return replace(self, fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=to[0], height=to[1])
 
     def guessed(self, width: int, height: int) -> "Calibration":
-        """With a camera guessed from the field of view, of images `width` x `height` [px], if there is one and no camera is known.
-
-        Raises ConfigError for a field of view that is no pinhole camera's.
-        """
+        """With a camera guessed from the field of view, of images `width` x `height` [px], if there is one and no camera is known."""
         if self.field_of_view is None or not all(value is None for value in (self.fx, self.fy, self.cx, self.cy)):
             return self
-        if not 10 <= self.field_of_view <= 140:
-            raise ConfigError(f"camera: field of view {self.field_of_view:g}, expected 10 to 140 degrees")
         focal = width / 2 / math.tan(math.radians(self.field_of_view) / 2)
         source = f"{GUESSED}: {self.field_of_view:g} degrees across"
         return replace(self, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2, width=width, height=height, source=source)
@@ -90,7 +86,8 @@ class Calibration:
         """
         if self.fx is None or self.fy is None or self.cx is None or self.cy is None:
             missing = ", ".join(name for name in ("fx", "fy", "cx", "cy") if getattr(self, name) is None)
-            raise RecordingError(f"{recording}: the camera is unknown ({missing} missing): {GIVE_CAMERA}, or start from --camera.guess")
+            guess = "start from --camera.guess" if self.field_of_view is None else "give none of them, so that the camera is guessed"
+            raise RecordingError(f"{recording}: the camera is unknown ({missing} missing): {GIVE_CAMERA}, or {guess}")
         found = f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))) or min(self.fx, self.fy) <= 0:
             raise RecordingError(f"{recording}: {self.source} says {found}: expected finite numbers with fx and fy above 0 (y points down)")
@@ -135,12 +132,14 @@ def assumed_scale(depth_scale: float, why: str = "assumed") -> Calibration:
 def given_values(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
     """The user's values: any of fx, fy, cx, cy, field_of_view, depth_scale and TIMES; None counts as not given.
 
-    Raises ConfigError for other keys, and for times that are no sensor's.
+    Raises ConfigError for other keys, for a field of view that is no pinhole camera's, and for times that are no sensor's.
     """
     values = {key: value for key, value in (camera or {}).items() if value is not None}
     allowed = ("fx", "fy", "cx", "cy", "field_of_view", "depth_scale", *TIMES)
     if unknown := [key for key in values if key not in allowed]:
         raise ConfigError(f"camera: unknown value '{unknown[0]}', expected any of {', '.join(allowed)}")
+    if not _FIELDS_OF_VIEW[0] <= (width := values.get("field_of_view", USUAL_FIELD_OF_VIEW)) <= _FIELDS_OF_VIEW[1]:
+        raise ConfigError("camera: field of view {:g}, expected {:g} to {:g} degrees".format(width, *_FIELDS_OF_VIEW))
     scale = values.get("depth_scale") if depth_scale is None else depth_scale
     times = SensorTiming(*(values.get(name) for name in TIMES))
     pinhole = Calibration(values.get("fx"), values.get("fy"), values.get("cx"), values.get("cy"), depth_scale=scale)

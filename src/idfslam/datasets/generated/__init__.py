@@ -58,7 +58,7 @@ def open_generated(path: str, kind: str, calibration: Calibration, length: int) 
     times = calibration.timing()
     if (calibration.with_times(UNKNOWN) if name["handheld"] else calibration) != Calibration():
         what = f"a {kind} {'room' if kind == SYNTHETIC else 'recording'}"
-        raise ConfigError(f"{path}: {what} has its own camera and depth, expected no override: leave the camera's values out")
+        raise ConfigError(f"{path}: {what} has its own camera and depth: leave the camera's values out")
     if length > _LONGEST:
         raise ConfigError(f"{path}: the last frame is number {shown(length)}, expected at most {_LONGEST}: choose --frames and --stride")
     seed, noise = int(name["seed"] or 0), name["noise"] is not None
