@@ -67,13 +67,16 @@ class Adjusted:
         return self.system.covariance(np.arange(6 * keyframe, 6 * keyframe + 6))
 
 
-def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
-    """Adjusts everything that is free. After `seconds` no further step begins: then, and only then, the clock decides about the result."""
+def adjust(problem: Problem, *, seconds: float = np.inf, rounds: int = _ROUNDS, steps: int = _STEPS) -> Adjusted:
+    """Adjusts everything that is free, in `rounds` of at most `steps` steps.
+
+    After `seconds` no further step begins: then, and only then, the clock decides about the result.
+    """
     end, noise = perf_counter() + seconds, np.ones(2)
     points, seen = tracks(problem.points, problem.seen)
     problem = replace(problem, points=points, seen=seen)
-    for last in [False] * (_ROUNDS - 1) + [True]:
-        problem, converged = _minimised(problem, end)
+    for last in [False] * (rounds - 1) + [True]:
+        problem, converged = _minimised(problem, end, steps)
         at = linearise(problem.model, problem.poses, problem.points, problem.seen)
         late = perf_counter() > end
         if last or late:
@@ -101,10 +104,10 @@ def without_outliers(problem: Problem, off: Array) -> Problem:
     return replace(problem, points=points, seen=seen)
 
 
-def _minimised(problem: Problem, end: float) -> tuple[Problem, bool]:
+def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]:
     """The problem at the least cost, and whether it converged."""
     damping, cost = _DAMPING[0], _cost(problem)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         at = linearise(problem.model, problem.poses, problem.points, problem.seen)
         n = _equations(at, problem)
         while damping <= _DAMPING[2]:
@@ -140,7 +143,7 @@ def _information(problem: Problem) -> Array:
 
 
 def _equations(at: Linearised, problem: Problem) -> NormalEquations:
-    weights = _weights(at.residuals)[:, [0, 0, 1]]
+    weights = robust_weights(at.residuals)
     finite = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
     n = NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
     if problem.edges is None:
@@ -154,10 +157,10 @@ def _sizes(off: Array) -> Array:
     return np.stack([np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])], 1)
 
 
-def _weights(off: Array) -> Array:
-    """(N, 2) Huber's weights of image and depth; 0 for points behind the camera."""
+def robust_weights(off: Array) -> Array:
+    """(N, 3) Huber's weights of residuals (N, 3), by image and depth; 0 for points behind the camera."""
     size = _sizes(off)
-    return np.where(np.isfinite(size), _HUBER / np.maximum(size, _HUBER), 0.0)
+    return np.where(np.isfinite(size), _HUBER / np.maximum(size, _HUBER), 0.0)[:, [0, 0, 1]]
 
 
 def _cost(problem: Problem) -> float:
@@ -174,7 +177,7 @@ def _noise_factors(at: Linearised, problem: Problem) -> Array:
 
     The redundancy of a measurement is what its landmark does not take up.
     """
-    weights = _weights(at.residuals)[:, [0, 0, 1]] * np.stack([np.ones(len(problem.seen))] * 2 + [problem.seen.reading > 0], 1)
+    weights = robust_weights(at.residuals) * np.stack([np.ones(len(problem.seen))] * 2 + [problem.seen.reading > 0], 1)
     V = np.zeros((len(problem.points), 3, 3))
     np.add.at(V, problem.seen.landmark, at.by_point.transpose(0, 2, 1) * weights[:, None] @ at.by_point)
     inverse = np.linalg.inv(V + 1e-9 * np.eye(3) * np.trace(V, axis1=1, axis2=2)[:, None, None])

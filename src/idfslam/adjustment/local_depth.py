@@ -24,6 +24,8 @@ _FLOOR = 5e-4  # [1] least standard deviation as a share of depth, for what read
 
 def local_depth(depth: NDArray[np.float32], uv: Array) -> tuple[Array, Array]:
     """Depth (N,) [m] at pixels uv (N, 2) of an image (H, W) [m], and its standard deviation (N,); 0 and 1 where no smooth surface is."""
+    if not len(uv):
+        return np.zeros(0), np.ones(0)
     height, width = depth.shape
     centre, offset = np.rint(uv).astype(np.int64), np.arange(-_REACH, _REACH + 1)
     columns, rows = np.broadcast_arrays(centre[:, 0, None, None] + offset, centre[:, 1, None, None] + offset[:, None])

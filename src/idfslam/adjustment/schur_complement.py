@@ -60,14 +60,14 @@ class ReducedSystem:
 
     def __init__(self, n: NormalEquations, free: NDArray[np.bool_], information: Array, damping: float = 0.0) -> None:
         K, P = len(n.poses), len(n.values)
-        self._n, self._free = n, np.flatnonzero(free)
+        self.equations, self._free = n, np.flatnonzero(free)
         V = n.landmarks + damping * np.eye(3) * n.landmarks
-        self._inverse = np.linalg.inv(V)
+        self.landmark_covariances = np.linalg.inv(V)
         L = len(V)
-        V_inverse = bsr_array((self._inverse, np.arange(L), np.arange(L + 1)), shape=(3 * L, 3 * L))
+        V_inverse = bsr_array((self.landmark_covariances, np.arange(L), np.arange(L + 1)), shape=(3 * L, 3 * L))
         W, Wc = n.pose_landmark, n.values_landmarks
         self._W_V = W @ V_inverse
-        self._Wc_V = (self._inverse @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
+        self._Wc_V = (self.landmark_covariances @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
         poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(6 * K, 6 * K)) - self._W_V @ W.T
         if n.between_poses is not None:
             poses = poses + n.between_poses
@@ -79,9 +79,14 @@ class ReducedSystem:
         self._lu: SuperLU = splu(csc_array(S[self._free][:, self._free]), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         self._size = 6 * K + P
 
+    @property
+    def entries(self) -> int:
+        """How many numbers the factors have."""
+        return int(self._lu.nnz)
+
     def solve(self, right: Array) -> tuple[Array, Array, Array]:
         """Increments of the poses (K, 6), the values (P,) and the landmarks (L, 3). right (6 K + P,) is added to the right side."""
-        n, L = self._n, len(self._inverse)
+        n, L = self.equations, len(self.landmark_covariances)
         b = n.right_landmarks.ravel()
         reduced = np.concatenate([n.right_poses.ravel() - self._W_V @ b, n.right_values - self._Wc_V @ b]) + right
         x = np.zeros(self._size)
@@ -89,17 +94,22 @@ class ReducedSystem:
         K = len(n.poses)
         poses, values = x[: 6 * K], x[6 * K :]
         tied = (n.pose_landmark.T @ poses + n.values_landmarks.T @ values).reshape(L, 3)
-        return poses.reshape(K, 6), values, np.einsum("lij,lj->li", self._inverse, n.right_landmarks - tied)
+        return poses.reshape(K, 6), values, np.einsum("lij,lj->li", self.landmark_covariances, n.right_landmarks - tied)
 
     def covariance(self, unknowns: NDArray[np.int64]) -> Array:
         """(U, U) marginal covariance of some of the unknowns (6 K + P); zero for those that are not estimated."""
+        out = self.covariance_with(unknowns)[unknowns]
+        return (out + out.T) / 2
+
+    def covariance_with(self, unknowns: NDArray[np.int64]) -> Array:
+        """(6 K + P, U) covariance of all unknowns with some of them; zero for those that are not estimated."""
         places = np.searchsorted(self._free, unknowns).clip(max=max(len(self._free) - 1, 0))
         estimated = self._free[places] == unknowns
         right = np.zeros((len(self._free), int(estimated.sum())))
         right[places[estimated], np.arange(right.shape[1])] = 1
-        out = np.zeros((len(unknowns), len(unknowns)))
-        out[np.ix_(estimated, estimated)] = self._lu.solve(right)[places[estimated]]
-        return (out + out.T) / 2
+        out = np.zeros((self._size, len(unknowns)))
+        out[np.ix_(self._free, np.flatnonzero(estimated))] = self._lu.solve(right)
+        return out
 
 
 class _Sums:

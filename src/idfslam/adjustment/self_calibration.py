@@ -29,7 +29,7 @@ _SETTLED = 0.5  # [standard deviations] largest change of a value that ends the 
 _LEAST_KEYFRAMES = 3  # in all; more: short recordings are refused. With two, focal length and relative pose are hard to tell apart
 _LEAST_LANDMARKS = 100  # in all; more: poor recordings are refused. Chosen by hand
 _IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more: the scale that true poses tell is less sure. By hand
-MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
+_MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
 #    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
 _SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
 _CHANCE = 0.997  # [1] stated values stay if chance alone brings this share of estimates nearer to them: 3 standard deviations of one value.
@@ -111,13 +111,15 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds:
             break
     kept = adjusted.problem.seen
     covariance = _with_differences(_honest(covariance), _difference_of_halves(adjusted.problem, of))
-    return Estimate(model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0]))
+    return Estimate(
+        model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0].camera.width)
+    )
 
 
 def _honest(covariance: Array) -> Array:
     """The covariance (P, P) of an adjustment, with what its residuals do not show."""
     of_deformation = np.arange(len(NAMES)) > _SCALE
-    return MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
+    return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
 
 
 def _difference_of_halves(problem: Problem, of: NDArray[np.int64]) -> Array:
@@ -216,9 +218,9 @@ def with_scale(estimate: Estimate, truth: Sequence[Array]) -> Estimate | None:
     return replace(estimate, model=replace(estimate.model, values=values), covariance=covariance)
 
 
-def noise_of(seen: Observations, view: View) -> float:
-    """The median noise of adjusted positions [px], for images of 640 pixels' width."""
-    return float(np.median(1 / np.sqrt(np.abs(np.linalg.det(seen.root)))) * 640 / view.camera.width)
+def noise_of(seen: Observations, width: int) -> float:
+    """The median noise of adjusted positions in images of this width [px], for images of 640 pixels' width."""
+    return float(np.median(1 / np.sqrt(np.abs(np.linalg.det(seen.root)))) * 640 / width)
 
 
 def of_size(model: CameraModel, camera: Camera) -> CameraModel:

@@ -170,6 +170,16 @@ def links(graph: KeyframeGraph, factor: float = 1.0) -> list[Edge]:
     a, b = edge_pairs(graph.keyframes)
     T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
     T_ab = se3.inverse(T[a]) @ T[b]
-    translation = (factor * (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[:, :3, 3].norm(dim=1))).tolist()
-    rotation = (factor * (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab))).tolist()
-    return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, translation, rotation)]
+    return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, *(sigma.tolist() for sigma in _sigmas(T_ab, factor)))]
+
+
+def link(a: int, b: int, T_ab: Tensor, factor: float = 1.0) -> Edge:
+    """The edge between two keyframes whose measured relative pose is T_ab (4, 4). factor: on its standard deviations."""
+    translation, rotation = _sigmas(T_ab, factor)
+    return Edge(a, b, T_ab, float(translation), float(rotation))
+
+
+def _sigmas(T_ab: Tensor, factor: float) -> tuple[Tensor, Tensor]:
+    """The standard deviations (...) [m], [rad] of edges T_ab (..., 4, 4)."""
+    translation = factor * (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[..., :3, 3].norm(dim=-1))
+    return translation, factor * (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab))

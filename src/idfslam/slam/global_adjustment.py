@@ -17,7 +17,8 @@ from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.landmark_tracks import View, find_tracks
 from idfslam.adjustment.residuals import Array
-from idfslam.adjustment.self_calibration import MISFIT, noise_of
+from idfslam.adjustment.self_calibration import noise_of
+from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
@@ -31,10 +32,10 @@ _LEAST_KEYFRAMES = 3  # More: short runs stay as they are
 _LEAST_LANDMARKS = 100  # in all. More: runs with few landmarks stay as they are
 # [px] of 640: largest noise of the landmarks at which the images agree. Generated recordings with 0.33 had 24 and 6 % less error after it,
 # one with 0.39 had 70 % more, and redkitchen, with 0.45, 40 % more. More: blurred and contradictory recordings are adjusted, and bent.
-_AGREE = 0.35
+AGREE = 0.35
 # [1] Standard deviation of an edge, over that which loops are tested with. In generated recordings the errors of edges are 0.1 to 0.5 times
 # the latter. More: landmarks that err together move keyframes that see few of them.
-_EDGES = 0.2
+EDGES = 0.2
 _MOST_KEYFRAMES = 300  # of which the images are in memory at once, about 1.5 MB each. More: longer runs are adjusted, and take more memory
 
 
@@ -78,13 +79,13 @@ class GlobalAdjustment(KeyframeAdjustment):
         if not _LEAST_KEYFRAMES <= len(keyframes) <= _MOST_KEYFRAMES:
             return False
         views = [View.of(keyframe.frame) for keyframe in keyframes]
-        problem = _problem(keyframes, views, RelativePoses.of(links(self.graph, _EDGES)))
+        problem = _problem(keyframes, views, RelativePoses.of(links(self.graph, EDGES)))
         if len(problem.points) < _LEAST_LANDMARKS:
             return False
         adjusted = adjust(problem, seconds=self.seconds - (perf_counter() - begun))
-        noise = noise_of(adjusted.problem.seen, views[0])
+        noise = noise_of(adjusted.problem.seen, views[0].camera.width)
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
-        if noise > _AGREE or not adjusted.complete:
+        if noise > AGREE or not adjusted.complete:
             return False
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
         self._adjusted = adjusted
@@ -93,7 +94,8 @@ class GlobalAdjustment(KeyframeAdjustment):
     def covariances(self) -> dict[int, Array]:
         if self._adjusted is None:
             return {}
-        return {i: MISFIT**2 * self._adjusted.pose_covariance(i) for i in range(len(self._adjusted.problem.poses))}
+        covariances = PoseCovariances(self._adjusted)
+        return {i: covariances.of(i) for i in range(len(self._adjusted.problem.poses))}
 
     def figures(self) -> dict[str, Any]:
         if self._adjusted is None:
