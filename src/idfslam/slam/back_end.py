@@ -26,9 +26,9 @@ from idfslam.storage.state import State, Stateful
 # [map updates] If the last keyframe is at most so far back, the camera runs ahead of the map, and the next frame waits for the update.
 # More: more frames wait. Chosen by hand.
 _CLOSE_KEYFRAMES = 2
-# [map updates] around a submap that has moved, before the next frame; further updates follow by replay. More: the next frames are tracked
-# more surely, after a longer pause. Chosen by hand.
-_UPDATES_AFTER_MERGE = 10
+# [map updates] around the camera after a loop or a merge, before the next frame; further updates follow by replay. More: the next frames
+# are tracked more surely, after a longer pause. Chosen by hand.
+_UPDATES_AFTER_MOVE = 10
 
 
 class BackEnd(Stateful, ABC):
@@ -140,14 +140,15 @@ class KeyframeMapping(BackEnd):
             if moved.split:
                 for other in self.hooks:
                     other.on_split()
-            if moved.submap:
+            if moved.submap or moved.at_once:
                 self._follow(keyframe)
+            if moved.submap:
                 return
 
     def _follow(self, keyframe: Keyframe) -> None:
-        """Trains the map around the newest keyframe before the next frame, after its whole submap has moved."""
+        """Trains the map around the newest keyframe before the next frame, after what it sees has moved."""
         with self.timer.stage("map"):
-            for _ in range(_UPDATES_AFTER_MERGE):
+            for _ in range(_UPDATES_AFTER_MOVE):
                 self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
 
     def _initialise(self, keyframe: Keyframe) -> dict[str, float]:

@@ -15,7 +15,8 @@ class Moved:
     """Keyframes that have moved, which the map must learn again."""
 
     keyframes: Sequence[Keyframe] = ()
-    submap: bool = False  # a whole submap has moved, with the newest keyframe: the map must learn it before the next frame
+    at_once: bool = False  # the map must learn those around the newest keyframe before the next frame
+    submap: bool = False  # a whole submap has moved, with the newest keyframe: as at_once, and no other hook is called
     split: bool = False  # the submap was split off: other hooks must forget where it was thought to be
 
 

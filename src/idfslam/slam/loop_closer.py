@@ -66,7 +66,7 @@ class LoopCloser(KeyframeHook):
         T_wb = self.graph.keyframes[keyframe.host].T_wk
         T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
         shifts = self.loops.offer(self.graph, Loop(i, keyframe.host, T_ab, keyframe.index))
-        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT])
+        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT], at_once=bool(shifts))
 
     def _candidates(self, keyframe: Keyframe, reachable: list[int]) -> list[int]:
         """Stored keyframes without an edge that are covisible at their poses, then those with the most similar descriptors."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 
+from idfslam.alignment.alignment import Alignment
 from idfslam.config import LoopConfig
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
@@ -20,6 +21,10 @@ from idfslam.storage.state import State, Stateful
 log = logging.getLogger(__name__)
 
 _DOUBTED = 15  # doubtful frames in a row from which the camera is looked for elsewhere. More: wrong places are left later. Chosen by hand
+# [m] from where the camera was lost: it is looked for there first, less than the distance of doors that look alike. More: it is found where
+# it walked on fast, and look-alike places pass more easily. This and the next: chosen by hand
+_NEARBY = 1.5
+_STILL_NEAR = 15  # [frames with depth] for which that holds. More: likewise
 EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
@@ -130,7 +135,7 @@ class Relocalisation(Recovery):
         with self.timer.stage("relocalise"):
             if not self.relocaliser.aligner.has_usual_error:  # the front end does not align frames
                 self.relocaliser.estimate_usual_error(self.graph.keyframes[-EXAMPLES:])
-            candidate = self.relocaliser.relocalise(view, self.graph.keyframes, self.config.relocalisation_tries)
+            candidate = self._found(view, self._nearby(view)) or self._found(view, self.graph.keyframes)
         if candidate is None:
             return None
         keyframe, alignment = candidate
@@ -138,6 +143,18 @@ class Relocalisation(Recovery):
         self.check.begin()
         self.relocalisations += 1
         return Tracked.aligned(alignment, Source.RELOCALISED)
+
+    def _found(self, view: Keyframe, keyframes: Sequence[Keyframe]) -> tuple[Keyframe, Alignment] | None:
+        return self.relocaliser.relocalise(view, keyframes, self.config.relocalisation_tries)
+
+    def _nearby(self, view: Keyframe) -> list[Keyframe]:
+        """The keyframes around where the camera was lost. Mostly it is still there, and places that look alike are elsewhere.
+
+        None where nobody knows: before the first frame of a run in a saved map, after long doubt, and when it was lost for long.
+        """
+        if not len(self.frames) or self._doubted >= _DOUBTED or self._searched >= _STILL_NEAR:
+            return []
+        return [k for k in self.graph.keyframes if float((k.T_wk - view.T_wk)[:3, 3].norm()) < _NEARBY]
 
     def _new_submap(self, view: Keyframe, tracked: Tracked) -> Tracked:
         T_wc = self.graph.start_submap()
