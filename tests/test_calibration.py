@@ -21,7 +21,7 @@ from idfslam.datasets.provenance import Provenance
 from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row, write_camera
-from idfslam.runs.result_folder import Source
+from idfslam.runs.run_config import Source
 from idfslam.sensing.depth_deformation import DepthDeformation
 
 

@@ -36,6 +36,8 @@ from idfslam.graph.loop_consistency import Loop
 from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import FORMAT, Checkpoints, fingerprint
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.keyframes_file import read_keyframes
+from idfslam.runs.run_config import Source
 from idfslam.runs.runner import resume, run
 from idfslam.slam import Slam
 from idfslam.storage.ledger import Ledger
@@ -323,7 +325,7 @@ def whole(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def broken(recording: Path, folder: Path, slam: Any = Mortal, every: int = 4, *, overwrite: bool = False) -> Path:
-    source = result_folder.Source(str(recording))
+    source = Source(str(recording))
     config = replace(busy(), mesh=replace(busy().mesh, resolution=0.1))
     run(open_recording(recording), config, folder, source=source, make_slam=slam, checkpoint_every=every, overwrite=overwrite)
     return folder
@@ -367,7 +369,7 @@ def test_resume_with_frames_without_depth(box_recording: Path, tmp_path: Path) -
     assert len(load_tum(whole / result_folder.TRAJECTORY)) == BOX_FRAMES
     metrics = json.loads((whole / result_folder.METRICS).read_text())
     assert metrics["unreadable_frames"] == 0
-    assert not {6, 11} & set(result_folder.read_keyframes(whole).indices.tolist())  # without depth there is nothing to map
+    assert not {6, 11} & set(read_keyframes(whole).indices.tolist())  # without depth there is nothing to map
 
 
 def test_the_times_of_the_sensor_must_be_those_of_the_run(box_recording: Path) -> None:

@@ -27,8 +27,9 @@ from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.pictures.direction import best_direction
 from idfslam.pictures.mesh_renderer import Picture, looking_at, pose_outside
-from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
+from idfslam.runs.run_config import Source, write_config
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 FEW = {"samples": 20_000, "views": 20}
@@ -304,7 +305,7 @@ def test_a_whole_result_folder(tmp_path: Path) -> None:
 
 def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     perfect_result(tmp_path, np.eye(4))
-    result_folder.write_keyframes(tmp_path, result_folder.KeyframeRecord(CAMERA, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 4, 4))))
+    write_keyframes(tmp_path, KeyframeRecord(CAMERA, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 4, 4))))
     image = np.linspace(0.8, 2.2, 64 * 48, dtype=np.float32).reshape(48, 64)
     found = evaluate_folder(tmp_path, recording=DepthImages([image] * 50), **FEW).mesh
     assert found is not None and found.range_from == "recording" and found.samples == 20_000 and found.views <= 20
@@ -313,7 +314,7 @@ def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.
     # Truth in files and a recording that is gone
     save_tum(tmp_path / "truth.txt", Trajectory(np.arange(50) / 10, turning()))
     room().export(tmp_path / "truth.ply")
-    result_folder.write_config(tmp_path, FAST, result_folder.Source(str(tmp_path / "gone")))
+    write_config(tmp_path, FAST, Source(str(tmp_path / "gone")))
     alone = evaluate_folder(tmp_path, gt=tmp_path / "truth.txt", gt_mesh=tmp_path / "truth.ply", **FEW).mesh
     assert alone is not None and (alone.near, alone.far, alone.range_from) == (0.1, 10, "protocol")
     assert "no depth image of its recording can be read" in caplog.text and "gone: no such file" in caplog.text

@@ -19,8 +19,8 @@ from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.ray_casting import RayCaster, pixel_rays
 from idfslam.geometry.trajectory import load_tum
 from idfslam.geometry.transforms_json import read_transforms
-from idfslam.runs import result_folder
-from idfslam.runs.result_folder import read_keyframes
+from idfslam.runs.keyframes_file import read_keyframes
+from idfslam.runs.run_config import write_config
 
 UP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -231,7 +231,7 @@ def test_a_run_without_a_recording_still_gives_mesh_and_poses(known_run: Path, t
     from idfslam.config import FAST
 
     alone = shutil.copytree(known_run, tmp_path / "alone")
-    result_folder.write_config(alone, FAST, None)
+    write_config(alone, FAST, None)
     export(alone, "--to", "tum", "ply", "--resolution", "0.1")
     assert "no floor was found" in capsys.readouterr().err  # the camera saw two walls
     assert (alone / "export" / "mesh.ply").is_file()

@@ -22,7 +22,8 @@ from idfslam.frame import Status
 from idfslam.geometry.camera import Camera
 from idfslam.mapping import saved_map
 from idfslam.runs import checkpoint, result_folder
-from idfslam.runs.result_folder import EarlierKeyframe, KeyframeRecord, Source
+from idfslam.runs.keyframes_file import EarlierKeyframe, KeyframeRecord, write_keyframes
+from idfslam.runs.run_config import Source
 from idfslam.runs.runner import run
 from idfslam.views import image_archive
 
@@ -64,7 +65,7 @@ def test_keyframes(finished: Path, tmp_path: Path) -> None:
     assert unnamed(json.loads((finished / result_folder.KEYFRAMES).read_text())) == set()
     camera, T = Camera(4, 3, 4.0, 4.0, 1.5, 1.0), np.eye(4)
     earlier = [EarlierKeyframe(Source("other"), 0, 0.0, T, camera)]
-    result_folder.write_keyframes(tmp_path, KeyframeRecord(camera, np.zeros(1, np.int64), np.zeros(1), T[None], earlier))
+    write_keyframes(tmp_path, KeyframeRecord(camera, np.zeros(1, np.int64), np.zeros(1), T[None], earlier))
     values = json.loads((tmp_path / result_folder.KEYFRAMES).read_text())
     assert {"camera", "keyframes", "earlier"} <= set(values)
     assert unnamed(values) == set()

@@ -18,7 +18,7 @@ from idfslam.datasets.generated.kidnapped import BLACK, Kidnapped, kidnapped_ord
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.runs.result_folder import read_config
+from idfslam.runs.run_config import read_config
 
 
 class Round:

@@ -14,7 +14,7 @@ from idfslam.errors import ResultError
 from idfslam.graph.held_out import is_held_out
 from idfslam.pictures.view_comparison import PICTURE, VIEWS, compare_views
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.runs.result_folder import Source
+from idfslam.runs.run_config import Source
 from idfslam.runs.runner import run
 
 

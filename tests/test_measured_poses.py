@@ -23,7 +23,7 @@ from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.lost_frames import leave_out_lost, of_all_frames
-from idfslam.runs.result_folder import Source, read_config, write_config
+from idfslam.runs.run_config import Source, read_config, write_config
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source, read_frames
 

@@ -21,7 +21,9 @@ from idfslam.geometry.trajectory import load_tum
 from idfslam.geometry.transforms_json import read_transforms
 from idfslam.mapping.saved_map import load_map
 from idfslam.runs import result_folder
+from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.prior_map import load_prior
+from idfslam.runs.run_config import Source, read_config, write_config
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 
@@ -33,7 +35,7 @@ CONFIG = replace(FAST, mapper=replace(FAST.mapper, first_iterations=60), refinem
 
 def localised(recording: Path, folder: Path, prior: Path | None, *, start: int = 0, frames: int | None = None) -> Path:
     """A run, in the map of another."""
-    source = result_folder.Source(str(recording), start=start, frames=frames)
+    source = Source(str(recording), start=start, frames=frames)
     run(open_source(source), CONFIG, folder, source=source, prior=None if prior is None else load_prior(prior))
     return folder
 
@@ -109,7 +111,7 @@ def test_each_view_keeps_its_camera(first: Path, second: Path) -> None:
 
 
 def test_each_keyframe_keeps_its_camera(recordings: tuple[Path, Path], second: Path) -> None:
-    record = result_folder.read_keyframes(second)
+    record = read_keyframes(second)
     assert record.camera == OTHER_CAMERA
     assert record.earlier
     assert {k.camera for k in record.earlier} == {BOX_CAMERA}
@@ -126,7 +128,7 @@ def test_a_map_of_two_cameras_is_started_in_with_either(
     assert errors(tmp_path, start).max() < 0.015
     assert json.loads((tmp_path / result_folder.METRICS).read_text())["lost_frames"] == 0
     assert {(c.width, c.height) for c in cameras_of(tmp_path)} == {(80, 60), (100, 75)}
-    earlier = result_folder.read_keyframes(tmp_path).earlier
+    earlier = read_keyframes(tmp_path).earlier
     assert {(k.source.path, k.camera) for k in earlier} == {(str(recordings[0]), BOX_CAMERA), (str(recordings[1]), OTHER_CAMERA)}
 
 
@@ -147,10 +149,10 @@ def test_a_recording_that_has_another_camera_now(first: Path, tmp_path: Path, ca
     """What stands where the map's recording was is another: nothing is computed."""
     for name in (result_folder.MAP, result_folder.KEYFRAMES, result_folder.CONFIG):
         (tmp_path / name).write_bytes((first / name).read_bytes())
-    config, source = result_folder.read_config(first)
+    config, source = read_config(first)
     assert source is not None
     elsewhere = write_box_recording(tmp_path / "other", OTHER_CAMERA, tilt=TILT)
-    result_folder.write_config(tmp_path, config, replace(source, path=str(elsewhere)))
+    write_config(tmp_path, config, replace(source, path=str(elsewhere)))
     with caplog.at_level(logging.WARNING), pytest.raises(ResultError, match="none of its keyframes' images can be read again"):
         load_prior(tmp_path)
     assert "other: has a camera of 200x150" in caplog.text
@@ -167,7 +169,7 @@ def exported(second: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_nerfstudio_has_a_camera_for_each_frame(exported: Path, second: Path) -> None:
-    record, folder = result_folder.read_keyframes(second), exported / "nerfstudio"
+    record, folder = read_keyframes(second), exported / "nerfstudio"
     values = json.loads((folder / "transforms.json").read_text())
     names = [f"earlier_{i:06d}.png" for i in range(len(record.earlier))] + [f"{i:06d}.png" for i in record.indices]
     assert [frame["file_path"] for frame in values["frames"]] == [f"images/{name}" for name in names]
@@ -185,7 +187,7 @@ def test_nerfstudio_has_a_camera_for_each_frame(exported: Path, second: Path) ->
 
 
 def test_colmap_has_two_cameras(exported: Path, second: Path) -> None:
-    record, folder = result_folder.read_keyframes(second), exported / "colmap" / "sparse" / "0"
+    record, folder = read_keyframes(second), exported / "colmap" / "sparse" / "0"
     lines = {name: (folder / f"{name}.txt").read_text().splitlines()[1:] for name in ("cameras", "images", "points3D")}
     cameras = {words[0]: words for words in (line.split() for line in lines["cameras"])}
     assert cameras["1"][1:] == ["PINHOLE", "160", "120", "140", "140", "80", "60"]

@@ -14,7 +14,7 @@ from idfslam.frame import FrameResult, Status
 from idfslam.runs import progress
 from idfslam.runs.metrics import read_metrics
 from idfslam.runs.progress import ProgressBar
-from idfslam.runs.result_folder import Source
+from idfslam.runs.run_config import Source
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 from idfslam.slam import warm_up

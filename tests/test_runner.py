@@ -28,7 +28,9 @@ from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
+from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.meter import speed_by_block
+from idfslam.runs.run_config import Source, read_config
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.storage import atomic_files
@@ -104,7 +106,7 @@ class InterruptedSlam(KnownSlam):
 
 
 def run_known(recording: Path, folder: Path, slam: Any = KnownSlam, *, overwrite: bool = False) -> Run:
-    source = result_folder.Source(str(recording))
+    source = Source(str(recording))
     return run(open_source(source), FAST, folder, source=source, make_slam=slam, overwrite=overwrite)
 
 
@@ -135,15 +137,15 @@ def test_metrics(box_recording: Path, tmp_path: Path) -> None:
 
 def test_config_tells_values_recording_and_versions(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
-    config, source = result_folder.read_config(tmp_path)
+    config, source = read_config(tmp_path)
     assert config == load(tmp_path / result_folder.CONFIG) == FAST
-    assert source == result_folder.Source(str(box_recording))
+    assert source == Source(str(box_recording))
     assert {"idf-slam", "python", "torch"} <= yaml.safe_load((tmp_path / result_folder.CONFIG).read_text())["versions"].keys()
 
 
 def test_keyframes_come_back_as_written(box_recording: Path, tmp_path: Path) -> None:
     run_known(box_recording, tmp_path)
-    record = result_folder.read_keyframes(tmp_path)
+    record = read_keyframes(tmp_path)
     assert record.indices.tolist() == [0, 5, 10]
     assert np.allclose(record.timestamps, np.array([0, 5, 10]) / 30)
     assert np.allclose(record.poses[1], box_poses()[5])
@@ -244,13 +246,13 @@ def test_damaged_result_files_are_named(tmp_path: Path) -> None:
     (tmp_path / result_folder.KEYFRAMES).write_text('{"keyframes": [{"index": 1}]}')
     (tmp_path / result_folder.CONFIG).write_text("recording: {place: here}")
     with pytest.raises(ResultError, match=r"keyframes\.json"):
-        result_folder.read_keyframes(tmp_path)
+        read_keyframes(tmp_path)
     with pytest.raises(ResultError, match="'recording' is"):
-        result_folder.read_config(tmp_path)
+        read_config(tmp_path)
     for value in ("start: two", "camera: {fx: wide}", "frames: true", "truth: 1", "path: 5"):
         (tmp_path / result_folder.CONFIG).write_text(f"recording: {{{value if 'path' in value else 'path: here, ' + value}}}")
         with pytest.raises(ResultError, match=f"'{value.split(':')[0]}' of the recording is .*, expected"):
-            result_folder.read_config(tmp_path)
+            read_config(tmp_path)
     with pytest.raises(ResultError, match=r"has no mesh\.ply \(found keyframes\.json, config\.yaml\)"):
         result_folder.existing(tmp_path, result_folder.MESH)
 

@@ -18,6 +18,8 @@ from idfslam.mapping.saved_map import save_map
 from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import Checkpoints
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.keyframes_file import EarlierKeyframe, KeyframeRecord, write_keyframes
+from idfslam.runs.run_config import Source, write_config
 from idfslam.storage import atomic_files
 from idfslam.views.image_archive import save_archive
 
@@ -30,9 +32,9 @@ def write(folder: Path, recording: Path) -> Path:
     folder.mkdir()
     poses, stamps = np.stack([pose(0), pose(1)]), np.array([0.0, 0.1])
     save_tum(folder / result_folder.TRAJECTORY, Trajectory(stamps, poses))
-    result_folder.write_config(folder, FAST, result_folder.Source(str(recording)))
-    earlier = [result_folder.EarlierKeyframe(result_folder.Source("before"), 3, 0.5, poses[1], CAMERA)]
-    result_folder.write_keyframes(folder, result_folder.KeyframeRecord(CAMERA, np.array([0, 1]), stamps, poses, earlier))
+    write_config(folder, FAST, Source(str(recording)))
+    earlier = [EarlierKeyframe(Source("before"), 3, 0.5, poses[1], CAMERA)]
+    write_keyframes(folder, KeyframeRecord(CAMERA, np.array([0, 1]), stamps, poses, earlier))
     log = FrameLog()
     for i in range(2):
         log.add(FrameResult(i, i / 10, poses[i], Status.OK, True, {"total": 0.5}), ms=100.0)

@@ -21,10 +21,10 @@ from idfslam.downloads.download import read_ledger
 from idfslam.errors import FrameError, IdfSlamError
 from idfslam.geometry.trajectory import load_tum
 from idfslam.pictures.camera_paths import load_poses
-from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import load_mesh
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
+from idfslam.runs.run_config import read_config
 from idfslam.storage.unpack import unpack
 
 MOST_FRAMES = 8  # that are read of a recording
@@ -89,7 +89,7 @@ def _read_part(folder: Path, name: str) -> object:
 
 
 def _read_config(folder: Path) -> None:
-    _, source = result_folder.read_config(folder)
+    _, source = read_config(folder)
     if source is not None:
         open_recording(source.path, **{name: value for name, value in vars(source).items() if name != "path"})
 

@@ -18,6 +18,8 @@ from idfslam.mapping.saved_map import load_map, save_map
 from idfslam.mapping.updates import InTurns
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
+from idfslam.runs.run_config import Source, write_config
 from idfslam.storage import atomic_files
 
 KNOWN_KEYFRAMES = (0, 6, 13)
@@ -41,10 +43,8 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
     for name in (result_folder.TRAJECTORY, result_folder.LIVE):
         save_tum(folder / name, Trajectory(recording.timestamps, poses))
     indices = np.array(KNOWN_KEYFRAMES)
-    result_folder.write_keyframes(
-        folder, result_folder.KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices])
-    )
-    result_folder.write_config(folder, FAST, result_folder.Source(str(box_recording)))
+    write_keyframes(folder, KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices]))
+    write_config(folder, FAST, Source(str(box_recording)))
     known_log().save(folder / result_folder.FRAMES)
     plot_trajectory(folder / result_folder.PICTURE, poses)
     stages = {"align": 40.0, "map": 25.0, "finetune": 1.5}

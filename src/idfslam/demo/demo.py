@@ -19,6 +19,8 @@ from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.keyframes_file import read_keyframes
+from idfslam.runs.run_config import Source
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.slam.warm_up import COMPILING, will_compile
@@ -50,7 +52,7 @@ def demo(
     overwrite: results in `folder` may be replaced. Raises ConfigError for more frames than the tour of the room has, ResultError as `run`
     does.
     """
-    source = result_folder.Source(f"synthetic:{room}", frames=frames)
+    source = Source(f"synthetic:{room}", frames=frames)
     tell = (lambda stage: None) if console is None else partial(console.print, highlight=False, markup=False, soft_wrap=True)
     tell(f"building the room, {COMPILING}" if will_compile(config) else "building the room")
     with compiling_ahead(config) as wait_until_compiled:
@@ -62,7 +64,7 @@ def demo(
     tell("evaluating")
     evaluation = evaluate_folder(folder, recording=recording, views=_DEPTH_VIEWS)
     renderer, poses = FinishedRun(folder).views, done.trajectory.poses
-    keyframes = result_folder.read_keyframes(folder).indices
+    keyframes = read_keyframes(folder).indices
     view = _view(recording, poses, renderer, int(len(poses) * _SHOWN), _WIDE)
     with Ledger(folder).replacing(OVERVIEW) as part:
         draw_overview(part, done.mesh, poses, keyframes, recording.camera, view)

@@ -33,6 +33,7 @@ from idfslam.report.views import Room, comparisons, moving_strip
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import read_metrics
+from idfslam.runs.run_config import read_config
 from idfslam.storage import atomic_files, output_folder
 from idfslam.storage.json_file import read_json
 from idfslam.storage.ledger import Ledger
@@ -320,7 +321,7 @@ def _config(folder: Path) -> list[tuple[str, list[tuple[str, Any, bool]]]]:
     """Sections of config.yaml: name, value, and whether it differs from the preset's."""
     if not (folder / result_folder.CONFIG).is_file():
         return []
-    config, _ = result_folder.read_config(folder)
+    config, _ = read_config(folder)
     values, preset = dump(config), dump(PRESETS[config.preset])
     general = [(name, value, value != preset[name]) for name, value in values.items() if not isinstance(value, dict)]
     sections = [("general", general)]

@@ -28,6 +28,7 @@ from idfslam.live import is_live
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.progress import ProgressBar
+from idfslam.runs.run_config import Source
 from idfslam.runs.source import open_source, read_frames
 from idfslam.sensing.depth_deformation import DepthDeformation
 from idfslam.slam import Slam
@@ -53,9 +54,7 @@ class Keyframes:
         return Keyframes(self.recording, self.indices[chosen], views, self.poses[chosen])
 
 
-def calibrate(
-    sources: Sequence[result_folder.Source], config: Config, *, truth: bool, console: Console | None = None
-) -> tuple[Estimate, Dataset]:
+def calibrate(sources: Sequence[Source], config: Config, *, truth: bool, console: Console | None = None) -> tuple[Estimate, Dataset]:
     """The camera of recordings or of the recordings of result folders, all of one camera; and the first recording, as it was read.
 
     truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
@@ -100,7 +99,7 @@ def unexplained(estimate: Estimate) -> str:
     return f"{found}: blur or a shutter bends them, or objects move; record a still scene slowly"
 
 
-def calibrated(source: result_folder.Source, config: Config, path: Path, console: Console | None) -> result_folder.Source:
+def calibrated(source: Source, config: Config, path: Path, console: Console | None) -> Source:
     """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
 
     If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced also by one that fits only roughly.
@@ -122,14 +121,14 @@ def calibrated(source: result_folder.Source, config: Config, path: Path, console
     return replace(source, camera=times or None, depth_scale=None, camera_file=str(path.absolute()))
 
 
-def _run_of(source: result_folder.Source) -> FinishedRun | None:
+def _run_of(source: Source) -> FinishedRun | None:
     """The run, if the source is a result folder."""
     folder = Path(source.path)
     is_run = (folder / result_folder.KEYFRAMES).is_file() and (folder / result_folder.CONFIG).is_file()
     return FinishedRun(folder) if is_run else None
 
 
-def _recording_of(source: result_folder.Source) -> Dataset:
+def _recording_of(source: Source) -> Dataset:
     """The recording, or that of the result folder. Raises ConfigError for a live camera."""
     if is_live(source.path):
         raise ConfigError(f"{source.path}: a live camera, expected a recording: record it first, with `idf-slam record`")
@@ -137,7 +136,7 @@ def _recording_of(source: result_folder.Source) -> Dataset:
     return open_source(source, report=True) if run is None else run.recording
 
 
-def keyframes_of(source: result_folder.Source, recording: Dataset, config: Config, console: Console | None) -> list[Keyframes]:
+def keyframes_of(source: Source, recording: Dataset, config: Config, console: Console | None) -> list[Keyframes]:
     """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
     run = _run_of(source)
     if run is None:
@@ -146,9 +145,7 @@ def keyframes_of(source: result_folder.Source, recording: Dataset, config: Confi
     return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses)]
 
 
-def keyframes_by_slam(
-    recording: Dataset, config: Config, console: Console | None = None, source: result_folder.Source | None = None
-) -> list[Keyframes]:
+def keyframes_by_slam(recording: Dataset, config: Config, console: Console | None = None, source: Source | None = None) -> list[Keyframes]:
     """The keyframes of a recording, those of each submap by themselves, at the poses that SLAM gives them. source: see `read_frames`."""
     slam = Slam(replace(config, refine=False, calibrate="off"))
     with ProgressBar(len(recording), console) as bar:

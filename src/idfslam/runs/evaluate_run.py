@@ -17,6 +17,8 @@ from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import is_live, replayed_path
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.keyframes_file import read_keyframes
+from idfslam.runs.run_config import read_config
 from idfslam.runs.source import open_source
 from idfslam.storage import output_folder
 
@@ -54,7 +56,7 @@ def evaluate_folder(
         log.warning(
             "%s: --protocol %s needs a true mesh, and there is none: give --gt-mesh; only the poses are evaluated", folder, protocol
         )
-    record = result_folder.read_keyframes(folder)
+    record = read_keyframes(folder)
     with output_folder.locked(folder):
         result_folder.ledger(folder)
         return evaluate(
@@ -74,7 +76,7 @@ def evaluate_folder(
 
 def _recording(folder: Path) -> Dataset | None:
     """The recording of the run; None if the frames came from a camera or from a program."""
-    _, source = result_folder.read_config(folder)
+    _, source = read_config(folder)
     if source is not None and is_live(source.path):
         path = replayed_path(source.path)
         source = None if path is None else replace(source, path=path, frames=None)

@@ -16,8 +16,10 @@ from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.keyframes_file import KeyframeRecord, read_keyframes
 from idfslam.runs.lost_frames import of_all_frames
 from idfslam.runs.metrics import corrected_frames, read_metrics
+from idfslam.runs.run_config import Source, read_config
 from idfslam.runs.source import open_source
 from idfslam.views.image_archive import ImageArchive, load_archive
 from idfslam.views.image_based_rendering import MapViews
@@ -48,9 +50,9 @@ class FinishedRun:
         return of_all_frames(load_tum(result_folder.existing(self.folder, result_folder.TRAJECTORY)), self.frames)
 
     @cached_property
-    def keyframes(self) -> result_folder.KeyframeRecord:
+    def keyframes(self) -> KeyframeRecord:
         """The keyframes and the camera."""
-        return result_folder.read_keyframes(self.folder)
+        return read_keyframes(self.folder)
 
     @cached_property
     def map(self) -> SavedMap:
@@ -77,10 +79,10 @@ class FinishedRun:
     @cached_property
     def recording(self) -> Dataset:
         """The recording of the run. Raises RecordingError if it cannot be found, ResultError if config.yaml names none or it is another."""
-        _, source = result_folder.read_config(self.folder)
+        _, source = read_config(self.folder)
         if source is None and self._moved is None:
             raise ResultError(f"{self.folder}: {result_folder.CONFIG} names no recording; give it with --recording")
-        named = source or result_folder.Source("")
+        named = source or Source("")
         recording = open_source(named if self._moved is None else replace(named, path=str(self._moved)))
         if len(recording) < len(self.trajectory) or recording.camera != self.keyframes.camera:
             size = f"{len(recording)} frames of {recording.camera.width}x{recording.camera.height}"

@@ -12,8 +12,8 @@ from idfslam.evaluation.view_error import ViewError, view_error
 from idfslam.frame import Frame
 from idfslam.graph.held_out import is_held_out
 from idfslam.mapping.saved_map import SavedMap
-from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.run_config import read_config
 from idfslam.views.image_based_rendering import MapViews
 
 
@@ -29,7 +29,7 @@ class ComparedView:
 
 def held_out(run: FinishedRun) -> list[int]:
     """The frames that the run held out and whose pose was measured. Raises ResultError if there is none."""
-    every = result_folder.read_config(run.folder)[0].hold_out
+    every = read_config(run.folder)[0].hold_out
     found = [i for i in range(len(run.trajectory)) if is_held_out(i, every) and run.measured[i]]
     if not found:
         raise ResultError(f"{run.folder}: the run held no frame out; run again with --hold-out 8 to compare views with every eighth frame")

@@ -12,6 +12,8 @@ from idfslam.errors import FrameError, RecordingError, ResultError
 from idfslam.frame import Frame
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
+from idfslam.runs.keyframes_file import EarlierKeyframe, own_keyframes, read_keyframes
+from idfslam.runs.run_config import read_config
 from idfslam.runs.source import open_source
 from idfslam.views.image_archive import ImageArchive, load_archive
 
@@ -24,7 +26,7 @@ class PriorKeyframe:
 
     frame: Frame
     T_wk: torch.Tensor  # (4, 4) float64
-    record: result_folder.EarlierKeyframe
+    record: EarlierKeyframe
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +45,9 @@ def load_prior(folder: Path) -> PriorMap:
     Raises ResultError if the folder holds no finished run, or if no keyframe's recording can be read.
     """
     saved = load_map(result_folder.existing(folder, result_folder.MAP))
-    _, source = result_folder.read_config(folder)
-    record = result_folder.read_keyframes(folder)
-    own = [] if source is None else result_folder.own_keyframes(record, source)
+    _, source = read_config(folder)
+    record = read_keyframes(folder)
+    own = [] if source is None else own_keyframes(record, source)
     found = [*earlier_keyframes([*record.earlier, *own])]
     if not found:
         raise ResultError(f"{folder}: none of its keyframes' images can be read again; expected its recording where it was ({source})")
@@ -53,7 +55,7 @@ def load_prior(folder: Path) -> PriorMap:
     return PriorMap(folder, saved, found, load_archive(path) if path.is_file() else None)
 
 
-def earlier_keyframes(records: Sequence[result_folder.EarlierKeyframe]) -> Iterator[PriorKeyframe]:
+def earlier_keyframes(records: Sequence[EarlierKeyframe]) -> Iterator[PriorKeyframe]:
     """Yields the keyframes whose images can be read, each with the camera of its recording. Each recording is opened once."""
     opened: dict[str, Dataset | None] = {}
     for record in records:
@@ -71,7 +73,7 @@ def earlier_keyframes(records: Sequence[result_folder.EarlierKeyframe]) -> Itera
         yield PriorKeyframe(frame, torch.from_numpy(record.T_wk), replace(record, camera=frame.camera))
 
 
-def _opened(keyframe: result_folder.EarlierKeyframe) -> Dataset | None:
+def _opened(keyframe: EarlierKeyframe) -> Dataset | None:
     """The recording of a keyframe. None, with a warning, if it cannot be read or its camera is not the keyframe's."""
     try:
         recording = open_source(keyframe.source)

@@ -13,8 +13,10 @@ from idfslam.evaluation.plots import plot_trajectory
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
+from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
 from idfslam.runs.metrics import pose_errors
 from idfslam.runs.prior_map import PriorMap
+from idfslam.runs.run_config import Source, write_config
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
 from idfslam.views.image_archive import save_archive
@@ -34,7 +36,7 @@ class ResultWriter:
         recording: FrameSource,
         config: Config,
         *,
-        source: result_folder.Source | None = None,
+        source: Source | None = None,
         prior: PriorMap | None = None,
     ) -> None:
         self._folder, self._slam, self._recording = folder, slam, recording
@@ -55,8 +57,8 @@ class ResultWriter:
         with atomic_files.replacing(self._folder / result_folder.LIVE) as part:
             save_tum(part, Trajectory(trajectory.timestamps[: len(live)], live), remark="each pose as it was reported at the time")
         keyframes = self._keyframes()
-        result_folder.write_keyframes(self._folder, keyframes)
-        result_folder.write_config(self._folder, self._config, self._source)
+        write_keyframes(self._folder, keyframes)
+        write_config(self._folder, self._config, self._source)
         with atomic_files.replacing(self._folder / result_folder.PICTURE) as part:
             self._draw_trajectory(part, keyframes)
 
@@ -78,7 +80,7 @@ class ResultWriter:
         with atomic_files.replacing(self._folder / result_folder.FRAMES) as part:
             frame_log.save(part)
 
-    def _keyframes(self) -> result_folder.KeyframeRecord:
+    def _keyframes(self) -> KeyframeRecord:
         """The run's own keyframes, and the prior map's at their present poses. A run starts with the prior map's, so these come first."""
         stored, prior = self._slam.stored_keyframes(), [] if self._prior is None else self._prior.keyframes
         own = [keyframe for keyframe in stored[len(prior) :] if keyframe.submap == 0]
@@ -86,9 +88,9 @@ class ResultWriter:
         poses = np.array([keyframe.T_wk for keyframe in own], np.float64).reshape(-1, 4, 4)
         earlier = [replace(keyframe.record, T_wk=now.T_wk) for keyframe, now in zip(prior, stored)]
         stamps, covariances = self._recording.timestamps[indices], [keyframe.covariance for keyframe in own]
-        return result_folder.KeyframeRecord(self._recording.camera, indices, stamps, poses, earlier, covariances)
+        return KeyframeRecord(self._recording.camera, indices, stamps, poses, earlier, covariances)
 
-    def _draw_trajectory(self, path: Path, keyframes: result_folder.KeyframeRecord) -> None:
+    def _draw_trajectory(self, path: Path, keyframes: KeyframeRecord) -> None:
         """The trajectory's picture, with the true trajectory if it is known and with the live poses if loops were closed."""
         errors, poses = pose_errors(self._slam, self._recording), self._slam.trajectory()
         truth, T_gt_est = None, None

@@ -24,6 +24,7 @@ from idfslam.runs.metrics import kept_keyframes, keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.result_writer import ResultWriter, trajectory_of
+from idfslam.runs.run_config import Source, read_config, write_config
 from idfslam.runs.run_folder import RunFolder
 from idfslam.runs.run_state import RunState
 from idfslam.runs.source import open_source, read_frames
@@ -51,7 +52,7 @@ def run(
     config: Config,
     folder: Path,
     *,
-    source: result_folder.Source | None = None,
+    source: Source | None = None,
     prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
@@ -90,7 +91,7 @@ def run(
                 _restore(state, checkpoints, recording, bar)
             elif checkpoints.enabled and source is not None:
                 with result_folder.writing(folder):
-                    result_folder.write_config(place.partial, config, source)
+                    write_config(place.partial, config, source)
             try:
                 _process(state, recording, source, viewer, checkpoints, stop, bar)
             except (DivergedError, RecordingError):
@@ -117,7 +118,7 @@ def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None =
     The results are those of a run without the interruption. Raises ResultError for a folder without a run of a recording, and what `run`
     raises.
     """
-    config, source = result_folder.read_config(run_folder.config_folder(folder))
+    config, source = read_config(run_folder.config_folder(folder))
     if source is None:
         raise ResultError(f"{folder / result_folder.CONFIG}: names no recording, so the run cannot be resumed; start a new one")
     if not run_folder.is_unfinished(folder):
@@ -163,7 +164,7 @@ def _checkpoints(recording: Dataset | LiveStream, config: Config, folder: Path, 
 def _process(
     state: RunState,
     recording: Dataset | LiveStream,
-    source: result_folder.Source | None,
+    source: Source | None,
     viewer: Viewer,
     checkpoints: Checkpoints,
     stop: Event,

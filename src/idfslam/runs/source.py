@@ -9,7 +9,7 @@ from idfslam.datasets import Dataset, Prefetch, open_recording
 from idfslam.errors import RecordingError
 from idfslam.frame import Frame
 from idfslam.live import LiveStream, is_live, open_live
-from idfslam.runs.result_folder import Source
+from idfslam.runs.run_config import Source
 
 log = logging.getLogger(__name__)
 

@@ -1,6 +1,7 @@
 """Limits on what files of people and other programs may hold, whatever their format."""
 
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin
 
 from idfslam.errors import IdfSlamError
 
@@ -32,6 +33,18 @@ def check_plain(values: Any) -> None:
             return
         level = inner
     raise ValueError(f"more than {DEEPEST} lists and mappings inside each other")
+
+
+def fits(value: Any, expected: Any) -> bool:
+    """Whether a value is of a type, of one of several, or a mapping of such."""
+    if isinstance(expected, UnionType):
+        return any(fits(value, one) for one in get_args(expected))
+    if get_origin(expected) is dict:
+        of_names, of_values = get_args(expected)
+        return isinstance(value, dict) and all(fits(name, of_names) and fits(inner, of_values) for name, inner in value.items())
+    if expected in (int, float):
+        return isinstance(value, int | expected) and not isinstance(value, bool)
+    return isinstance(value, expected)
 
 
 def shown(value: Any) -> str:

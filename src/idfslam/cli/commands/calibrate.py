@@ -60,7 +60,7 @@ class Calibrate:
         from idfslam.cli.tables import print_calibration
         from idfslam.datasets.generated import absolute_path
         from idfslam.runs.calibration import calibrate, check_camera_path, unexplained, write_camera
-        from idfslam.runs.result_folder import Source
+        from idfslam.runs.run_config import Source
 
         if self.out is not None:
             check_camera_path(self.out)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from idfslam.datasets import Dataset
-    from idfslam.runs.result_folder import Source
+    from idfslam.runs.run_config import Source
     from idfslam.runs.runner import Run as RunResult
     from idfslam.viewer.rerun_viewer import Viewer
 
@@ -162,7 +162,7 @@ class Run:
         from idfslam.datasets.provenance import is_guessed
         from idfslam.live import LiveStream, absolute_path
         from idfslam.runs.prior_map import load_prior
-        from idfslam.runs.result_folder import Source
+        from idfslam.runs.run_config import Source
         from idfslam.runs.run_folder import check_usable, folder_for
         from idfslam.runs.runner import run
         from idfslam.runs.source import open_feed
@@ -209,7 +209,7 @@ class Run:
             found = ", ".join(given)
             wrong_usage(f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {found})", "run")
         from idfslam.compute.torch_threads import limit_torch_threads
-        from idfslam.runs.result_folder import read_config
+        from idfslam.runs.run_config import read_config
         from idfslam.runs.run_folder import config_folder
         from idfslam.runs.runner import resume
 
