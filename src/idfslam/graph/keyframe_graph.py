@@ -37,10 +37,9 @@ class KeyframeGraph:
     def state(self) -> State:
         """All keyframes. The last one is stored as its number, or as its own state if it was culled."""
         last = self.last_keyframe
-        stored = last in self.keyframes
         return {
             "keyframes": [keyframe.state() for keyframe in self.keyframes],
-            "last_keyframe": self.keyframes.index(last) if last is not None and stored else None if last is None else last.state(),
+            "last_keyframe": None if last is None else last.host if self.is_stored(last) else last.state(),
             "unverified_from": -1 if self.unverified_from is None else self.unverified_from,
         }
 
@@ -120,6 +119,10 @@ class KeyframeGraph:
         directions = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
         return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), [k.camera], [k.depth])) for n, k, T in directions)
 
+    def is_stored(self, keyframe: Keyframe) -> bool:
+        """Whether a keyframe is stored: neither culled, nor a frame that was not selected."""
+        return keyframe.host < len(self.keyframes) and self.keyframes[keyframe.host] is keyframe
+
     # Edges
 
     def _measured(self) -> Collection[int]:
@@ -142,7 +145,7 @@ class KeyframeGraph:
         keyframe.edges.add(i)
         if i < keyframe.host and i not in keyframe.covisible_references:
             bisect.insort(keyframe.covisible_references, i)
-        if self.keyframes[keyframe.host] is keyframe:
+        if self.is_stored(keyframe):
             self.keyframes[i].edges.add(keyframe.host)
 
     # Poses
@@ -163,7 +166,7 @@ class KeyframeGraph:
         """
         changes = []
         last = self.last_keyframe
-        if last is not None and self.keyframes[last.host] is not last:
+        if last is not None and not self.is_stored(last):
             last.T_wk = poses[last.host] @ self.relative_to_host(last.T_wk)[1]
         for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
             T = se3.inverse(keyframe.T_wk) @ T_wk

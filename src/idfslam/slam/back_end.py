@@ -21,7 +21,8 @@ from idfslam.slam.refinement import Refinement
 from idfslam.slam.relearn_queue import RelearnQueue
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
-from idfslam.storage.state import State, Stateful
+from idfslam.slam.update_interval import UpdateInterval
+from idfslam.storage.state import Stateful
 
 # [map updates] If the last keyframe is at most so far back, the camera runs ahead of the map, and the next frame waits for the update.
 # More: more frames wait. Chosen by hand.
@@ -80,15 +81,7 @@ class KeyframeMapping(BackEnd):
         self.config, self.graph, self.frames, self.coverage, self.replay, self.relearn = config, graph, frames, coverage, replay, relearn
         self.mapper, self.features, self.keyframe_pose, self.hooks = mapper, features, keyframe_pose, list(hooks)
         self.refinement, self.polish, self.finetuner, self.timer = refinement, polish, finetuner, timer
-        self._updated_at = 0  # number of frames at the last update of the map
-
-    def state(self) -> State:
-        """The number of frames at the last update of the map."""
-        return {"updated_at": self._updated_at}
-
-    def restore(self, state: State) -> None:
-        """Takes over `state`."""
-        self._updated_at = state["updated_at"]
+        self.interval = UpdateInterval(config.mapper.every, frames)
 
     def loops(self) -> Sequence[Loop]:
         return [loop for hook in self.hooks for loop in hook.closed_loops()]
@@ -114,8 +107,7 @@ class KeyframeMapping(BackEnd):
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Updates the map on the frame if an update is due and its pose is trusted, and otherwise finetunes the tracker (Sec. V-B)."""
-        due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
-        if not due or not tracked.may_be_mapped or not view.has_depth:
+        if not self.interval.is_due(view, tracked):
             return self.finetuner.step()
         self.graph.connect_like_last(view)
         self.coverage.add(view)
@@ -163,7 +155,7 @@ class KeyframeMapping(BackEnd):
         at_once: the update ends before the next frame. Otherwise it may run in the background, and the losses of the update before it are
         returned.
         """
-        self._updated_at = len(self.frames)
+        self.interval.begin()
         replayed, iterations = self._replayed(view), self.config.mapper.iterations
         with self.timer.stage("refine"):
             self.refinement.refine(replayed[: self.config.refinement.poses_per_update])

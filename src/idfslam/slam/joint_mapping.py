@@ -15,7 +15,7 @@ from idfslam.slam.back_end import BackEnd
 from idfslam.slam.mapping_window import MappingWindow
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
-from idfslam.storage.state import State
+from idfslam.slam.update_interval import UpdateInterval
 
 _WIDER = 2  # factor on the window of the updates after the last frame (NICE-SLAM's code). More: more keyframes, fewer pixels of each
 
@@ -37,15 +37,7 @@ class JointMapping(BackEnd):
         """on_keyframe: called once a keyframe was learnt."""
         self.config, self.graph, self.frames, self.coverage = config, graph, frames, coverage
         self.map, self.window, self.timer, self.on_keyframe = map, window, timer, on_keyframe
-        self._updated_at = 0  # number of frames at the last update of the map
-
-    def state(self) -> State:
-        """The number of frames at the last update of the map."""
-        return {"updated_at": self._updated_at}
-
-    def restore(self, state: State) -> None:
-        """Takes over `state`."""
-        self._updated_at = state["updated_at"]
+        self.interval = UpdateInterval(config.mapper.every, frames)
 
     def add_keyframe(self, keyframe: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Learns the keyframe with a window, and stores it."""
@@ -60,8 +52,7 @@ class JointMapping(BackEnd):
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Learns the frame, if an update is due, without storing it."""
-        due = 0 < self.config.mapper.every <= len(self.frames) - self._updated_at
-        if not due or not tracked.may_be_mapped or not view.has_depth or self.graph.last_keyframe is None:
+        if self.graph.last_keyframe is None or not self.interval.is_due(view, tracked):
             return {}
         losses = self._update(view)
         self._follow(view)
@@ -78,7 +69,7 @@ class JointMapping(BackEnd):
 
     def _learn(self, view: Keyframe, steps: int, *, first: bool = False, last: bool = False) -> dict[str, float]:
         """Optimises map and poses in windows around a frame, and moves the frames of these."""
-        self._updated_at = len(self.frames)
+        self.interval.begin()
         with self.timer.stage("map"):
             draw = self.window.around(view, wider=_WIDER if last else 1)
             poses = WindowPoses(self.config.joint_mapping.pose_learning_rate, self.map.device, partial(self._may_move, oldest(draw())))

@@ -71,7 +71,7 @@ class LightEstimation(KeyframeHook):
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
         """Compares a keyframe, if it was stored, with covisible ones."""
-        if self._is_stored(keyframe):
+        if self.graph.is_stored(keyframe):
             for i in self._references(keyframe):
                 if (comparison := self._compare(keyframe, self.graph.keyframes[i])) is not None:
                     self._pairs.append((keyframe.host, i))
@@ -92,7 +92,7 @@ class LightEstimation(KeyframeHook):
         """
         if not self._changes:
             return None if self._vignette is None else Light(torch.ones(3), torch.zeros(3), self._vignette)
-        of_view = self._exposures[view.host] if self._is_stored(view) and view.host < len(self._exposures) else self._estimated(view)
+        of_view = self._exposures[view.host] if self.graph.is_stored(view) and view.host < len(self._exposures) else self._estimated(view)
         return Light(torch.from_numpy(np.exp(of_view[:, 0])).float(), torch.from_numpy(of_view[:, 1]).float(), self._vignette)
 
     @property
@@ -110,9 +110,6 @@ class LightEstimation(KeyframeHook):
     def _tell(self, vignette: Vignette | None) -> None:
         self._told = vignette
         self._take_out(vignette)
-
-    def _is_stored(self, view: Keyframe) -> bool:
-        return view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
 
     def _references(self, view: Keyframe) -> list[int]:
         """Stored keyframes with which a view is compared: the oldest and the newest of those covisible ones whose poses were measured."""
