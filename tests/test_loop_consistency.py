@@ -9,11 +9,12 @@ from idfslam.config import KeyframeConfig, LoopConfig
 from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, LoopConsistency
-from idfslam.graph.path_length import distances, path_lengths
+from idfslam.graph.path_length import path_lengths
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 CONFIG = LoopConfig(slack=0.1, drift=0.03, confirmed_within=1.0)
@@ -57,7 +58,7 @@ def test_a_turn_is_as_far_as_it_moves_what_is_ahead() -> None:
     turns = [torch.zeros(3), torch.tensor([0, np.pi / 2, 0]), torch.tensor([3.1, 0, 0]), torch.tensor([0, 0, 1e-6])]
     T_b = se3.exp(torch.stack([torch.cat([torch.zeros(3), turn]) for turn in turns]).double())
     T_b[0, 0, 3] = 3.0
-    np.testing.assert_allclose(distances(np.eye(4)[None], T_b.numpy()), [3, np.pi, 6.2, 2e-6], rtol=1e-6)
+    np.testing.assert_allclose(pose_distances(np.eye(4)[None], T_b.numpy()), [3, np.pi, 6.2, 2e-6], rtol=1e-6)
 
 
 def test_what_may_be_a_loop(graph: KeyframeGraph) -> None:

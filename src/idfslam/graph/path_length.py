@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.keyframe import Keyframe
-
-_AHEAD = 2.0  # [m] distance of the point whose shift measures a turn, about the depth of a room. More: turns count more. Chosen by hand
 
 
 def edge_pairs(keyframes: Sequence[Keyframe]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -26,12 +25,5 @@ def path_lengths(keyframes: Sequence[Keyframe], a: int) -> NDArray[np.float64]:
     """The lengths (K,) [m] of the shortest paths of edges from keyframe a to each; infinite without a path."""
     i, j = edge_pairs(keyframes)
     T = torch.stack([k.T_wk for k in keyframes]).numpy()
-    length = np.maximum(distances(T[i], T[j]), 1e-3)
+    length = np.maximum(pose_distances(T[i], T[j]), 1e-3)
     return np.asarray(dijkstra(coo_array((length, (i, j)), shape=(len(T), len(T))).tocsr(), directed=False, indices=a))
-
-
-def distances(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances (E,) [m] between poses (E, 4, 4): the shift, plus the turn as the shift of a point 2 m in front of the camera."""
-    shift = np.linalg.norm(T_b[:, :3, 3] - T_a[:, :3, 3], axis=1)
-    chord = np.linalg.norm(T_b[:, :3, :3] - T_a[:, :3, :3], axis=(1, 2))
-    return shift + _AHEAD * 2 * np.arcsin(np.minimum(chord / 8**0.5, 1.0))  # for rotations A and B, |B - A| = sqrt(8) sin(angle / 2)

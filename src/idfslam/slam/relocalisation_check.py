@@ -8,10 +8,10 @@ import logging
 from typing import Any
 
 from idfslam.alignment.aligner import MapAligner
+from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.path_length import distances
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
 
@@ -74,7 +74,7 @@ class RelocalisationCheck(KeyframeHook):
             return False
         agrees = min(errors) <= self.max_error
         self.contradictions = 0 if agrees else self.contradictions + 1
-        distance = distances(self.graph.keyframes[first].T_wk[None].numpy(), keyframe.T_wk[None].numpy())[0]
+        distance = pose_distances(self.graph.keyframes[first].T_wk[None].numpy(), keyframe.T_wk[None].numpy())[0]
         if agrees and distance > _CONFIRMED_AFTER:
             self.graph.confirm()
         if self.contradictions < _CONTRADICTIONS:

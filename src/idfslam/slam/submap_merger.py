@@ -9,11 +9,11 @@ from typing import Any
 
 from idfslam.config import LoopConfig
 from idfslam.geometry import se3
+from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, same_correction
-from idfslam.graph.path_length import distances
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.relocaliser import Relocaliser
 from idfslam.storage.state import State
@@ -65,7 +65,7 @@ class SubmapMerger(KeyframeHook):
     def _span(self) -> float:
         """The distance [m] between the first and the last of the agreeing loops, in shift and turn."""
         first, last = (self.graph.keyframes[loop.b].T_wk[None].numpy() for loop in (self.agreeing[0], self.agreeing[-1]))
-        return float(distances(first, last)[0])
+        return float(pose_distances(first, last)[0])
 
     def _sighting(self, keyframe: Keyframe) -> Loop | None:
         """The loop from a keyframe of another submap to this keyframe, if it is relocalised there."""
