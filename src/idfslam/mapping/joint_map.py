@@ -3,7 +3,6 @@
 iMAP and NICE-SLAM do both (Sec. 3.3 of each paper). How they sample, weigh and step differs: `density_map.py`, `grids_map.py`.
 """
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -13,8 +12,8 @@ from torch import Tensor
 
 from idfslam.compute.devices import repeatable
 from idfslam.config import Config
-from idfslam.errors import DivergedError
 from idfslam.mapping.field import copy_of, load_field
+from idfslam.mapping.loss_values import loss_values
 from idfslam.mapping.map import Map
 from idfslam.mapping.occupancy_losses import RayLosses
 from idfslam.mapping.rays import Rays, cast
@@ -133,8 +132,4 @@ def explained_share(rendered: Tensor, measured: Tensor, error: float) -> float:
 def named(losses: RayLosses, frame: int) -> dict[str, float]:
     """Losses as numbers by name. Raises DivergedError if one is not finite."""
     parts = {"photometric": losses.photometric, "depth": losses.depth, "total": losses.total}
-    numbers = {name: float(value.detach()) for name, value in parts.items()}
-    for name, value in numbers.items():
-        if not math.isfinite(value):
-            raise DivergedError(f"frame {frame}: the {name} loss is {value}; lower the learning rates")
-    return numbers
+    return loss_values(parts, f"frame {frame}", "lower the learning rates of the preset")

@@ -1,6 +1,5 @@
 """The mapper (Sec. IV): the field learns from rays of posed frames (Eqs. 1-3), and a frame's pose is optimised against it (Eq. 4)."""
 
-import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,11 +10,11 @@ from torch import Tensor
 
 from idfslam.compute.devices import repeatable, resolve_precision
 from idfslam.config import FieldConfig, MapperConfig
-from idfslam.errors import DivergedError
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.fused import learns_in_steps
+from idfslam.mapping.loss_values import loss_values
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.map import Map
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
@@ -235,8 +234,4 @@ def _cast(view: TrainingView, uv: Tensor, T_wc: Tensor | None = None) -> Rays:
 def named(losses: Losses, keyframe: int) -> dict[str, float]:
     """Losses as numbers by name. Raises DivergedError if one is not finite."""
     parts = {"photometric": losses.photometric, "free_space": losses.free_space, "truncation": losses.truncation, "total": losses.total}
-    numbers = dict(zip(parts, torch.stack(list(parts.values())).tolist()))
-    for name, value in numbers.items():
-        if not math.isfinite(value):
-            raise DivergedError(f"keyframe {keyframe}: the {name} loss is {value}; lower --mapper.learning-rate or --mapper.gradient-clip")
-    return numbers
+    return loss_values(parts, f"keyframe {keyframe}", "lower --mapper.learning-rate or --mapper.gradient-clip")
