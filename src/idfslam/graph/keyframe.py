@@ -119,10 +119,7 @@ class Keyframe:
         if moving is None and self.moving is None:
             return
         self.moving = moving if moving is not None and moving.any() else None
-        self._shown.clear()
-        self._features = self._features_at = None
-        for name in ("farthest", "has_depth"):
-            self.__dict__.pop(name, None)
+        self._forget_derived()
 
     def _without_movers(self, name: str, images: Images) -> Images:
         if self.moving is None:
@@ -136,12 +133,17 @@ class Keyframe:
     def rectify(self, rectification: Rectification) -> None:
         """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
         self._taken, self._images, self.rectification = self.taken_unmasked, None, rectification
-        self._shown.clear()
-        self._features = self._images_at = self._features_at = self._checksum = None
-        for name in ("farthest", "has_depth"):
-            self.__dict__.pop(name, None)
+        self._forget_derived()
+        self._images_at = self._checksum = None
         if self._archive is not None:
             self._keep_rectified()
+
+    def _forget_derived(self) -> None:
+        """Forgets what was computed from images that have changed."""
+        self._shown.clear()
+        self._features = self._features_at = None
+        for name in ("farthest", "has_depth"):
+            self.__dict__.pop(name, None)
 
     def _rectified(self, taken: Images, rectification: Rectification) -> Images:
         frame = rectified(taken.frame, rectification)
