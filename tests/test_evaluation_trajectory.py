@@ -5,7 +5,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam.evaluation.trajectory_error import Statistics, absolute_trajectory_error, matched_ground_truth, relative_pose_error
+from idfslam.evaluation.trajectory_error import (
+    Statistics,
+    absolute_trajectory_error,
+    first_pose_alignment,
+    matched_ground_truth,
+    relative_pose_error,
+)
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
 
 
@@ -122,3 +128,20 @@ def test_equal_to_evo(seed: int, delta: int) -> None:
     for mine, theirs in pairs:
         for name, value in vars(mine).items():
             assert value == pytest.approx(theirs.get_all_statistics()[name], abs=1e-6)
+
+
+def test_the_first_pose_places_a_map_whose_later_centres_are_off() -> None:
+    """A short path whose centres are off by centimetres: their alignment turns the map, the first pose does not."""
+    truth = np.tile(np.eye(4), (20, 1, 1))
+    truth[:, 0, 3] = 0.01 * np.arange(20)
+    truth[:, :3, 3] += [1.0, 2.0, 0.0]
+    estimate = np.linalg.inv(truth[0]) @ truth
+    estimate[1:, 1, 3] += 0.05 * np.sin(np.arange(1, 20))
+    estimate[1:, 2, 3] += 0.004 * np.arange(1, 20)
+    truth[0] = np.nan
+    np.testing.assert_allclose(first_pose_alignment(estimate, truth), truth[1] @ np.linalg.inv(estimate[1]))
+    truth[0] = truth[1]
+    truth[0, 0, 3] -= 0.01
+    np.testing.assert_allclose(first_pose_alignment(estimate, truth), truth[0], atol=1e-12)
+    turned = absolute_trajectory_error(estimate, truth).T_gt_est[:3, :3]
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) > 15

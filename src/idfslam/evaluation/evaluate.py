@@ -21,6 +21,7 @@ from idfslam.evaluation.trajectory_error import (
     AbsoluteTrajectoryError,
     RelativePoseError,
     absolute_trajectory_error,
+    first_pose_alignment,
     matched_ground_truth,
     relative_pose_error,
 )
@@ -51,8 +52,9 @@ def evaluate(
 ) -> Evaluation:
     """Errors of FOLDER/trajectory.txt and, if a true mesh is given, of FOLDER/mesh.ply; writes evaluation.json, trajectory.png, error.png.
 
-    The alignment of the two trajectories moves the mesh into the frame of the truth; the true mesh must be in the frame of the true
-    trajectory. If nothing of the mesh counts under the protocol, a warning says so and the mesh is not evaluated.
+    The alignment of the two trajectories moves the mesh into the frame of the truth, or the first frame's true pose, by protocol;
+    the true mesh must be in the frame of the true trajectory. If nothing of the mesh counts under the protocol, a warning says so and the
+    mesh is not evaluated.
 
     camera: of the recording; with sensor_range, the depths that the sensor read, it decides which surface the recording could show.
     tolerance: largest difference of stamps [s] that belong together. keyframes: indices (K,) of the frames to mark in the plot.
@@ -63,7 +65,7 @@ def evaluate(
     Raises `ResultError` for missing or empty files, `TrajectoryError` for trajectories that cannot be compared, `ConfigError` for an
     unknown protocol, and `ResultError` if another's file is in the place of one that is written.
     """
-    find_protocol(protocol)  # an unknown one fails before anything is computed
+    rules = find_protocol(protocol)  # an unknown one fails before anything is computed
     ledger = Ledger(folder)
     ledger.refuse_foreign(FILES)
     estimate = load_result_trajectory(folder)
@@ -76,8 +78,11 @@ def evaluate(
     if what := doubt(estimate.poses, truth, ate):
         log.warning("%s: %s", folder, what)
     if gt_mesh is not None:
-        mesh = partial(mesh_error, protocol=protocol, sensor_range=sensor_range, samples=samples, views=views, seed=seed)
-        result = replace(result, mesh=_mesh_errors(folder, gt_mesh, camera, truth, ate, mesh))
+        T_gt_est = first_pose_alignment(estimate.poses, truth) if rules.first_pose else ate.T_gt_est
+        if not rules.first_pose and not is_rotation_determined(truth[ate.frames, :3, 3]):
+            log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
+        measure = partial(mesh_error, poses=truth, T_gt_est=T_gt_est, sensor_range=sensor_range, samples=samples, views=views, seed=seed)
+        result = replace(result, mesh=_mesh_errors(folder, gt_mesh, camera, partial(measure, protocol=protocol)))
     with ledger.replacing(EVALUATION) as part:
         result.save(part)
     with ledger.replacing(TRAJECTORY_PICTURE) as part:
@@ -87,22 +92,13 @@ def evaluate(
     return result
 
 
-def _mesh_errors(
-    folder: Path,
-    gt_mesh: trimesh.Trimesh,
-    camera: Camera | None,
-    truth: NDArray[np.float64],
-    ate: AbsoluteTrajectoryError,
-    measure: Callable[..., MeshError],
-) -> MeshError | None:
+def _mesh_errors(folder: Path, gt_mesh: trimesh.Trimesh, camera: Camera | None, measure: Callable[..., MeshError]) -> MeshError | None:
     """The errors of FOLDER/mesh.ply, by `mesh_error` with its other arguments given; None, with a warning, if nothing of it counts."""
     if camera is None:
         raise ResultError("a true mesh is given but no camera; give size, focal lengths and principal point: they decide what was seen")
-    if not is_rotation_determined(truth[ate.frames, :3, 3]):
-        log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
     reconstruction = load_mesh(folder / "mesh.ply")
     try:
-        return measure(reconstruction, gt_mesh, poses=truth, camera=camera, T_gt_est=ate.T_gt_est)
+        return measure(reconstruction, gt_mesh, camera=camera)
     except ResultError as error:  # such as a trajectory so wrong that no mesh is in view: the trajectory's error is still worth knowing
         log.warning("%s: the mesh is not evaluated: %s", folder, error)
         return None

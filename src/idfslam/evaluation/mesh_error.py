@@ -9,7 +9,8 @@ protocol:
   of the sensor is not in the recording; without the recording it is 0.1 to 10 m. Distances are to the surface, not to sampled points: a
   perfect reconstruction has accuracy 0 (between two sets of 200 000 points on 150 m^2 it is 1.4 cm). Accuracy is measured to all of the
   true surface. Depth L1 is taken over pixels where both have a surface; the share of the other pixels is given separately.
-- `nice` (NICE-SLAM): faces in a frustum, no occlusion test; then ICP, point to point, 0.1 m. All frames, no far plane.
+- `nice` (NICE-SLAM): faces in a frustum, no occlusion test; the reconstruction is placed by the first frame's true pose, with which its
+  authors start, not by the alignment of all camera centres; then ICP, point to point, 0.1 m. All frames, no far plane.
 - `neural-rgbd` (Neural RGB-D, GO-Surf): faces in a frustum and unoccluded by the mesh itself, margin 3 cm, 0.01 to 10 m, every second
   frame.
 - `coslam` (Co-SLAM): as neural-rgbd, and surface in a recorded frustum is kept too if a virtual view sees it unoccluded. The published
@@ -59,6 +60,7 @@ class Protocol:
     occluder: str = "itself"  # the mesh that hides surface: "itself" or "truth"
     stride: int = 1  # every so many-th recorded frame is used
     virtual_positions: int = 0  # of virtual views; 0: there are none
+    first_pose: bool = False  # whether the first frame's true pose places the reconstruction, not the alignment of all camera centres
     icp: bool = False  # whether ICP aligns the reconstruction to the truth first
     sensor_limited: bool = False  # whether the depth range is limited to the depths that the sensor read
     point_to_surface: bool = False  # distances to the surface, not to points on it; a true point must be seen itself, not only its face
@@ -69,7 +71,7 @@ PROTOCOLS = {
     p.name: p
     for p in (
         Protocol("seen", Visibility(0.1, 10.0, 0.03), occlusion=True, sensor_limited=True, point_to_surface=True, missing_is_zero=False),
-        Protocol("nice", Visibility(0.0, np.inf, 0.0), occlusion=False, icp=True),
+        Protocol("nice", Visibility(0.0, np.inf, 0.0), occlusion=False, first_pose=True, icp=True),
         Protocol("neural-rgbd", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2),
         Protocol("coslam", Visibility(0.01, 10.0, 0.03), occlusion=True, stride=2, virtual_positions=20),
         Protocol("eslam", Visibility(0.0, np.inf, 0.06), occlusion=True, occluder="truth"),

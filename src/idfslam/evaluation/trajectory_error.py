@@ -91,6 +91,16 @@ def _span(trajectory: Trajectory) -> str:
     return f"{trajectory.timestamps.min():.3f} to {trajectory.timestamps.max():.3f} s" if len(trajectory) else "empty"
 
 
+def first_pose_alignment(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """T_gt_est (4, 4) by the first frame with a true pose alone, of poses (N, 4, 4), true ones NaN where a frame has none.
+
+    It is exact where that frame's estimate is, as in a map whose world is the first camera. The alignment of camera centres turns the map
+    by many degrees where the path is short and the centres are off by centimetres.
+    """
+    first = int(np.isfinite(truth).all((1, 2)).argmax())
+    return np.asarray(truth[first] @ np.linalg.inv(estimate[first]))
+
+
 def absolute_trajectory_error(estimate: Poses, truth: Poses) -> AbsoluteTrajectoryError:
     """ATE of poses (N, 4, 4) against (N, 4, 4), aligned over all frames that have ground truth, without scale.
 
