@@ -18,7 +18,7 @@ prepare_process()
 
 import torch  # noqa: E402
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, Array, Problem, adjust, exp  # noqa: E402
+from idfslam.adjustment.bundle_adjustment import Adjusted, Array, Problem, adjust, adjust_briefly, exp  # noqa: E402
 from idfslam.adjustment.camera_model import NAMES, CameraModel  # noqa: E402
 from idfslam.adjustment.residuals import Indices, Observations, camera_points, tracks  # noqa: E402
 from idfslam.geometry.camera import Camera  # noqa: E402
@@ -100,7 +100,7 @@ def main() -> None:
     for keyframes in arguments.keyframes:
         given = problem(keyframes, arguments.landmarks, arguments.laps, np.random.default_rng(0))
         begun = process_time()
-        adjust(given, rounds=1, steps=1)
+        adjust_briefly(given, noise=np.ones(2), steps=1)
         step, begun = process_time() - begun, process_time()
         found: Adjusted = adjust(given)
         whole, size = process_time() - begun, keyframes * np.log(keyframes)

@@ -148,11 +148,12 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     config = replace(busy(), loops=replace(busy().loops, relocalise=True))
     data, slam, again = open_recording(box_recording), Slam(config), Slam(config)
     slam.process(data[0])
-    _light, check, loop_closer, submap_merger, _camera = slam.back_end.hooks
+    _light, check, local, loop_closer, submap_merger, _camera = slam.back_end.hooks
     loops = [Loop(0, i, torch.rand(4, 4, dtype=torch.float64), 10 * i) for i in (3, 5)]
     loop_closer.loops.closed, loop_closer.loops.waiting, loop_closer.loops.refused = loops[:1], loops[1], 2
     submap_merger.agreeing, submap_merger.merged = loops, 1
     check.max_error, check.contradictions, check.refuted = 0.25, 1, 2
+    local._held, local._noise = {0}, np.array([1.5, 0.8])
     slam.recovery.relocalisations, slam.recovery._searched = 3, 4
     tracker = slam.front_end.registration.tracker
     tracker._steps, tracker._registrations, tracker.validator.rollbacks = 4, 3, 1

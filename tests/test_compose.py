@@ -26,6 +26,7 @@ from idfslam.slam.finetuner import Finetuner, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, Registration
 from idfslam.slam.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
+from idfslam.slam.local_adjustment import LocalAdjustment
 from idfslam.slam.loop_closer import LoopCloser
 from idfslam.slam.polish import NoPolish, Polish
 from idfslam.slam.recovery import NoRecovery, Relocalisation
@@ -53,7 +54,7 @@ def test_the_parts_of_the_fast_preset() -> None:
         "polish": Polish,
         "finetuner": Finetuner,
         "updates": InBackground,
-        "hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger, CameraCheck],
+        "hooks": [LightEstimation, RelocalisationCheck, LocalAdjustment, LoopCloser, SubmapMerger, CameraCheck],
     }
 
 
@@ -79,14 +80,17 @@ def test_the_parts_of_the_paper_preset() -> None:
         ({"finetune": replace(FAST.finetune, enabled=False)}, {"finetuner": NoFinetuning}),
         (
             {"loops": replace(FAST.loops, enabled=False)},
-            {"hooks": [LightEstimation, RelocalisationCheck, CameraCheck], "recovery": Relocalisation},
+            {"hooks": [LightEstimation, RelocalisationCheck, LocalAdjustment, CameraCheck], "recovery": Relocalisation},
         ),
         (
             {"loops": replace(FAST.loops, relocalise=False)},
-            {"hooks": [LightEstimation, LoopCloser, SubmapMerger, CameraCheck], "recovery": NoRecovery},
+            {"hooks": [LightEstimation, LocalAdjustment, LoopCloser, SubmapMerger, CameraCheck], "recovery": NoRecovery},
         ),
-        ({"mapper": replace(FAST.mapper, light=False)}, {"hooks": [RelocalisationCheck, LoopCloser, SubmapMerger, CameraCheck]}),
-        ({"calibrate": "off"}, {"hooks": [LightEstimation, RelocalisationCheck, LoopCloser, SubmapMerger]}),
+        (
+            {"mapper": replace(FAST.mapper, light=False)},
+            {"hooks": [RelocalisationCheck, LocalAdjustment, LoopCloser, SubmapMerger, CameraCheck]},
+        ),
+        ({"calibrate": "off"}, {"hooks": [LightEstimation, RelocalisationCheck, LocalAdjustment, LoopCloser, SubmapMerger]}),
         ({"mapper": replace(FAST.mapper, background=False)}, {"updates": InTurns}),
         (
             {"front_end": "registration"},

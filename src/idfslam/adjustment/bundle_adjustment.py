@@ -67,16 +67,13 @@ class Adjusted:
         return self.system.covariance(np.arange(6 * keyframe, 6 * keyframe + 6))
 
 
-def adjust(problem: Problem, *, seconds: float = np.inf, rounds: int = _ROUNDS, steps: int = _STEPS) -> Adjusted:
-    """Adjusts everything that is free, in `rounds` of at most `steps` steps.
-
-    After `seconds` no further step begins: then, and only then, the clock decides about the result.
-    """
+def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
+    """Adjusts everything that is free. After `seconds` no further step begins: then, and only then, the clock decides about the result."""
     end, noise = perf_counter() + seconds, np.ones(2)
     points, seen = tracks(problem.points, problem.seen)
     problem = replace(problem, points=points, seen=seen)
-    for last in [False] * (rounds - 1) + [True]:
-        problem, converged = _minimised(problem, end, steps)
+    for last in [False] * (_ROUNDS - 1) + [True]:
+        problem, converged = _minimised(problem, end, _STEPS)
         at = linearise(problem.model, problem.poses, problem.points, problem.seen)
         late = perf_counter() > end
         if last or late:
@@ -88,6 +85,17 @@ def adjust(problem: Problem, *, seconds: float = np.inf, rounds: int = _ROUNDS, 
     return Adjusted(
         problem, ReducedSystem(n, problem.free, _information(problem)), (float(noise[0]), float(noise[1])), converged and not late
     )
+
+
+def adjust_briefly(problem: Problem, *, noise: Array, steps: int) -> tuple[Problem, Array]:
+    """At most `steps` steps of a problem that is nearly solved, with noise that is `noise` (2,) times the stated one of image and depth.
+
+    Outliers stay, at less weight. Returns the problem, with the noise that is found, and the factors (2,) of that on the stated one.
+    """
+    problem, _ = _minimised(_with_noise(problem, noise), np.inf, steps)
+    at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+    factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
+    return _with_noise(problem, factors), noise * factors
 
 
 def residuals_over(at: Linearised, factors: Array) -> Array:

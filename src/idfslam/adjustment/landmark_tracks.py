@@ -61,7 +61,7 @@ def find_tracks(
     """
     images = [_features(view, model) for view in views]
     of = np.zeros(len(views), np.int64) if recordings is None else recordings
-    taken, found = [_Taken(view.grey.shape) for view in views], []
+    taken, found = [Taken(view.grey.shape) for view in views], []
     for k in range(len(views)):
         patches = images[k].patches
         patches = patches[torch.from_numpy(np.flatnonzero(taken[k].free(patches.uv.numpy())))]
@@ -86,7 +86,7 @@ def find_tracks(
 _SHAPES = ((), (), (2,), (2, 2))
 
 
-class _Taken:
+class Taken:
     """Where an image shows landmarks already: a second one of the same pixels would count their noise twice."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -140,7 +140,7 @@ def _hosted(
         T_jk = np.linalg.inv(poses[j]) @ poses[k]
         if coarse and (better := aligned_patches(torch.from_numpy(np.linalg.inv(T_jk)), images[j], images[k])) is not None:
             T_jk = np.linalg.inv(better[0].numpy())
-        sightings.append((j, *_found(patches, images[k], images[j], T_jk, model)))
+        sightings.append((j, *found_in(patches, images[k], images[j], T_jk, model)))
     counts = np.zeros(len(patches))
     own = np.zeros((len(patches), 2, 2))
     for _, at, _, covariance in sightings:
@@ -149,14 +149,14 @@ def _hosted(
     seen = np.flatnonzero(counts)
     numbers = np.cumsum(counts > 0) - 1
     own = own[seen] / counts[seen, None, None]
-    columns = [(np.full(len(seen), float(k)), np.arange(float(len(seen))), patches.uv.numpy()[seen], _root(own))]
-    columns += [(np.full(len(at), float(j)), numbers[at].astype(float), uv, _root(covariance)) for j, at, uv, covariance in sightings]
+    columns = [(np.full(len(seen), float(k)), np.arange(float(len(seen))), patches.uv.numpy()[seen], root_of(own))]
+    columns += [(np.full(len(at), float(j)), numbers[at].astype(float), uv, root_of(covariance)) for j, at, uv, covariance in sightings]
     keyframe, number, uv, root = (np.concatenate(column) for column in zip(*columns))
     T = poses[k]
     return _Hosted(patches.points.numpy()[seen] @ T[:3, :3].T + T[:3, 3], (keyframe, number, uv, root))
 
 
-def _found(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Array, Array, Array]:
+def found_in(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Array, Array, Array]:
     """Which patches (M,) of a host are found in another view at T_oh (4, 4), where, uv (M, 2), and the covariance (M, 2, 2) of that.
 
     The noise of an image is in both views: half of the covariance of the difference belongs to each.
@@ -199,6 +199,6 @@ def _readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> 
     return reading, sigma
 
 
-def _root(covariance: Array) -> Array:
+def root_of(covariance: Array) -> Array:
     """Matrices (N, 2, 2) R with R^T R the inverse of a covariance (N, 2, 2)."""
     return np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else covariance

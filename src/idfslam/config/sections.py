@@ -504,6 +504,8 @@ class RefinementConfig:
     """Replayed keyframes that are aligned anew with each map update during the run. Each costs one short alignment (docs/findings.md)."""
     max_shift: float = 0.02
     """A keyframe that would move farther than this [m] in one refinement keeps its pose: so large a step is a wrong alignment."""
+    adjust_local: bool = True
+    """With each new keyframe, the newest ones are adjusted together with the landmarks that they share, where the images agree."""
     adjust: bool = True
     """After the last frame, all keyframes are adjusted together with the landmarks that they share, where the images agree well enough."""
 

@@ -40,6 +40,7 @@ from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
+from idfslam.slam.local_adjustment import LocalAdjustment
 from idfslam.slam.loop_closer import LoopCloser
 from idfslam.slam.mapping_window import LossWindow, MappingWindow, OverlapWindow
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
@@ -199,6 +200,8 @@ class System:
             hooks.append(self.light)
         if self.relocalises:
             hooks.append(self.relocalisation_check)
+        if self.local_adjustment is not None:
+            hooks.append(self.local_adjustment)
         if self.closes_loops:
             hooks.append(LoopCloser(c, self.relocaliser, self.graph))
             hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
@@ -207,14 +210,22 @@ class System:
         return hooks
 
     @cached_property
+    def local_adjustment(self) -> LocalAdjustment | None:
+        return LocalAdjustment(self.graph, self.features) if self.aligns and self.config.refinement.adjust_local else None
+
+    @cached_property
     def refinement(self) -> Refinement:
-        return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner) if self.aligns else NoRefinement()
+        if not self.aligns:
+            return NoRefinement()
+        held = (lambda keyframe: False) if self.local_adjustment is None else self.local_adjustment.holds
+        return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner, held)
 
     @cached_property
     def adjustment(self) -> KeyframeAdjustment:
         if not (self.aligns and self.config.refinement.adjust):
             return NoAdjustment()
-        return GlobalAdjustment(self.graph, self.config.refinement.seconds)
+        tracks = None if self.local_adjustment is None else self.local_adjustment.tracks
+        return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks)
 
     @cached_property
     def polish(self) -> Polishing:

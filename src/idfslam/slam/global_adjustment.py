@@ -5,7 +5,6 @@ Where it is trusted, its poses are final: the map learns them in the polish, and
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -15,12 +14,12 @@ from numpy.typing import NDArray
 
 from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.landmark_tracks import View, find_tracks
 from idfslam.adjustment.residuals import Array
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
-from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import links
 from idfslam.graph.pose_graph import RelativePoses
@@ -36,7 +35,9 @@ AGREE = 0.35
 # [1] Standard deviation of an edge, over that which loops are tested with. In generated recordings the errors of edges are 0.1 to 0.5 times
 # the latter. More: landmarks that err together move keyframes that see few of them.
 EDGES = 0.2
-_MOST_KEYFRAMES = 300  # of which the images are in memory at once, about 1.5 MB each. More: longer runs are adjusted, and take more memory
+# Of which the images are in memory at once, about 1.5 MB each. Beyond, the landmarks are those that the local adjustment has found, which
+# are fewer. More: longer runs are adjusted more exactly, and take more memory and time
+_MOST_KEYFRAMES = 300
 
 
 class KeyframeAdjustment(ABC):
@@ -65,9 +66,9 @@ class NoAdjustment(KeyframeAdjustment):
 class GlobalAdjustment(KeyframeAdjustment):
     """Bundle adjustment with the camera as it is stated. The graph's edges hold what landmarks do not."""
 
-    def __init__(self, graph: KeyframeGraph, seconds: float) -> None:
-        """seconds: time after which no further step begins [s], from the search of landmarks on."""
-        self.graph, self.seconds = graph, seconds
+    def __init__(self, graph: KeyframeGraph, seconds: float, tracks: GrowingTracks | None = None) -> None:
+        """seconds: time after which no further step begins [s], from the search of landmarks on. tracks: landmarks found during the run."""
+        self.graph, self.seconds, self.tracks = graph, seconds, tracks
         self._adjusted: Adjusted | None = None
 
     def run(self) -> bool:
@@ -76,20 +77,33 @@ class GlobalAdjustment(KeyframeAdjustment):
         Blur, a wrong camera, and things that move leave landmarks beside where they are seen, and would bend the poses.
         """
         keyframes, begun = self.graph.keyframes, perf_counter()
-        if not _LEAST_KEYFRAMES <= len(keyframes) <= _MOST_KEYFRAMES:
-            return False
-        views = [View.of(keyframe.frame) for keyframe in keyframes]
-        problem = _problem(keyframes, views, RelativePoses.of(links(self.graph, EDGES)))
-        if len(problem.points) < _LEAST_LANDMARKS:
+        if len(keyframes) < _LEAST_KEYFRAMES or (problem := self._problem()) is None or len(problem.points) < _LEAST_LANDMARKS:
             return False
         adjusted = adjust(problem, seconds=self.seconds - (perf_counter() - begun))
-        noise = noise_of(adjusted.problem.seen, views[0].camera.width)
+        noise = noise_of(adjusted.problem.seen, problem.model.stated.width)
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
         if noise > AGREE or not adjusted.complete:
             return False
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
         self._adjusted = adjusted
         return True
+
+    def _problem(self) -> Problem | None:
+        """The first keyframe of each submap is fixed. None where there are too many keyframes, and no landmarks of the run."""
+        keyframes = self.graph.keyframes
+        poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
+        if len(keyframes) <= _MOST_KEYFRAMES:
+            views = [View.of(keyframe.frame) for keyframe in keyframes]
+            model = CameraModel.as_stated(views[0].camera)
+            points, seen = find_tracks(views, poses, model, coarse=False)
+        elif self.tracks is not None:
+            model = CameraModel.as_stated(View.of(keyframes[0].frame).camera)
+            points, seen = self.tracks.seen_by(np.ones(len(keyframes), bool), poses)
+        else:
+            return None
+        fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in keyframes])
+        edges = RelativePoses.of(links(self.graph, EDGES))
+        return Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
 
     def covariances(self) -> dict[int, Array]:
         if self._adjusted is None:
@@ -101,14 +115,6 @@ class GlobalAdjustment(KeyframeAdjustment):
         if self._adjusted is None:
             return {"keyframes_adjusted": False}
         return {"keyframes_adjusted": True, "landmarks": len(self._adjusted.problem.points)}
-
-
-def _problem(keyframes: Sequence[Keyframe], views: Sequence[View], edges: RelativePoses) -> Problem:
-    """The first keyframe of each submap is fixed."""
-    model, poses = CameraModel.as_stated(views[0].camera), np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
-    points, seen = find_tracks(views, poses, model, coarse=False)
-    fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in keyframes])
-    return Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
 
 
 def _counts(adjusted: Adjusted) -> tuple[int, int]:

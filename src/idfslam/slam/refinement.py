@@ -4,7 +4,7 @@ It alternates and is not a joint bundle adjustment: one keyframe moves at a time
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.motion import change_between, moved
@@ -32,8 +32,16 @@ class NoRefinement(Refinement):
 class KeyframeRefinement(Refinement):
     """Aligns keyframes to the map and to the images of older keyframes."""
 
-    def __init__(self, config: RefinementConfig, graph: KeyframeGraph, relearn: RelearnQueue, aligner: MapAligner) -> None:
-        self.config, self.graph, self.relearn, self.aligner = config, graph, relearn, aligner
+    def __init__(
+        self,
+        config: RefinementConfig,
+        graph: KeyframeGraph,
+        relearn: RelearnQueue,
+        aligner: MapAligner,
+        held: Callable[[Keyframe], bool] = lambda keyframe: False,
+    ) -> None:
+        """held: whether something more exact than the map holds a keyframe, which then stays."""
+        self.held, self.config, self.graph, self.relearn, self.aligner = held, config, graph, relearn, aligner
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
         """Refines the poses of stored keyframes, except the first of each submap, which defines its world.
@@ -42,7 +50,7 @@ class KeyframeRefinement(Refinement):
         moved, until the map has learnt them again: it would draw them back.
         """
         for keyframe in keyframes:
-            if keyframe.host != keyframe.submap and not keyframe.registered and keyframe not in self.relearn:
+            if keyframe.host != keyframe.submap and not keyframe.registered and not self.held(keyframe) and keyframe not in self.relearn:
                 self._refine(keyframe)
 
     def _refine(self, keyframe: Keyframe) -> None:

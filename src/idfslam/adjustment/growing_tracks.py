@@ -1,0 +1,167 @@
+"""Landmarks of a recording that still runs: each new keyframe is searched for those of earlier keyframes, and hosts new ones.
+
+Nothing is forgotten or moved: a landmark lies where its host saw it, and what was found stays. So poses may change at any time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.landmark_tracks import Taken, found_in, root_of
+from idfslam.adjustment.local_depth import local_depth
+from idfslam.adjustment.residuals import Array, Indices, Observations, tracks
+from idfslam.storage.state import State, Stateful
+from idfslam.tracking.frame_features import FrameFeatures
+from idfslam.tracking.patches import Patches
+
+
+@dataclass
+class _Hosted:
+    """M patches of a keyframe that have depth: its landmarks, and its own sightings of them."""
+
+    patches: Patches
+    reading: Array  # (M,) [m]
+    sigma: Array  # (M,) [m]
+    first: int  # number of its first landmark
+    covariance: Array  # (M, 2, 2) [px^2] sum of those of the positions where others see them
+    sightings: Indices  # (M,) how many of these there are
+
+    def state(self) -> State:
+        """All of it."""
+        p = self.patches
+        arrays = {"reading": self.reading, "sigma": self.sigma, "covariance": self.covariance, "sightings": self.sightings}
+        tensors = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
+        return {"uv": p.uv, "points": p.points, "normals": p.normals, "first": self.first, **tensors}
+
+    @staticmethod
+    def from_state(state: State) -> "_Hosted":
+        """What `state` was made of."""
+        patches = Patches(state["uv"], state["points"], state["normals"])
+        reading, sigma, covariance, sightings = (state[key].numpy().copy() for key in ("reading", "sigma", "covariance", "sightings"))
+        return _Hosted(patches, reading, sigma, state["first"], covariance, sightings)
+
+
+class GrowingTracks(Stateful):
+    """Landmarks, numbered in the order in which they were hosted, and where keyframes see them."""
+
+    def __init__(self) -> None:
+        self._hosted: dict[int, _Hosted] = {}
+        self._seen: dict[int, Observations] = {}  # what each keyframe sees of the landmarks of others
+        self._viewers: dict[int, list[int]] = {}  # the keyframes that a host's landmarks were looked for in
+        self._count = 0
+
+    def state(self) -> State:
+        """The landmarks and their sightings."""
+        seen = {str(k): {name: torch.from_numpy(array.copy()) for name, array in vars(s).items()} for k, s in self._seen.items()}
+        return {"hosted": {str(k): hosted.state() for k, hosted in self._hosted.items()}, "seen": seen, "count": self._count} | {
+            "viewers": {str(k): viewers for k, viewers in self._viewers.items()}
+        }
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._hosted = {int(k): _Hosted.from_state(hosted) for k, hosted in state["hosted"].items()}
+        self._seen = {int(k): Observations(**{name: t.numpy().copy() for name, t in s.items()}) for k, s in state["seen"].items()}
+        self._viewers = {int(k): list(viewers) for k, viewers in state["viewers"].items()}
+        self._count = state["count"]
+
+    def add(
+        self,
+        number: int,
+        features: FrameFeatures,
+        depth: NDArray[np.float32],
+        others: Sequence[tuple[int, FrameFeatures, Array]],
+        model: CameraModel,
+    ) -> None:
+        """Adds keyframe `number`, with depth (H, W) [m] of the size of its `grey` image.
+
+        others: keyframes whose landmarks it may see: number, features, and its pose T_ok (4, 4) in theirs, right to about five pixels.
+        """
+        taken, found = Taken(tuple(features.grey.shape)), []
+        for k, other, T_ok in others:
+            if (hosted := self._hosted.get(k)) is None or not len(hosted.patches):
+                continue
+            at, uv, covariance = found_in(hosted.patches, other, features, np.asarray(np.linalg.inv(T_ok), np.float64), model)
+            reading, sigma = local_depth(depth, uv)
+            good = (reading > 0) & taken.free(uv)
+            at, uv, covariance, reading, sigma = (column[good] for column in (at, uv, covariance, reading, sigma))
+            taken.take(uv)
+            hosted.covariance[at] += covariance
+            hosted.sightings[at] += 1
+            self._viewers.setdefault(k, []).append(number)
+            numbers = np.full(len(at), number, np.int64), (hosted.first + at).astype(np.int64)
+            found.append(Observations(*numbers, uv, root_of(covariance), reading, sigma))
+        self._seen[number] = joined(found)
+        self._host(number, features, depth, taken)
+
+    def _host(self, number: int, features: FrameFeatures, depth: NDArray[np.float32], taken: Taken) -> None:
+        patches = features.patches
+        reading, sigma = local_depth(depth, patches.uv.numpy())
+        chosen = (reading > 0) & taken.free(patches.uv.numpy())
+        patches, count = patches[torch.from_numpy(np.flatnonzero(chosen))], int(chosen.sum())
+        nothing = np.zeros((count, 2, 2)), np.zeros(count, np.int64)
+        self._hosted[number] = _Hosted(patches, reading[chosen], sigma[chosen], self._count, *nothing)
+        self._count += count
+
+    def forget(self, k: int) -> None:
+        """Forgets what a keyframe hosts and sees."""
+        if (hosted := self._hosted.pop(k, None)) is not None:
+            for viewer in self._viewers.pop(k, []):
+                self._drop(viewer, hosted)
+        self._seen.pop(k, None)
+        self._viewers = {host: [viewer for viewer in viewers if viewer != k] for host, viewers in self._viewers.items()}
+
+    def separate(self, group: Sequence[int]) -> None:
+        """Forgets what keyframes see of landmarks of other groups, whose number `group` has for each keyframe."""
+        for host, viewers in self._viewers.items():
+            for viewer in [viewer for viewer in viewers if group[viewer] != group[host]]:
+                self._drop(viewer, self._hosted[host])
+                viewers.remove(viewer)
+
+    def _drop(self, viewer: int, hosted: _Hosted) -> None:
+        seen = self._seen[viewer]
+        place = seen.landmark - hosted.first
+        self._seen[viewer] = seen[(place < 0) | (place >= len(hosted.patches))]
+
+    def seen_by(self, chosen: NDArray[np.bool_], poses: Array) -> tuple[Array, Observations]:
+        """Landmarks (L, 3) [m] in the world that any of the keyframes `chosen` (K,) sees, and all sightings of these.
+
+        poses: (K, 4, 4) T_wk, by the keyframes' numbers.
+        """
+        hosts = sorted({k for k in self._hosted if chosen[k]} | {host for host, viewers in self._viewers.items() if chosen[viewers].any()})
+        viewers = sorted({viewer for host in hosts for viewer in self._viewers.get(host, [])})
+        everything = joined([*(self._seen[k] for k in viewers), *(self._own(k) for k in hosts)])
+        wanted = np.unique(everything.landmark[chosen[everything.keyframe]])
+        seen = everything[np.isin(everything.landmark, wanted)]
+        seen = seen[np.lexsort((seen.keyframe, seen.landmark))]
+        numbers = np.searchsorted(wanted, seen.landmark)
+        return tracks(self._points(wanted, hosts, poses), replace(seen, landmark=numbers))
+
+    def _own(self, k: int) -> Observations:
+        """The sightings of a host's landmarks by itself, of those that another one sees."""
+        hosted = self._hosted[k]
+        at = np.flatnonzero(hosted.sightings)
+        root = root_of(hosted.covariance[at] / hosted.sightings[at, None, None])
+        return Observations(
+            np.full(len(at), k, np.int64), hosted.first + at, hosted.patches.uv.numpy()[at], root, hosted.reading[at], hosted.sigma[at]
+        )
+
+    def _points(self, landmarks: Indices, hosts: Sequence[int], poses: Array) -> Array:
+        """(L, 3) [m] in the world of landmarks (L,), ascending, of these hosts."""
+        points = np.zeros((len(landmarks), 3))
+        for k in hosts:
+            hosted, T = self._hosted[k], poses[k]
+            first, end = np.searchsorted(landmarks, [hosted.first, hosted.first + len(hosted.patches)])
+            p = hosted.patches.points.numpy()[landmarks[first:end] - hosted.first]
+            points[first:end] = p @ T[:3, :3].T + T[:3, 3]
+        return points
+
+
+def joined(parts: Sequence[Observations]) -> Observations:
+    """All of the observations."""
+    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0))
+    columns = zip(*(vars(part).values() for part in [nothing, *parts]))
+    return Observations(*(np.concatenate(column) for column in columns))

@@ -1,0 +1,148 @@
+"""Local bundle adjustment: the newest keyframes and the landmarks that they share, while the camera moves, before the map learns them.
+
+Older keyframes that see the same landmarks stay. So a keyframe of a place that was seen before comes to lie on what was mapped there. The
+camera is as stated. Where the images do not agree, nothing moves (`global_adjustment`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from idfslam.adjustment.bundle_adjustment import Problem, adjust_briefly
+from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.growing_tracks import GrowingTracks
+from idfslam.adjustment.residuals import Array
+from idfslam.adjustment.self_calibration import noise_of
+from idfslam.geometry import se3
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.loop_consistency import link
+from idfslam.graph.pose_graph import Edge, RelativePoses
+from idfslam.slam.global_adjustment import AGREE, EDGES
+from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.storage.state import State
+from idfslam.tracking.frame_features import subsampled_depth
+
+# All of these were chosen by hand.
+_WINDOW = 8  # newest keyframes that are adjusted. More: slower, and errors are mended that were made longer ago
+_SEARCHED = 6  # older keyframes whose landmarks are looked for in a new one. More: longer tracks, slower
+_STEPS = 3  # of an adjustment. More: slower, more exact
+_LEAST_LANDMARKS = 50  # that the window shares. More: keyframes before bare walls stay as they are
+_MIN_SHIFT = 0.005  # [m] least shift of a point 2 m before a keyframe for the map to learn it again. More: less replay, double surfaces
+_FARTHEST = 0.05  # [m] largest shift of such a point: so large a step is wrong. More: larger errors are mended, and made
+
+
+class LocalAdjustment(KeyframeHook):
+    """Adjusts the newest keyframes of a graph."""
+
+    def __init__(self, graph: KeyframeGraph, features: KeyframeFeatures) -> None:
+        self.graph, self.features, self.tracks = graph, features, GrowingTracks()
+        self._held: set[int] = set()  # numbers of the keyframes that landmarks hold
+        self._edges: dict[int, Edge] = {}  # from a keyframe before each to it, as it was tracked
+        self._noise = np.ones(2)  # of images and depth in the last window, over the stated one
+        self._images: dict[int, list[float]] = {}  # how those of each keyframe were rectified when landmarks were found in them
+
+    def state(self) -> State:
+        """All but the tracks, which are a part of their own."""
+        edges = {str(b): {"a": edge.a, "T_ab": edge.T_ab} for b, edge in self._edges.items()}
+        images = {str(k): times for k, times in self._images.items()}
+        return {"held": sorted(self._held), "edges": edges, "images": images, "noise": self._noise.tolist()}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._held = set(state["held"])
+        self._edges = {int(b): link(edge["a"], int(b), edge["T_ab"], EDGES) for b, edge in state["edges"].items()}
+        self._noise = np.array(state["noise"])
+        self._images = {int(k): list(times) for k, times in state["images"].items()}
+
+    def holds(self, keyframe: Keyframe) -> bool:
+        """Whether a stored keyframe lies where landmarks want it, and is not to be moved by others."""
+        return keyframe.host in self._held
+
+    def on_split(self) -> None:
+        self.tracks.separate([keyframe.submap for keyframe in self.graph.keyframes])
+
+    def on_keyframe(self, keyframe: Keyframe) -> Moved:
+        if not self.graph.is_stored(keyframe):
+            return Moved()  # a culled one has no landmarks
+        self._forget_changed()
+        poses = torch.stack([k.T_wk for k in self.graph.keyframes]).numpy()
+        self._add(keyframe, poses)
+        problem, numbers = self._problem(self._window(keyframe), poses)
+        if len(problem.points) < _LEAST_LANDMARKS or problem.fixed.all():
+            return Moved()
+        adjusted, self._noise = adjust_briefly(problem, noise=self._noise, steps=_STEPS)
+        if noise_of(adjusted.seen, problem.model.stated.width) > AGREE:
+            return Moved()
+        return self._move(numbers[~problem.fixed], adjusted.poses[~problem.fixed])
+
+    def _forget_changed(self) -> None:
+        """Forgets the landmarks of keyframes whose images were rectified anew since."""
+        for number, times in list(self._images.items()):
+            if times != _rectified(self.graph.keyframes[number]):
+                self.tracks.forget(number)
+                del self._images[number]
+
+    def _add(self, keyframe: Keyframe, poses: Array) -> None:
+        """Looks for landmarks in a new keyframe."""
+        features, number, depth = self.features.of(keyframe), keyframe.host, keyframe.frame.depth
+        height, width = features.grey.shape
+        depth = depth if depth.shape == (height, width) else subsampled_depth(depth, height, width)
+        older = _spread([i for i in keyframe.edges if i < number])
+        others = [(i, self.features.of(self.graph.keyframes[i]), np.linalg.inv(poses[i]) @ poses[number]) for i in older]
+        self.tracks.add(number, features, depth, others, CameraModel.as_stated(features.grey_camera))
+        self._images[number] = _rectified(keyframe)
+        if older:
+            self._edges[number] = link(older[0], number, torch.from_numpy(others[0][2]), EDGES)
+
+    def _window(self, keyframe: Keyframe) -> NDArray[np.bool_]:
+        """(K,) the newest keyframes, of the same submap."""
+        chosen = np.array([k.submap == keyframe.submap for k in self.graph.keyframes])
+        chosen[: max(0, keyframe.host + 1 - _WINDOW)] = False
+        return chosen
+
+    def _problem(self, window: NDArray[np.bool_], poses: Array) -> tuple[Problem, NDArray[np.int64]]:
+        """The problem of a window (K,), and the numbers of its keyframes."""
+        keyframes = self.graph.keyframes
+        points, seen = self.tracks.seen_by(window, poses)
+        edges = [edge for b, edge in self._edges.items() if window[b] and keyframes[edge.a].submap == keyframes[b].submap]
+        numbers = np.unique([*seen.keyframe.tolist(), *np.flatnonzero(window).tolist(), *(edge.a for edge in edges)])
+        places = {int(number): place for place, number in enumerate(numbers)}
+        relative = [replace(edge, a=places[edge.a], b=places[edge.b]) for edge in edges]
+        begins = np.array([keyframes[i].host == keyframes[i].submap for i in numbers])
+        model = CameraModel.as_stated(self.features.of(keyframes[-1]).grey_camera)
+        seen = replace(seen, keyframe=np.searchsorted(numbers, seen.keyframe))
+        none = np.zeros(len(NAMES), bool)
+        between = RelativePoses.of(relative) if relative else None
+        return Problem(model, poses[numbers], points, seen, ~window[numbers] | begins, none, between), numbers
+
+    def _move(self, numbers: NDArray[np.int64], poses: Array) -> Moved:
+        moved = list[Keyframe]()
+        for number, T in zip(numbers.tolist(), poses):
+            keyframe, T_wk = self.graph.keyframes[number], se3.orthonormal(torch.from_numpy(T.copy()))
+            change = se3.inverse(keyframe.T_wk) @ T_wk
+            shift = float(change[:3, 3].norm() + 2 * se3.angle(change))
+            if shift > _FARTHEST:
+                continue
+            self.graph.set_pose(keyframe, T_wk)
+            self._held.add(number)
+            if shift > _MIN_SHIFT:
+                moved.append(keyframe)
+        return Moved(moved)
+
+
+def _spread(older: list[int]) -> list[int]:
+    """The newest and the oldest of some keyframes, and some between, the newest first."""
+    ordered = sorted(older, reverse=True)
+    return [ordered[i] for i in np.unique(np.linspace(0, len(ordered) - 1, min(_SEARCHED, len(ordered))).round().astype(int))]
+
+
+def _rectified(keyframe: Keyframe) -> list[float]:
+    """What a keyframe's images are rectified with, as numbers; none where they are as they were taken."""
+    if keyframe.rectification is None:
+        return []
+    times = keyframe.rectification.times
+    return [times.readout, times.depth_readout, times.depth_delay, *map(float, keyframe.rectification.velocity)]

@@ -1,0 +1,81 @@
+"""Landmarks that are found while a recording runs: in generated images at true poses they are where their hosts saw them."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.growing_tracks import GrowingTracks
+from idfslam.adjustment.residuals import Array, Observations, residuals
+from idfslam.datasets.generated.room import SyntheticRoom
+from idfslam.frame import Frame
+from idfslam.tracking.frame_features import FrameFeatures, averaged_depth, brightness
+
+FRAMES = range(0, 60, 15)
+
+
+def features_of(frame: Frame) -> FrameFeatures:
+    """Images without features of the network."""
+    camera = frame.camera.resized(160, 120)
+    points = camera.backproject(torch.from_numpy(averaged_depth(frame.depth, 120, 160)))
+    return FrameFeatures(torch.zeros(0, 0, 0), torch.zeros(3, 120, 160), points, camera, frame.camera, torch.from_numpy(brightness(frame)))
+
+
+@pytest.fixture(scope="module")
+def room() -> SyntheticRoom:
+    return SyntheticRoom(seed=0, frames=600, width=320, height=240)
+
+
+@pytest.fixture(scope="module")
+def poses(room: SyntheticRoom) -> Array:
+    return np.asarray(room.ground_truth)[list(FRAMES)]
+
+
+@pytest.fixture
+def tracks(room: SyntheticRoom, poses: Array) -> GrowingTracks:
+    made, shown = GrowingTracks(), list[FrameFeatures]()
+    for k, index in enumerate(FRAMES):
+        frame = room[index]
+        shown.append(features_of(frame))
+        others = [(j, shown[j], np.linalg.inv(poses[j]) @ poses[k]) for j in range(k)]
+        made.add(k, shown[k], frame.depth, others, CameraModel.as_stated(frame.camera))
+    return made
+
+
+def everything(tracks: GrowingTracks, poses: Array) -> tuple[Array, Observations]:
+    return tracks.seen_by(np.ones(len(poses), bool), poses)
+
+
+def test_landmarks_lie_where_they_are_seen(tracks: GrowingTracks, room: SyntheticRoom, poses: Array) -> None:
+    points, seen = everything(tracks, poses)
+    assert len(points) > 150
+    off = residuals(CameraModel.as_stated(room.camera), poses, points, seen)
+    pixels = np.linalg.solve(seen.root, off[:, :2, None])[:, :, 0]
+    assert np.median(np.linalg.norm(pixels, axis=1)) < 0.15  # 0.08 px here
+    assert (np.bincount(seen.landmark) >= 2).all()
+    assert np.unique(np.stack([seen.landmark, seen.keyframe]), axis=1).shape[1] == len(seen)
+
+
+def test_a_window_has_what_its_keyframes_see(tracks: GrowingTracks, poses: Array) -> None:
+    points, seen = tracks.seen_by(np.array([False, False, False, True]), poses)
+    assert 0 < len(points) <= len(everything(tracks, poses)[0])
+    assert set(seen.landmark) == set(seen.landmark[seen.keyframe == 3])
+
+
+@pytest.mark.parametrize("forget", [lambda tracks: tracks.forget(1), lambda tracks: tracks.separate([0, 1, 0, 0])])
+def test_what_is_forgotten_is_seen_no_more(tracks: GrowingTracks, poses: Array, forget: Callable[[GrowingTracks], None]) -> None:
+    before = everything(tracks, poses)[1]
+    assert (before.keyframe == 1).any()
+    forget(tracks)
+    after = everything(tracks, poses)[1]
+    assert not (after.keyframe == 1).any()
+    assert len(after) > 0.3 * len(before)
+
+
+def test_a_state_restores_it(tracks: GrowingTracks, poses: Array) -> None:
+    other = GrowingTracks()
+    other.restore(tracks.state())
+    for one, same in zip(vars(everything(tracks, poses)[1]).values(), vars(everything(other, poses)[1]).values()):
+        np.testing.assert_array_equal(one, same)
