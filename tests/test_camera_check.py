@@ -39,6 +39,7 @@ def checked(frames: list[tuple[Frame, torch.Tensor]], focal: float) -> CameraChe
         assert check.on_keyframe(keyframe).keyframes == ()
     assert check.figures() == {}
     check.on_finish()
+    check.settle()
     return check
 
 

@@ -47,7 +47,10 @@ class BackEnd(Stateful, ABC):
         """Called when the images of the first keyframe were replaced, before another one is added."""
 
     def finish(self) -> None:
-        """Called after the last frame."""
+        """Called after the last frame. Something may go on beside what follows, which does not change it."""
+
+    def settle(self) -> None:
+        """Waits for what `finish` has left running."""
 
     def loops(self) -> Sequence[Loop]:
         """The loops that were closed."""
@@ -121,6 +124,11 @@ class KeyframeMapping(BackEnd):
             self.polish.run()
             for hook in self.hooks:
                 hook.on_finish()
+
+    def settle(self) -> None:
+        with self.timer.stage("finish"):
+            for hook in self.hooks:
+                hook.settle()
 
     def _run_hooks(self, keyframe: Keyframe) -> None:
         """Relocalisation check, loops, merged submaps: the map is to learn again what they move."""

@@ -5,9 +5,9 @@ Nothing else of the run depends on it. The early check runs beside the frames, a
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 
 log = logging.getLogger(__name__)
+Found = TypeVar("Found")
 
 _EARLY = 12  # stored keyframes at the early check; more: surer and later. This and the rest: chosen by hand
 _STRETCH = 12  # keyframes in a row that are checked together; more: surer, slower
@@ -33,27 +34,28 @@ class CameraCheck(KeyframeHook):
 
     def __init__(self, graph: KeyframeGraph) -> None:
         self.graph = graph
-        self._estimate: Estimate | None = None  # at the end of the run
-        self._running: Future[bool] | None = None  # the early check; True: it told doubts
+        self._early: Future[bool] | None = None  # the early check; True: it told doubts
+        self._final: Future[Estimate | None] | None = None  # that at the end of the run
+        self._estimate: Estimate | None = None  # of the latter
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
-        """Starts the early check, in a thread of its own."""
-        if len(self.graph.keyframes) == _EARLY and keyframe.host == _EARLY - 1 and self._running is None:
-            footage = _footage([self.graph.keyframes])
-            pool = ThreadPoolExecutor(1, "camera-check")
-            self._running = pool.submit(_told, footage)
-            pool.shutdown(wait=False)
+        """Starts the early check."""
+        if len(self.graph.keyframes) == _EARLY and keyframe.host == _EARLY - 1 and self._early is None:
+            self._early = _beside(_told, _footage([self.graph.keyframes]))
         return Moved()
 
     def on_finish(self) -> None:
-        """Checks the first keyframes of the largest submap and its last ones, and tells doubts that were not told yet."""
-        told = self._running is not None and self._running.result()
+        """Starts the check of the first keyframes of the largest submap and its last ones, beside the fusion of depth."""
         (largest, _), *_ = Counter(keyframe.submap for keyframe in self.graph.keyframes).most_common(1)
         keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == largest]
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
-        self._estimate = _estimated(_footage([[keyframes[i] for i in chosen]]))
-        if self._estimate is not None and not told:
+        self._final = _beside(_estimated, _footage([[keyframes[i] for i in chosen]]))
+
+    def settle(self) -> None:
+        """Tells doubts that the early check did not tell yet."""
+        self._estimate = None if self._final is None else self._final.result()
+        if self._estimate is not None and not (self._early is not None and self._early.result()):
             _tell(self._estimate)
 
     def figures(self) -> dict[str, Any]:
@@ -64,6 +66,14 @@ class CameraCheck(KeyframeHook):
         columns = zip(NAMES, e.model.values.tolist(), e.sigmas.tolist())
         deviations = {name: {"value": value, "sigma": sigma} for name, value, sigma in columns if sigma > 0}
         return {"camera_doubts": doubts(e), "camera_deviations": deviations}
+
+
+def _beside(check: Callable[[Sequence[Footage]], Found], footage: Sequence[Footage]) -> "Future[Found]":
+    """Runs a check in a thread of its own."""
+    pool = ThreadPoolExecutor(1, "camera-check")
+    running = pool.submit(check, footage)
+    pool.shutdown(wait=False)
+    return running
 
 
 def _footage(parts: Sequence[Sequence[Keyframe]]) -> list[Footage]:

@@ -33,6 +33,9 @@ class KeyframeHook(Stateful, ABC):
     def on_finish(self) -> None:
         """Called after the last frame, when the keyframes' poses are final."""
 
+    def settle(self) -> None:
+        """Waits for what `on_finish` has left running beside the end of the run."""
+
     def closed_loops(self) -> Sequence[Loop]:
         """The closed loops."""
         return ()

@@ -155,6 +155,7 @@ class Slam:
         archive = self.archive()
         with self.timer.stage("fuse"):
             self._volume = self.surface_fusion.volume([] if archive is None else archive.depths)
+        self.back_end.settle()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:
         """The observed surface in cells of `resolution` [m], with vertex colours: the map's own, after `finish` those of the archive.
