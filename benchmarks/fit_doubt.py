@@ -68,7 +68,7 @@ def poses_of(name: str, frames: int | None, every: int, stride: int) -> Poses:
             return tracked
         error = 0.0 if last is None else judged(view.index, tracked.T_wc, tracked.alignment.displacement, provoked=False)
         if last is not None and view.index % every == 0 and error <= 1:
-            state, prior = aligner._generator.get_state(), front_end.compensation._prior
+            state, prior = aligner.generator.get_state(), front_end.compensation._prior
             for n in range(_GUESSES):
                 size, axes = np.exp(rng.uniform(*np.log(_SIZES))), rng.normal(size=(2, 3))
                 shift, turn = (axis / np.linalg.norm(axis) for axis in axes)
@@ -77,7 +77,7 @@ def poses_of(name: str, frames: int | None, every: int, stride: int) -> Poses:
                 wrong = aligner.align(view, moved(tracked.T_wc, change), front_end._references(), max_guess_error_px=bound, motion=prior)
                 if wrong.status is not Status.LOST:
                     judged(view.index, wrong.T_wc, wrong.displacement, provoked=True)
-            aligner._generator.set_state(state)
+            aligner.generator.set_state(state)
         if error <= 1:
             last = view.index, tracked.T_wc.numpy().copy()
         return tracked

@@ -1,5 +1,6 @@
 """The part that masks what moves: what a masked view still shows, the trial without the nearest layer, crowded views, and a whole run."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
+from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded, nearest_layer
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
@@ -82,15 +84,21 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
     tracked = Tracked(EYE, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.05))
     tried: list[int] = []
 
-    def track(again: Keyframe) -> Tracked:
-        assert again.moving is not None
-        tried.append(int(again.moving.sum()))
-        again.T_wk, again.registered = pose(0.1, 0, 0, 0, 0, 0), True
-        again.rectify(Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.3)))
-        return tracked
+    class Trial(FrontEnd):
+        def track(self, view: Keyframe) -> Tracked:
+            assert view.moving is not None
+            tried.append(int(view.moving.sum()))
+            view.T_wk, view.registered = pose(0.1, 0, 0, 0, 0, 0), True
+            view.rectify(Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.3)))
+            return tracked
 
-    assert segmentation.check(shown, tracked, track) is tracked
-    assert tried and tried[0] > 100
+        def undo(self) -> Callable[[], None]:
+            assert not tried
+            return lambda: tried.append(-1)
+
+    assert segmentation.check(shown, tracked, Trial()) is tracked
+    assert tried[0] > 100
+    assert tried[1:] == [-1]
     assert shown.moving is None
     assert torch.equal(shown.T_wk, predicted)
     assert shown.rectification is first
@@ -101,6 +109,31 @@ def test_it_can_be_switched_off() -> None:
     assert isinstance(Slam(FAST).segmentation, FreeSpaceSegmentation)
     assert isinstance(Slam(replace(FAST, movers="off")).segmentation, NoSegmentation)
     assert isinstance(Slam(PAPER).segmentation, NoSegmentation)
+
+
+def test_a_front_end_forgets_that_it_tracked_a_view_again() -> None:
+    """The second time it draws points, and sees the image without what is hidden; the frame after it is tracked as if that had not been."""
+    recording = SyntheticRoom(0, 12, 160, 120, noise=True)
+    poses = []
+    for again in (False, True):
+        slam = Slam(FAST)
+        if again:
+            slam.segmentation = TracksTwice()
+        poses.append(np.stack([slam.process(frame).T_wc for frame in map(recording.__getitem__, range(12))]))
+    np.testing.assert_array_equal(*poses)
+
+
+class TracksTwice(NoSegmentation):
+    """Tracks each view twice, and has the second time undone."""
+
+    def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
+        undo, T_wk = front_end.undo(), view.T_wk.clone()
+        view.hide(half(view))
+        front_end.track(view)
+        view.hide(None)
+        undo()
+        view.T_wk = T_wk
+        return tracked
 
 
 @pytest.mark.slow

@@ -166,11 +166,11 @@ def test_regions_grow_over_what_does_not_stay() -> None:
     depth, stays, seeds = np.full((40, 60), 2.0, np.float32), np.zeros((40, 60), np.bool_), np.zeros((40, 60), np.bool_)
     depth[:, 30:] = 3.0  # an edge
     stays[:10] = True
-    seeds[20:24, 25:29] = True
+    seeds[19:25, 25:29] = True  # 24, as many as a region must have
     found = grown(seeds, stays, depth)
     with plain_torch():
         np.testing.assert_array_equal(found, grown(seeds, stays, depth))
-    assert found[12:32, 25:29].all()  # eight cells up and down
+    assert found[11:33, 25:29].all()  # eight cells up and down
     assert not found[:, 30:].any() and not found[:10].any()
 
 

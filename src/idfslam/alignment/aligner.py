@@ -85,7 +85,7 @@ class MapAligner(Stateful):
 
         observed: says of points (N, 3) [m] in the world whether the map has observed a surface there; None: everywhere.
         """
-        self.config, self.query, self.truncation, self._generator, self._observed = config, query, truncation, generator, observed
+        self.config, self.query, self.truncation, self.generator, self._observed = config, query, truncation, generator, observed
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
         self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
@@ -96,13 +96,13 @@ class MapAligner(Stateful):
     def state(self) -> State:
         """The usual photometric error, the bound on the prediction error, and the generator."""
         expected = math.inf if self.expected is None else self.expected
-        return {"usual_error": self._usual_error, "expected": expected, "generator": self._generator.get_state()}
+        return {"usual_error": self._usual_error, "expected": expected, "generator": self.generator.get_state()}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._usual_error = state["usual_error"]
         self.expected = state["expected"] if math.isfinite(state["expected"]) else None
-        self._generator.set_state(state["generator"])
+        self.generator.set_state(state["generator"])
 
     def align(
         self,
@@ -189,7 +189,7 @@ class MapAligner(Stateful):
         height, width = images.depth.shape
         patch = max(1, round((int((images.depth > 0).sum()) / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
-        jitter = torch.randint(patch, (2, rows, columns), generator=self._generator)
+        jitter = torch.randint(patch, (2, rows, columns), generator=self.generator)
         return surface_points(images.depth, camera, jitter, patch)
 
     def _observed_surface(self, images: Images, camera: Camera, T_wc: Tensor) -> Surface:

@@ -37,7 +37,7 @@ _SETTLED = (
 _BACK = 20  # of the newest keyframes are looked back at. More: older ones that serve as references again are masked at once
 _NEWS = 16  # [cells] that must change for a keyframe's mask to be replaced. More: masks of keyframes follow later evidence less
 _SUSPECTED = 20  # [frames] that such a cell stays masked longer after tracking has told that it moves. More: likewise
-_AT_PLACE = 0.1  # [m] from what moves that a keyframe shows something at its place. More: more of its surroundings are masked there
+_AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its place. More: more of its surroundings are masked there
 _LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
 
 

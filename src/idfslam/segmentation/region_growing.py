@@ -14,7 +14,9 @@ _JUMP, _SLOPE = (
     0.03,
     0.02,
 )  # [m], and per metre of depth: largest step to a neighbour of the same body. More: bodies merge with what is behind
-_LEAST = 16  # [cells] of a region. More: small things are missed, and less noise is taken for a thing
+# [cells] of a region that must be seeds. More: small things are missed, and less noise is taken for a thing. On redkitchen, where nothing
+# moves, 23 regions had 4 to 16. Of what people's regions covered in a generated room, those with fewer than 24 had 1 %.
+_LEAST = 24
 
 
 def grown(seeds: Cells, stays: Cells, depth: NDArray[np.float32]) -> Cells:
@@ -23,5 +25,5 @@ def grown(seeds: Cells, stays: Cells, depth: NDArray[np.float32]) -> Cells:
 
     out = np.zeros(seeds.shape, np.bool_)
     form(numba_segmentation.grow)(seeds, stays, depth, _FRIENDS, _REACH, np.float32(_JUMP), np.float32(_SLOPE), out)
-    form(numba_segmentation.drop_small)(out, _LEAST)
+    form(numba_segmentation.drop_unfounded)(out, seeds, _LEAST)
     return out

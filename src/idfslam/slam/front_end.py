@@ -54,6 +54,10 @@ class FrontEnd(Stateful, ABC):
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         """Learns from the final result for a view, after recovery. The view still has its predicted pose."""
 
+    def undo(self) -> Callable[[], None]:
+        """What makes it forget that a view was tracked again after this call. The view itself is not its concern."""
+        return lambda: None
+
     def figures(self) -> dict[str, Any]:
         """What metrics.json reports of it."""
         return {}
@@ -152,6 +156,18 @@ class AlignmentToMap(FrontEnd):
             self.aligner.accept(tracked.alignment, view.T_wk)
         if self.compensation.accept(view, tracked, self._references()):
             self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
+
+    def undo(self) -> Callable[[], None]:
+        kept = [(part, vars(part).copy()) for part in (self.rotation, self.compensation, self.compensation.motion)]
+        drawn = [(generator, generator.get_state()) for generator in (self.aligner.generator, self.registration.tracker.generator)]
+
+        def undo() -> None:
+            for part, values in kept:
+                vars(part).update(values)
+            for generator, state in drawn:
+                generator.set_state(state)
+
+        return undo
 
     def figures(self) -> dict[str, Any]:
         return {"sensor_timing": self.compensation.figures()}

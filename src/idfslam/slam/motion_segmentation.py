@@ -19,6 +19,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.memory import Memory
 from idfslam.sensing.rectification import Rectification, rectified
+from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
@@ -49,8 +50,8 @@ class MotionSegmentation(Stateful, ABC):
         """Hides what moved last in a view at its predicted pose."""
 
     @abstractmethod
-    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
-        """Checks the result of tracking a view: did something that moves draw the pose away? `track` tracks it again."""
+    def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
+        """Checks the result of tracking a view: did something that moves draw the pose away? Then the front end tracks it again."""
 
     @abstractmethod
     def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
@@ -67,7 +68,7 @@ class NoSegmentation(MotionSegmentation):
     def predict(self, view: Keyframe) -> None:
         """Leaves the view as it is."""
 
-    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
+    def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
         return tracked
 
     def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
@@ -105,7 +106,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self.memory.restore(state["memory"])
         self._usual_error, (self._waits, self._next_wait), self._passed_over = state["usual_error"], state["waits"], state["passed_over"]
 
-    def check(self, view: Keyframe, tracked: Tracked, track: Callable[[Keyframe], Tracked]) -> Tracked:
+    def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
         """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
         error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
         if not self._usual_error or (error <= _UNUSUAL * self._usual_error and not tracked.is_lost):
@@ -117,15 +118,16 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if layer is None:
             return tracked
         pixels = in_pixels(layer, view.camera)
-        before = _Tried.of(view)
+        before, undo = _Tried.of(view), front_end.undo()
         view.hide(pixels if hidden is None else pixels | hidden)
-        without = track(view)
+        without = front_end.track(view)
         found = without.status.trusted if tracked.is_lost else not without.is_lost
         least = min(_BETTER * (error or np.inf), _AS_USUAL * self._usual_error)
         if found and _photometric_error(without) < least and _drawn_away(tracked, without):
             self.memory.suspect(layer)
             return without
         before.restore(view)
+        undo()
         self._waits, self._next_wait = self._next_wait, min(2 * self._next_wait, _MOST_WAITS)
         return tracked
 

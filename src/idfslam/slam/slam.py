@@ -102,7 +102,7 @@ class Slam:
         if not self.graph.keyframes:
             return self.segmentation.segment(view, Tracked.first(view.T_wk, has_depth=view.has_depth))
         T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
-        tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end.track)
+        tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end)
         tracked = self.segmentation.segment(view, self.recovery.recover(view, tracked))
         self.front_end.accept(view, tracked)
         if mode is Mode.TRACKING and tracked.continues_motion:

@@ -160,8 +160,8 @@ def grow(seeds, stays, depth, friends, reach, jump, slope, out) -> None:  # type
 
 
 @_compiled
-def drop_small(out, least) -> None:  # type: ignore[no-untyped-def]
-    """Clears connected regions of fewer cells than `least`; neighbours touch by sides or corners."""
+def drop_unfounded(out, seeds, least) -> None:  # type: ignore[no-untyped-def]
+    """Clears connected regions with fewer seeds than `least`; neighbours touch by sides or corners."""
     rows, columns = out.shape
     visited, queue = np.zeros((rows, columns), np.bool_), np.empty((rows * columns, 2), np.int32)
     for i in range(rows):
@@ -170,16 +170,17 @@ def drop_small(out, least) -> None:  # type: ignore[no-untyped-def]
                 continue
             queue[0] = i, j
             visited[i, j] = True
-            head, tail = 0, 1
+            head, tail, founded = 0, 1, 0
             while head < tail:
                 y, x = queue[head]
                 head += 1
+                founded += seeds[y, x]
                 for v in range(max(y - 1, 0), min(y + 2, rows)):
                     for u in range(max(x - 1, 0), min(x + 2, columns)):
                         if out[v, u] and not visited[v, u]:
                             visited[v, u] = True
                             queue[tail] = v, u
                             tail += 1
-            if tail < least:
+            if founded < least:
                 for k in range(tail):
                     out[queue[k, 0], queue[k, 1]] = False
