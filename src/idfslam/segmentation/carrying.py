@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 from idfslam.segmentation.coarse_view import CoarseView
-from idfslam.segmentation.free_space import seen_at
+from idfslam.segmentation.free_space import intrinsics, seen_at
 from idfslam.segmentation.plain_form import compiles
 
 Array = NDArray[np.float64]
@@ -30,8 +30,7 @@ def compiled_carry(view: CoarseView, cells: Cells, ages: Ages, camera: Camera, T
     """`plain_carry` by Numba."""
     from idfslam.segmentation.kernels import numba_segmentation
 
-    cameras = [np.array([c.fx, c.fy, c.cx, c.cy]) for c in (view.camera, camera)]
-    numba_segmentation.carry(cells, ages, view.depth, *cameras, T_oc, near, out)  # type: ignore[call-arg]
+    numba_segmentation.carry(cells, ages, view.depth, *intrinsics(view.camera, camera), T_oc, near, out)  # type: ignore[call-arg]
 
 
 def plain_carry(view: CoarseView, cells: Cells, ages: Ages, camera: Camera, T_oc: Array, near: Depth, out: Ages) -> None:

@@ -88,9 +88,13 @@ def compiled_vote(view: CoarseView, other: PosedView, T_oc: Array, gone: Cells, 
     from idfslam.segmentation.kernels import numba_segmentation
 
     a, b = view, other.view
-    cameras = [np.array([c.fx, c.fy, c.cx, c.cy]) for c in (a.camera, b.camera)]
     images = b.depth, b.near, b.far, b.brightness, b.dark, b.bright, other.moving
-    return int(numba_segmentation.vote(a.depth, a.brightness, *images, *cameras, T_oc, gone, there, fixed))  # type: ignore[call-arg]
+    return int(numba_segmentation.vote(a.depth, a.brightness, *images, *intrinsics(a.camera, b.camera), T_oc, gone, there, fixed))  # type: ignore[call-arg]
+
+
+def intrinsics(a: Camera, b: Camera) -> tuple[Array, Array]:
+    """1 / fx, 1 / fy, cx, cy of a camera, and fx, fy, cx, cy of another one: what compiled loops take points from one to the other with."""
+    return np.array([1 / a.fx, 1 / a.fy, a.cx, a.cy]), np.array([b.fx, b.fy, b.cx, b.cy])
 
 
 def plain_vote(view: CoarseView, other: PosedView, T_oc: Array, gone: Cells, there: Cells, fixed: Cells) -> int:

@@ -26,7 +26,7 @@ Cells = NDArray[np.bool_]
 _EVERY = 6  # [frames] between views that are remembered besides keyframes. More: slow movements are found, and all of them later
 _RECENT = 8  # such views. More: movement is found longer after it, slower
 _WITNESSES = 3  # of the recent views, and as many of the others, are asked about a view. More: surer, slower
-_AGAIN = 2  # [frames] from one keyframe that is segmented again to the next. More: faster, and keyframes heal later
+_AGAIN = 4  # [frames] from one keyframe that is segmented again to the next. More: faster, and keyframes heal later
 _MOST = 200  # views of keyframes, beyond which every other one is dropped. More: more memory, 0.2 MB each
 _APART, _TURNED = 2.5, np.cos(np.deg2rad(50))  # [m], cosine: views farther apart are not asked. More: witnesses that see little of a view
 _SAME = 0.15  # [m] depth by which a carried cell may change. More: what a person uncovers is masked a little longer
@@ -125,10 +125,11 @@ class Memory:
     def _followed(self, view: CoarseView, T_wc: Array) -> Cells:
         """(h, w) the cells near the places that something has left since the recent views."""
         out = np.zeros(view.depth.shape, np.bool_)
-        look = {len(self.recent) - 1, self._turn % max(len(self.recent), 1)} if self.recent else set()
+        newest = len(self.recent) - 1
+        look = newest if self._turn % 2 else self._turn // 2 % max(newest, 1)  # one a frame: the newest, then another in turns
         for k, kept in enumerate(self.recent):
             T = self._pose_of(kept.host) @ kept.T_kc
-            if k in look:
+            if k == look:
                 found = votes(kept.view, T, [PosedView(view, T_wc, out)])
                 left = grown(found.moves, found.stays, kept.view.depth)
                 self.recent[k] = kept = replace(kept, left=kept.left | left, moving=kept.moving | left)

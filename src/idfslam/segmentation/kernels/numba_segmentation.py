@@ -57,22 +57,26 @@ def _sigma(z):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _seen_at(i, j, z, a, b, T, shape):  # type: ignore[no-untyped-def]
-    """Row and column of the other view in which a cell's point lies, and its depth there; row -1: in none."""
-    x, y = (j - a[2]) / a[0] * z, (i - a[3]) / a[1] * z
-    p = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-    q = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-    r = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    """Row and column of the other view in which a cell's point lies, and its depth there; row -1: in none.
+
+    a: 1 / fx, 1 / fy, cx, cy of the view; b: fx, fy, cx, cy of the other one.
+    """
+    x, y = (j - a[2]) * a[0], (i - a[3]) * a[1]
+    r = (T[2, 0] * x + T[2, 1] * y + T[2, 2]) * z + T[2, 3]
     if z <= 0 or r <= NEAREST_SEEN:
         return -1, -1, r
-    u, v = p / r * b[0] + b[2], q / r * b[1] + b[3]
+    p = (T[0, 0] * x + T[0, 1] * y + T[0, 2]) * z + T[0, 3]
+    q = (T[1, 0] * x + T[1, 1] * y + T[1, 2]) * z + T[1, 3]
+    nearness = 1 / r
+    u, v = p * nearness * b[0] + b[2], q * nearness * b[1] + b[3]
     if not (u >= -0.5 and v >= -0.5 and u < shape[1] - 0.5 and v < shape[0] - 0.5):
         return -1, -1, r
-    return int(np.floor(v + 0.5)), int(np.floor(u + 0.5)), r
+    return int(v + 0.5), int(u + 0.5), r
 
 
 @_compiled
 def vote(depth, brightness, depth_b, near, far, brightness_b, dark, bright, moving, a, b, T, gone, there, fixed) -> int:  # type: ignore[no-untyped-def]
-    """`free_space.plain_vote`. a, b: fx, fy, cx, cy of the cells of the two views; T (4, 4) from the view to the other one."""
+    """`free_space.plain_vote`. a, b: as `_seen_at` has them; T (4, 4) from the view to the other one."""
     rows, columns = depth.shape
     differences, count, own, others = np.empty((rows // STEP + 1) * (columns // STEP + 1)), 0, 0.0, 0.0
     for i in range(0, rows, STEP):
