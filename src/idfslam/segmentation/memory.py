@@ -4,7 +4,7 @@ The views that are remembered are segmented again when later ones have seen more
 in the first view once it has left its place.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ Cells = NDArray[np.bool_]
 _EVERY = 6  # [frames] between views that are remembered besides keyframes. More: slow movements are found, and all of them later
 _RECENT = 8  # such views. More: movement is found longer after it, slower
 _WITNESSES = 3  # of the recent views, and as many of the others, are asked about a view. More: surer, slower
-_AGAIN = 4  # [frames] from one keyframe that is segmented again to the next. More: faster, and keyframes heal later
+_AGAIN = 2  # [frames] from one keyframe that is segmented again to the next. More: faster, and keyframes heal later
 _MOST = 200  # views of keyframes, beyond which every other one is dropped. More: more memory, 0.2 MB each
 _APART, _TURNED = 2.5, np.cos(np.deg2rad(50))  # [m], cosine: views farther apart are not asked. More: witnesses that see little of a view
 _SAME = 0.15  # [m] depth by which a carried cell may change. More: what a person uncovers is masked a little longer
@@ -104,7 +104,7 @@ class Memory:
     def segment(self, view: CoarseView, T_wc: Array) -> Cells:
         """(h, w) the cells of a view at a pose (4, 4) that show what moves."""
         self._number += 1
-        found = votes(view, T_wc, self._witnesses(T_wc, self._number))
+        found = votes(view, T_wc, self._witnesses(T_wc, self._number, [self.recent, self.keyframes]))
         near, before = self._carried(view.camera, T_wc)
         goes_on = (np.abs(view.depth - near) < _SAME) & (~found.held | (before < 0))
         fresh = grown(found.moves, found.stays, view.depth) | (self._followed(view, T_wc) & ~found.stays)
@@ -202,7 +202,7 @@ class Memory:
         turn = near[self._turn // _AGAIN % len(near)]
         kept = self.keyframes[turn]
         T_wc = self._pose_of(kept.host)
-        found = votes(kept.view, T_wc, self._witnesses(T_wc, kept.number, but=kept))
+        found = votes(kept.view, T_wc, self._witnesses(T_wc, kept.number, [self.recent]))
         left = kept.left | grown(found.moves, found.stays, kept.view.depth)
         moving = (kept.moving & ~found.stays) | left
         if (moving != kept.moving).sum() < _NEWS:
@@ -222,15 +222,15 @@ class Memory:
         self._last = None if state["last"] is None else Segmented.from_state(state["last"])
         self._turn, self._since, self._number = state["counts"]
 
-    def _witnesses(self, T_wc: Array, number: int, but: Remembered | None = None) -> list[PosedView]:
-        """The views that see about what a camera at a pose (4, 4) sees: the newest ones, and the nearest ones."""
+    def _witnesses(self, T_wc: Array, number: int, kinds: Sequence[Sequence[Remembered]]) -> list[PosedView]:
+        """The views of each kind that see most of what a camera at a pose (4, 4) sees."""
         chosen: list[tuple[float, Remembered, Array]] = []
-        for kind in (self.recent, self.keyframes):
+        for kind in kinds:
             near = []
             for kept in kind:
                 T = self._pose_of(kept.host) @ kept.T_kc
                 unlikeness = _unlikeness(T, T_wc)
-                if kept is not but and unlikeness < np.inf:
+                if unlikeness < np.inf:
                     near.append((unlikeness, kept, T))
             chosen += sorted(near, key=lambda item: item[0])[:_WITNESSES]
         return [PosedView(kept.view, T, kept.moving, abs(number - kept.number) >= _SETTLED) for _, kept, T in chosen]
