@@ -221,7 +221,7 @@ def seen(room: SyntheticRoom, i: int, *, depth: bool = True, colour: bool = True
 def test_without_depth_the_images_give_the_pose(corner: Mapper, room: SyntheticRoom) -> None:
     reference, blind = seen(room, 0), seen(room, 4, depth=False)
     judge = aligner(corner)
-    judge.expect([0.02])
+    judge.usual_error.expect([0.02])
     found = judge.align(blind, reference.T_wk, [reference])
     off, turn = error(found.T_wc, blind.T_wk)
     assert found.status is Status.DEGENERATE
@@ -270,13 +270,13 @@ def test_doubt(corner: Mapper) -> None:
 def test_the_usual_photometric_error(corner: Mapper) -> None:
     judge = aligner(corner, replace(CONFIG, doubtful_brightness=1.5, colour_noise=0.01))
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
-    assert judge.doubtful_error == pytest.approx(0.015)  # 1.5 times the least noise: nothing is known of this recording yet
+    assert judge.usual_error.doubtful == pytest.approx(0.015)  # 1.5 times the least noise: nothing is known of this recording yet
     judge.accept(good, EYE)
-    assert judge.doubtful_error == pytest.approx(0.03)
+    assert judge.usual_error.doubtful == pytest.approx(0.03)
     judge.accept(replace(good, photometric_error=0.04), EYE)  # counts as 0.03, at a lower rate: the usual error is 0.0203
-    assert judge.doubtful_error == pytest.approx(1.5 * 0.0203)
+    assert judge.usual_error.doubtful == pytest.approx(1.5 * 0.0203)
     judge.accept(replace(good, photometric_error=0.0), EYE)  # no landmark in view says nothing
-    assert judge.doubtful_error == pytest.approx(1.5 * 0.0203)
+    assert judge.usual_error.doubtful == pytest.approx(1.5 * 0.0203)
 
 
 def test_how_far_off_a_prediction_is_decides_on_the_first_image(corner: Mapper) -> None:

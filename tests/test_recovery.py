@@ -35,7 +35,7 @@ class Asked:
     """A relocaliser that finds nothing, and the positions of the keyframes that it was asked for [m]."""
 
     places: list[list[float]] = field(default_factory=list)
-    aligner: Any = field(default_factory=lambda: SimpleNamespace(has_usual_error=True))
+    aligner: Any = field(default_factory=lambda: SimpleNamespace(usual_error=SimpleNamespace(is_known=True)))
 
     def relocalise(self, view: Keyframe, keyframes: Sequence[Keyframe], tries: int) -> None:
         self.places.append([float(k.T_wk[0, 3]) for k in keyframes])

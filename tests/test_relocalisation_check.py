@@ -1,6 +1,7 @@
 """A relocalisation is undone where the images of old keyframes contradict it, and stands where they go on agreeing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ DOUBTFUL = 0.03  # photometric error
 class Witness:
     """An aligner with a given answer to each comparison: share of landmarks in view, photometric error."""
 
-    doubtful_error = DOUBTFUL
+    usual_error = SimpleNamespace(doubtful=DOUBTFUL)
 
     def __init__(self) -> None:
         self.answer: tuple[float, float] = 0.8, 0.01

@@ -18,7 +18,7 @@ WORKED_OUT_AGAIN = {
     "_pixels",  # of the mapper
     "_thumbnails",  # of the estimation of light
 }
-OF_A_PROCESS = {"_pool", "_running", "_milliseconds"}  # threads and times
+OF_A_PROCESS = {"_pool", "_running", "_early", "_final", "_milliseconds"}  # threads and times
 
 
 def differences(a: Any, b: Any, where: str, compared: set[tuple[int, int]] | None = None) -> Iterator[str]:

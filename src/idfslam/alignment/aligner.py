@@ -6,13 +6,12 @@ direction open (a bare wall), the brightness of the keyframes' landmarks constra
 
 import math
 from collections.abc import Callable, Sequence
-from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
 from idfslam.alignment.alignment import Alignment
-from idfslam.alignment.constants import MASKED
+from idfslam.alignment.appearances import Appearances
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm, depth_term
 from idfslam.alignment.displacement import displacement
@@ -20,17 +19,17 @@ from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
 from idfslam.alignment.motion import Information, change_between
 from idfslam.alignment.normals import smoothed_normals
-from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, photometric_term, pyramid
+from idfslam.alignment.photometric import Appearance, Landmarks, photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.surface import Surface, surface_points
+from idfslam.alignment.usual_error import UsualError
 from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Images, Keyframe
-from idfslam.sensing.vignette import Vignette
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated rooms and redkitchen.
@@ -38,10 +37,6 @@ from idfslam.storage.state import State, Stateful
 # [1] Bound on the prediction error: `_MARGIN` times the largest recent one, which decays by the factor `_DECAY` a frame.
 # More: coarser images are used more often, which is slower and safer.
 _MARGIN, _DECAY = 1.5, 0.95
-# [1] Rate of the running mean of the photometric error. More: the mean follows the last frames faster.
-_USUAL_RATE = 0.1
-# [1] The same for a doubtful frame. More: a long passage that contradicts the images is sooner taken for usual.
-_DOUBTFUL_RATE = 0.03
 # Every so many points one takes part in the coarse steps. More: faster, and noisier first steps.
 _COARSE_STRIDE = 3
 # [1] Factor on `robust` in the first step, halved with each step. More: worse guesses are corrected, and more outliers count.
@@ -63,13 +58,6 @@ MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
-def sight(images: Images) -> Tensor:
-    """(H, W) [m] how far a view sees: its depth, and nothing behind what moves."""
-    if images.moving is None:
-        return images.depth
-    return images.depth.masked_fill(torch.from_numpy(images.moving).to(images.depth.device), MASKED)
-
-
 class MapAligner(Stateful):
     """Aligns views to a map and to the images of keyframes. Both may change between calls."""
 
@@ -86,21 +74,18 @@ class MapAligner(Stateful):
         observed: says of points (N, 3) [m] in the world whether the map has observed a surface there; None: everywhere.
         """
         self.config, self.query, self.truncation, self.generator, self._observed = config, query, truncation, generator, observed
-        self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
-        self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
-        self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
-        self.doubt = PoseDoubt()
-        self._usual_error = 0.0
+        self.images, self.doubt = Appearances(config), PoseDoubt()
+        self.usual_error = UsualError(config.colour_noise, config.doubtful_brightness)
         self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
     def state(self) -> State:
         """The usual photometric error, the bound on the prediction error, and the generator."""
         expected = math.inf if self.expected is None else self.expected
-        return {"usual_error": self._usual_error, "expected": expected, "generator": self.generator.get_state()}
+        return {"usual_error": self.usual_error.state(), "expected": expected, "generator": self.generator.get_state()}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._usual_error = state["usual_error"]
+        self.usual_error.restore(state["usual_error"])
         self.expected = state["expected"] if math.isfinite(state["expected"]) else None
         self.generator.set_state(state["generator"])
 
@@ -129,9 +114,9 @@ class MapAligner(Stateful):
         images = view.taken if moves else view.images
         surface = self._observed_surface(images, view.camera, T_guess)
         has_depth = len(surface.points) >= self.config.min_points
-        if not has_depth and not any(len(self.landmarks(reference).points) for reference in references):
+        if not has_depth and not any(len(self.images.landmarks(reference).points) for reference in references):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        appearance, T = self._appearance(images, view.camera), T_guess.double().clone()
+        appearance, T = self.images.of_images(images, view.camera), T_guess.double().clone()
         prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
@@ -155,7 +140,7 @@ class MapAligner(Stateful):
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
-        appearance, surface = self.appearance(view), self._observed_surface(view.images, view.camera, T_wc)
+        appearance, surface = self.images.of(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
         images = self._image_term(appearance, references, T, step, None)
@@ -164,7 +149,7 @@ class MapAligner(Stateful):
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
-        points = torch.cat([self.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
+        points = torch.cat([self.images.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
         radius = float(points.norm(dim=-1).mean()) if len(points) else 1.0
         return DepthTerm.absent(weight=1.0, radius=radius, moments=moments)
 
@@ -203,7 +188,7 @@ class MapAligner(Stateful):
         """The sums of depth and of images at a pose (4, 4) and a motion, with the moments of the rows, in units of information."""
         scale, step = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         depth, _ = self._depth_term(self._observed_surface(view.taken, view.camera, T_wc), T_wc, step, None, motion)
-        images = self._image_term(self._appearance(view.taken, view.camera), references, T_wc, step, motion)
+        images = self._image_term(self.images.as_taken(view), references, T_wc, step, motion)
         return depth.sums.scaled(scale), images.sums.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
@@ -216,50 +201,20 @@ class MapAligner(Stateful):
 
     def displacement(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
         """The displacement of a view's image at a pose (4, 4) [rad], over the references by their landmarks in view; 0: unknown."""
-        return self._displacement(self.appearance(view), T_wc, references, None)
+        return self._displacement(self.images.of(view), T_wc, references, None)
 
     def _displacement(self, frame: Appearance, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion | None) -> float:
         total, count = 0.0, 0
         for reference in references:
-            seen, off = displacement(frame, self.landmarks(reference), reference.T_wk, T_wc, motion)
+            seen, off = displacement(frame, self.images.landmarks(reference), reference.T_wk, T_wc, motion)
             if seen >= self.config.min_landmarks:
                 total, count = total + seen * off, count + seen
         return total / max(count, 1)
 
-    def photometric_error_within(self, alignment: Alignment, ratio: float) -> bool:
-        """Whether the photometric error is at most `ratio` times the usual one."""
-        return alignment.photometric_error <= ratio * self._expected_error
-
-    @property
-    def doubtful_error(self) -> float:
-        """Photometric error [1] above which two images do not show the same place: it is more than noise."""
-        return self.config.doubtful_brightness * self._expected_error
-
-    @property
-    def _expected_error(self) -> float:
-        return max(self._usual_error, self.config.colour_noise)
-
-    @property
-    def has_usual_error(self) -> bool:
-        """Whether the usual photometric error is available: a frame was aligned, or `expect` was called."""
-        return self._usual_error > 0
-
-    def expect(self, differences: Sequence[float]) -> None:
-        """Initialises the usual photometric error with the median of some errors, before the first alignment.
-
-        An error of 0 means that nothing was in view, and is left out.
-        """
-        if measured := sorted(difference for difference in differences if difference > 0):
-            self._usual_error = measured[len(measured) // 2]
-
     def accept(self, alignment: Alignment, T_predicted: Tensor) -> None:
-        """Updates the usual photometric error, a running mean, and the bound on the error of predictions such as `T_predicted` (4, 4)."""
+        """Updates the usual photometric error and the bound on the error of predictions such as `T_predicted` (4, 4)."""
         self.doubt.accept(alignment.displacement)
-        if alignment.photometric_error > 0:
-            # An error above the doubtful one counts as that, and at a lower rate: a wrong pose does not soon make its like usual.
-            rate = 1.0 if not self._usual_error else _DOUBTFUL_RATE if alignment.photometric_error > self.doubtful_error else _USUAL_RATE
-            error = min(alignment.photometric_error, self.doubtful_error) if self._usual_error else alignment.photometric_error
-            self._usual_error += (error - self._usual_error) * rate
+        self.usual_error.accept(alignment.photometric_error)
         decayed = 0.0 if self.expected is None else _DECAY * self.expected
         self.expected = max(_MARGIN * alignment.distance(T_predicted), decayed)
 
@@ -304,7 +259,7 @@ class MapAligner(Stateful):
         """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
         level, moments = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level), motion is not None
         noise, widest = self.config.colour_noise, self.config.colour_robust
-        posed = [(self.landmarks(reference), reference.T_wk) for reference in references]
+        posed = [(self.images.landmarks(reference), reference.T_wk) for reference in references]
         terms = [
             photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
             for marks, T_wk in [*posed, *([] if recent is None else [recent])]
@@ -319,46 +274,9 @@ class MapAligner(Stateful):
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
-        marks, noise, widest = self.landmarks(reference), self.config.colour_noise, self.config.colour_robust
-        term = photometric_term(self.appearance(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
+        marks, noise, widest = self.images.landmarks(reference), self.config.colour_noise, self.config.colour_robust
+        term = photometric_term(self.images.of(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
-
-    def appearance(self, view: Keyframe) -> Appearance:
-        """A view's image pyramid, cached for as long as its images are in memory."""
-        return self._appearance(view.images, view.camera)
-
-    def appearance_as_taken(self, view: Keyframe) -> Appearance:
-        """The same for its images before rectification."""
-        return self._appearance(view.taken, view.camera)
-
-    def _appearance(self, images: Images, camera: Camera) -> Appearance:
-        if images not in self._appearances:
-            height, levels = self.config.image_height, self.config.image_levels
-            of_view = pyramid(images.colour, camera, height=height, levels=levels, vignette=self.vignette)
-            self._appearances[images] = Appearance(of_view, sight(images), camera)
-        return self._appearances[images]
-
-    def landmarks(self, keyframe: Keyframe) -> Landmarks:
-        """A keyframe's landmarks, cached. Its pyramid is released: other images are compared with the landmarks alone."""
-        if keyframe not in self._landmarks:
-            appearance = self.appearance(keyframe)
-            self._landmarks[keyframe] = landmarks(appearance.levels, keyframe.depth, count=self.config.landmarks)
-            self.release(keyframe)
-        return self._landmarks[keyframe]
-
-    def take_out(self, vignette: Vignette | None) -> None:
-        """Takes this vignetting out of all images from now on."""
-        self.vignette = vignette
-        self._appearances.clear()
-        self._landmarks.clear()
-
-    def forget(self, keyframe: Keyframe) -> None:
-        """Forgets the landmarks of a keyframe whose images were replaced."""
-        self._landmarks.pop(keyframe, None)
-
-    def release(self, view: Keyframe) -> None:
-        """Frees a view's image pyramid. It is computed again when it is needed again."""
-        self._appearances.pop(view.images, None)
 
     def _judged(
         self,

@@ -114,7 +114,7 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
-        view.T_wk = self.rotation.correct(self.aligner.appearance_as_taken(view), view.T_wk, self._last_pose(view))
+        view.T_wk = self.rotation.correct(self.aligner.images.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         if wide and registered is not None and registered.refutes(aligned):
@@ -124,7 +124,7 @@ class AlignmentToMap(FrontEnd):
             confirmed = wide and registered is not None and registered.confirms(aligned)
             view.registered = confirmed
             doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
-            clear = confirmed or not self.aligner.has_usual_error or aligned.photometric_error <= self.aligner.doubtful_error
+            clear = confirmed or not self.aligner.usual_error.is_known or aligned.photometric_error <= self.aligner.usual_error.doubtful
             tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
             return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
         evidence = replace(self.evidence, least_information=0.0)

@@ -133,7 +133,7 @@ class Relocalisation(Recovery):
         if not view.has_depth:
             return None
         with self.timer.stage("relocalise"):
-            if not self.relocaliser.aligner.has_usual_error:  # the front end does not align frames
+            if not self.relocaliser.aligner.usual_error.is_known:  # the front end does not align frames
                 self.relocaliser.estimate_usual_error(self.graph.keyframes[-EXAMPLES:])
             candidate = self._found(view, self._nearby(view)) or self._found(view, self.graph.keyframes)
         if candidate is None:

@@ -49,7 +49,7 @@ class RelocalisationCheck(KeyframeHook):
 
     def begin(self) -> None:
         """Starts the check, after a relocalisation."""
-        self.max_error, self.contradictions = _CONTRADICTION * self.aligner.doubtful_error, 0
+        self.max_error, self.contradictions = _CONTRADICTION * self.aligner.usual_error.doubtful, 0
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
         if not self.contradicted(keyframe):

@@ -84,7 +84,8 @@ class Relocaliser(Stateful):
         if T_guess is None:
             return None
         aligned = self.aligner.align(view, T_guess, self.graph.references_for(keyframe, self.references))
-        return aligned if self.convincing(aligned) and self.aligner.photometric_error_within(aligned, _MAX_ERROR_RATIO) else None
+        alike = self.aligner.usual_error.is_within(aligned.photometric_error, _MAX_ERROR_RATIO)
+        return aligned if alike and self.convincing(aligned) else None
 
     def relocalise(self, view: Keyframe, keyframes: Sequence[Keyframe], tries: int) -> tuple[Keyframe, Alignment] | None:
         """Relocalises a view: the best of the `tries` most similar keyframes, and the view's alignment; None if there is doubt."""
@@ -113,19 +114,19 @@ class Relocaliser(Stateful):
             references = self.graph.older_references(keyframe, self.references)
             errors += [self.aligner.photometric_comparison(keyframe, other, keyframe.T_wk)[1] for other in references]
             displacements.append(self.aligner.displacement(keyframe, keyframe.T_wk, references))
-            self.aligner.release(keyframe)
-        self.aligner.expect(errors)
+            self.aligner.images.release(keyframe)
+        self.aligner.usual_error.expect(errors)
         self.aligner.doubt.expect(displacements)
 
     def convincing(self, aligned: Alignment) -> bool:
         """Whether an alignment is unlikely to be accidental: it is not doubtful, sees enough landmarks, and they are as bright as usual."""
         surely = aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.is_doubtful(aligned)
-        return surely and aligned.photometric_error <= self.aligner.doubtful_error
+        return surely and aligned.photometric_error <= self.aligner.usual_error.doubtful
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
         """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""
         in_view, error = self.aligner.photometric_comparison(view, keyframe, T_wc)
-        return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.doubtful_error
+        return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.usual_error.doubtful
 
 
 def unambiguous(results: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
