@@ -93,7 +93,7 @@ def row(case: str, seed: int, frames: int, width: int) -> str:
     stored, recording, true = stated(case, seed, frames, width)
     before = ate_cm(recording)
     try:
-        estimate, _ = calibrate_from(keyframes_by_slam(recording, FAST), truth=True)
+        estimate, _, _ = calibrate_from(keyframes_by_slam(recording, FAST), truth=True)
     except RecordingError as error:
         return f"| {case} | {seed} | {error} |"
     found, cells = confirmed(estimate).values, []

@@ -177,7 +177,7 @@ def test_a_camera_that_does_not_explain_the_images_is_not_used(
 ) -> None:
     shaken, source = replace(estimate(focal=0.11), noise=0.64), Source("somewhere")
     assert not shaken.explains_images and estimate().explains_images
-    monkeypatch.setattr("idfslam.runs.calibration.calibrate", lambda *args, **flags: (shaken, None))
+    monkeypatch.setattr("idfslam.runs.calibration.calibrate", lambda *args, **flags: (shaken, None, {}))
     assert calibrated(source, FAST, tmp_path / "camera.json", None) is source
     assert not (tmp_path / "camera.json").exists()
     assert "no camera explains the images to better than 0.64 px of 640, expected 0.3" in caplog.text

@@ -45,6 +45,11 @@ class TimingEstimator(Stateful):
         """Takes over `state`."""
         self._information, self._vector = state["information"].numpy().copy(), state["vector"].numpy().copy()
 
+    @property
+    def has_seen_motion(self) -> bool:
+        """Whether a frame has told of the times."""
+        return bool(self._information.any())
+
     def of(self, stated: SensorTiming, lag: float) -> RowTimes:
         """The times of a frame: those that are stated, and the estimates of the others. lag [s]: depth's time stamp minus colour's."""
         readout, depth_readout, depth_delay = self.timing(stated)
@@ -58,6 +63,13 @@ class TimingEstimator(Stateful):
             least = 0.0 if k < 2 else -_LONGEST
             values[k] = float(np.clip(value, least, _LONGEST)) if abs(value) > _SIGNIFICANT * sigma else 0.0
         return values[0] or 0.0, values[1] or 0.0, values[2] or 0.0
+
+    def estimates(self, stated: SensorTiming) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation [s] of each time that is not stated, by name, significant or not."""
+        values = vars(stated)
+        unknown = [name for name, value in values.items() if value is None]
+        found = zip(*self._estimate(list(values.values())))
+        return {name: (float(value), float(sigma)) for name, (value, sigma) in zip(unknown, found)}
 
     def _estimate(self, values: Sequence[float | None]) -> tuple[Array, Array]:
         """The unknown times [s] and their standard deviations, given the others."""

@@ -1,11 +1,12 @@
 """Calibrates the camera of recordings from their keyframes, and writes the camera file that reads them rightly."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from idfslam.adjustment.camera_findings import findings
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import View
 from idfslam.adjustment.self_calibration import EXPLAINED, Estimate, Footage, confirmed, of_size, self_calibrate, with_scale
+from idfslam.adjustment.sensor_times import SensorTime, mean_times
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.calibration import TIMES
@@ -27,6 +29,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.live import is_live
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
+from idfslam.runs.metrics import read_metrics
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.run_config import Source
 from idfslam.runs.source import open_source, read_frames
@@ -48,14 +51,23 @@ class Keyframes:
     indices: NDArray[np.int64]
     views: Sequence[View]
     poses: NDArray[np.float64]
+    times: Mapping[str, SensorTime] = field(default_factory=dict)  # of the sensor, as the run over the recording found them
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> "Keyframes":
         views = [view for view, kept in zip(self.views, chosen) if kept]
-        return Keyframes(self.recording, self.indices[chosen], views, self.poses[chosen])
+        return replace(self, indices=self.indices[chosen], views=views, poses=self.poses[chosen])
 
 
-def calibrate(sources: Sequence[Source], config: Config, *, truth: bool, console: Console | None = None) -> tuple[Estimate, Dataset]:
-    """The camera of recordings or of the recordings of result folders, all of one camera; and the first recording, as it was read.
+class Calibrated(NamedTuple):
+    """The camera of recordings."""
+
+    estimate: Estimate
+    recording: Dataset  # the first one, as it was read
+    times: Mapping[str, SensorTime]  # of the sensor, by name: those that the recordings do not state
+
+
+def calibrate(sources: Sequence[Source], config: Config, *, truth: bool, console: Console | None = None) -> Calibrated:
+    """The camera of recordings or of the recordings of result folders, all of one camera.
 
     truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
     have no true poses; ConfigError if their cameras differ.
@@ -70,7 +82,7 @@ def calibrate(sources: Sequence[Source], config: Config, *, truth: bool, console
     return calibrate_from([found for pair in pairs for found in keyframes_of(*pair, config, console)], truth=truth, console=console)
 
 
-def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console | None = None) -> tuple[Estimate, Dataset]:
+def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console | None = None) -> Calibrated:
     """The same from keyframes."""
     first = maps[0].recording
     _check_one_camera([found.recording for found in maps])
@@ -90,7 +102,8 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
                 f"{first.name}: no true poses of a moving camera, which --truth takes the scale of depth from: leave it out"
             )
         estimate = scaled
-    return replace(estimate, model=of_size(estimate.model, first.camera)), first
+    of_each = {id(found.recording): found.times for found in maps}  # its submaps share them
+    return Calibrated(replace(estimate, model=of_size(estimate.model, first.camera)), first, mean_times(list(of_each.values())))
 
 
 def unexplained(estimate: Estimate) -> str:
@@ -105,7 +118,7 @@ def calibrated(source: Source, config: Config, path: Path, console: Console | No
     If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced also by one that fits only roughly.
     """
     try:
-        estimate, recording = calibrate([source], config, truth=False, console=console)
+        estimate, recording, _ = calibrate([source], config, truth=False, console=console)  # the run estimates the times by itself
     except RecordingError as error:
         log.warning("%s; the camera stays as it is stated", error)
         return source
@@ -142,7 +155,8 @@ def keyframes_of(source: Source, recording: Dataset, config: Config, console: Co
     if run is None:
         return keyframes_by_slam(recording, config, console, source)
     indices, poses = run.keyframes.indices, run.keyframes.poses
-    return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses)]
+    times = _times(read_metrics(run.folder)) if (run.folder / result_folder.METRICS).is_file() else {}
+    return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses, times)]
 
 
 def keyframes_by_slam(recording: Dataset, config: Config, console: Console | None = None, source: Source | None = None) -> list[Keyframes]:
@@ -159,12 +173,18 @@ def keyframes_by_slam(recording: Dataset, config: Config, console: Console | Non
     if not stored:
         raise RecordingError(f"{recording.name}: none of {done} frames has depth, so there is nothing to calibrate")
     groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in sorted({k.submap for k in stored})]
-    return [_views(recording, group) for group in groups]
+    times = _times(slam.figures())
+    return [replace(_views(recording, group), times=times) for group in groups]
 
 
 def _views(recording: Dataset, keyframes: Sequence[Keyframe]) -> Keyframes:
     indices, poses = np.array([k.index for k in keyframes]), np.array([k.T_wk.numpy() for k in keyframes])
     return Keyframes(recording, indices, [View.of(k.frame) for k in keyframes], poses)
+
+
+def _times(figures: Mapping[str, Any]) -> dict[str, SensorTime]:
+    """The times of the sensor in the figures of a run; empty if none are unknown, or if nothing moved."""
+    return {name: SensorTime(*found) for name, found in (figures.get("sensor_timing_estimates") or {}).items()}
 
 
 def _check_one_camera(recordings: Sequence[Dataset]) -> None:
@@ -200,12 +220,17 @@ def check_camera_path(path: Path) -> None:
         raise ConfigError(f"--out {path}: {parent} is a file, expected a folder: choose another name")
 
 
-def write_camera(path: Path, estimate: Estimate, recording: Dataset) -> None:
-    """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values that fit stay, guesses do not."""
+def write_camera(path: Path, estimate: Estimate, recording: Dataset, times: Mapping[str, SensorTime] = MappingProxyType({})) -> None:
+    """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values that fit stay, guesses do not.
+
+    times: of the sensor, by name; those that differ from zero for sure are written.
+    """
     model = estimate.model if is_guessed(recording) else confirmed(estimate)
+    values = camera_values(model, recording.camera, provenance(recording) or Provenance(""))
+    values |= {name: round(time.value, 5) for name, time in times.items() if time.is_sure and (time.value > 0 or name == "depth_delay")}
     with result_folder.writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-        atomic_files.write_json(path, {"camera": camera_values(model, recording.camera, provenance(recording) or Provenance(""))})
+        atomic_files.write_json(path, {"camera": values})
 
 
 def camera_values(model: CameraModel, read_as: Camera, stated: Provenance) -> dict[str, Any]:

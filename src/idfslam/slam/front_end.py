@@ -170,7 +170,7 @@ class AlignmentToMap(FrontEnd):
         return undo
 
     def figures(self) -> dict[str, Any]:
-        return {"sensor_timing": self.compensation.figures()}
+        return {"sensor_timing": self.compensation.figures(), "sensor_timing_estimates": self.compensation.estimates()}
 
     def _begin(self, view: Keyframe) -> MotionPrior | None:
         """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""

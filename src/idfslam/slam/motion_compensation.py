@@ -172,6 +172,10 @@ class MotionCompensation(Stateful):
         unknown = {name: round(found[name], 4) for name, stated in vars(self._stated).items() if stated is None}
         return unknown if any(unknown.values()) else None
 
+    def estimates(self) -> dict[str, tuple[float, float]] | None:
+        """Value and standard deviation [s] of the unknown times by name, significant or not; None without any, or before they are told."""
+        return self.timing.estimates(self._stated) or None if self.timing.has_seen_motion else None
+
 
 def _velocity_error(keyframe: Keyframe) -> Array:
     """(6, 6) second moments, along world axes, of the velocity that a keyframe's images are still distorted by."""

@@ -39,6 +39,7 @@ _FIGURES = {  # defaults for a system without these parts
     "submaps_merged": 0,
     "relocalisations_refuted": 0,
     "sensor_timing": None,
+    "sensor_timing_estimates": None,
 }
 
 

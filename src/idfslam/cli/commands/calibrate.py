@@ -39,8 +39,8 @@ class Calibrate:
     """Find out whether a camera is as stated, from recordings with it.
 
     It runs SLAM and then adjusts keyframes, landmarks and the camera together: focal lengths, principal point, distortion, and the warp of
-    depth. What the recordings do not determine is left as it is. Move the camera around a textured room, near and far, and turn it about
-    all axes, its viewing axis too.
+    depth. SLAM itself finds the read-out times of its rows and the delay of depth, where the camera moves fast. What the recordings do not
+    determine is left as it is. Move the camera around a textured room, near and far, and turn it about all axes, its viewing axis too.
     """
 
     recordings: Positional[tuple[Path, ...]]
@@ -57,6 +57,7 @@ class Calibrate:
     def __call__(self, console: "Console") -> None:
         values = check(self.values)
         from idfslam.adjustment.camera_findings import findings
+        from idfslam.adjustment.sensor_times import time_findings
         from idfslam.cli.tables import print_calibration
         from idfslam.datasets.generated import absolute_path
         from idfslam.runs.calibration import calibrate, check_camera_path, unexplained, write_camera
@@ -69,10 +70,10 @@ class Calibrate:
         file = None if part.camera_file is None else str(part.camera_file.absolute())
         given = part.format, camera or None, file, scale, None, part.start, part.frames, part.stride
         sources = [Source(absolute_path(str(path)), *given) for path in self.recordings]
-        estimate, recording = calibrate(sources, values, truth=self.truth, console=console)
-        print_calibration(findings(estimate), estimate.landmarks, estimate.sightings, estimate.noise, output())
+        estimate, recording, times = calibrate(sources, values, truth=self.truth, console=console)
+        print_calibration([*findings(estimate), *time_findings(times)], estimate.landmarks, estimate.sightings, estimate.noise, output())
         if not estimate.explains_images:
             log.warning("%s; do not rely on these values", unexplained(estimate))
         if self.out is not None:
-            write_camera(self.out, estimate, recording)
+            write_camera(self.out, estimate, recording, times)
             output().print(f"{self.out}: give it to `idf-slam run --camera-file`", highlight=False, soft_wrap=True, markup=False)
