@@ -114,11 +114,11 @@ def test_finish_twice_is_harmless(box_recording: Path) -> None:
     slam, _ = processed(box_recording, frames=3)
     before = slam.mapper.learnt().encoding.tables.detach().clone()
     slam.finish()
-    polished = slam.mapper.learnt().encoding.tables.detach().clone()
-    assert not torch.equal(before, polished)
+    polished, timed = slam.mapper.learnt().encoding.tables.detach().clone(), len(slam.timings["finish"])
+    assert not torch.equal(before, polished) and timed > 0
     slam.finish()
     assert torch.equal(slam.mapper.learnt().encoding.tables, polished)
-    assert len(slam.timings["finish"]) == 1
+    assert len(slam.timings["finish"]) == timed
     assert slam.trajectory().shape == (3, 4, 4)
 
 
