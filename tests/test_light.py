@@ -242,11 +242,11 @@ def test_brightness_is_compared_without_the_vignetting() -> None:
 def test_the_aligner_forgets_images_with_the_vignetting() -> None:
     aligner = System(FAST).aligner
     view = wall(1.0, 0.0, 0, VIGNETTE)
-    before, marks = aligner.images.of(view), aligner.images.landmarks(view)
-    aligner.images.take_out(VIGNETTE)
-    after = aligner.images.of(view)
+    before, marks = aligner.appearances.of(view), aligner.appearances.landmarks(view)
+    aligner.appearances.take_out(VIGNETTE)
+    after = aligner.appearances.of(view)
     assert float((after.levels[0].luminance / before.levels[0].luminance).max()) > 1.3
-    assert aligner.images.landmarks(view) is not marks
+    assert aligner.appearances.landmarks(view) is not marks
 
 
 def test_a_rendered_image_is_compared_at_the_exposure_of_the_recorded_one() -> None:

@@ -54,6 +54,16 @@ def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: Footage) -> Non
         assert abs(value - true) < 3 * sigma
 
 
+def test_an_estimate_may_be_gone_on_from(footage: Footage) -> None:
+    wrong = [stated(footage, focal=1.04, shift=5.0)]
+    once, twice = self_calibrate(wrong, rounds=1), self_calibrate(wrong, rounds=2)
+    again = self_calibrate(wrong, rounds=1, start=once)
+    assert once is not None and twice is not None and again is not None
+    assert np.abs(once.model.values - twice.model.values).max() > 0
+    np.testing.assert_array_equal(again.model.values, twice.model.values)
+    np.testing.assert_array_equal(again.covariance, twice.covariance)
+
+
 def test_true_poses_tell_the_scale_of_depth(footage: Footage) -> None:
     """Depth is 2 % too long."""
     longer = Footage([replace(view, depth=view.depth * np.float32(1.02)) for view in footage.views], footage.poses)

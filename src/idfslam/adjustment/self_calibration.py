@@ -9,7 +9,6 @@ Poses that are known from elsewhere tell it (`with_scale`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,29 +84,30 @@ class Estimate:
         return bool(self.sigmas[NAMES.index(name)] > 0)
 
 
-def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, seconds: float = np.inf) -> Estimate | None:
+def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, start: Estimate | None = None) -> Estimate | None:
     """The camera of recordings with one and the same camera; None if they show too little.
 
-    rounds: most times that tracks are searched. After `seconds` no further round begins: then, and only then, the clock decides about
-    the result.
+    rounds: most times that tracks are searched. start: an estimate from the same footage to go on from.
     """
     views = [view for part in footage for view in part.views]
     if len(views) < _LEAST_KEYFRAMES:
         return None
-    end, poses = perf_counter() + seconds, np.concatenate([part.poses for part in footage])
+    poses = np.concatenate([part.poses for part in footage] if start is None else start.poses)
     starts = np.cumsum([0, *(len(part.views) for part in footage)])
     of = np.repeat(np.arange(len(footage)), np.diff(starts))
     fixed = np.isin(np.arange(len(views)), starts[:-1])
     model, estimated = CameraModel.as_stated(views[0].camera), np.arange(len(NAMES)) != _SCALE
+    if start is not None:
+        model, estimated = start.model, start.sigmas > 0
     for i in range(rounds):
-        points, seen = find_tracks(views, poses, model, recordings=of, coarse=i == 0)
+        points, seen = find_tracks(views, poses, model, recordings=of, coarse=i == 0 and start is None)
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
         adjusted, estimated = _determined(Problem(model, poses, points, seen, fixed, estimated))
         model, poses, covariance = adjusted.problem.model, adjusted.problem.poses, adjusted.values_covariance()
         sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
-        if perf_counter() > end or (i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all()):
+        if i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all():
             break
     kept = adjusted.problem.seen
     covariance = _with_differences(_honest(covariance), _difference_of_halves(adjusted.problem, of))

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from idfslam.adjustment.camera_findings import Finding
+from idfslam.alignment.timing_estimation import SIGNIFICANT
 
-_SIGNIFICANT = 4.0  # [standard deviations] from zero at which a time is taken for one; raised, fewer are. As while frames are tracked
 _MEANINGS = {
     "readout": ("read-out of colour", "the rows of a colour image are exposed one after the other: motion bends it"),
     "depth_readout": ("read-out of depth", "the rows of a depth image are exposed one after the other: motion bends it"),
@@ -25,8 +25,8 @@ class SensorTime:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it differs from zero."""
-        return abs(self.value) > _SIGNIFICANT * self.sigma
+        """Whether it differs from zero, as it must to be used while frames are tracked."""
+        return abs(self.value) > SIGNIFICANT * self.sigma
 
 
 def mean_times(recordings: Sequence[Mapping[str, SensorTime]]) -> dict[str, SensorTime]:

@@ -74,7 +74,7 @@ class MapAligner(Stateful):
         observed: says of points (N, 3) [m] in the world whether the map has observed a surface there; None: everywhere.
         """
         self.config, self.query, self.truncation, self.generator, self._observed = config, query, truncation, generator, observed
-        self.images, self.doubt = Appearances(config), PoseDoubt()
+        self.appearances, self.doubt = Appearances(config), PoseDoubt()
         self.usual_error = UsualError(config.colour_noise, config.doubtful_brightness)
         self.expected: float | None = None  # bound on the error of a prediction [px of the finest image]; None before the first frame
 
@@ -114,9 +114,9 @@ class MapAligner(Stateful):
         images = view.taken if moves else view.images
         surface = self._observed_surface(images, view.camera, T_guess)
         has_depth = len(surface.points) >= self.config.min_points
-        if not has_depth and not any(len(self.images.landmarks(reference).points) for reference in references):
+        if not has_depth and not any(len(self.appearances.landmarks(reference).points) for reference in references):
             return Alignment(T_guess, Status.LOST, 0.0, float("nan"), 0.0, 0.0, 0.0, None, 0)
-        appearance, T = self.images.of_images(images, view.camera), T_guess.double().clone()
+        appearance, T = self.appearances.of_images(images, view.camera), T_guess.double().clone()
         prior_information = self.config.registration_prior_information if registered else self.config.prior_information
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
@@ -140,7 +140,7 @@ class MapAligner(Stateful):
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
-        appearance, surface = self.images.of(view), self._observed_surface(view.images, view.camera, T_wc)
+        appearance, surface = self.appearances.of(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
         images = self._image_term(appearance, references, T, step, None)
@@ -149,7 +149,7 @@ class MapAligner(Stateful):
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
-        points = torch.cat([self.images.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
+        points = torch.cat([self.appearances.landmarks(reference).points for reference in references]) if references else torch.zeros(0, 3)
         radius = float(points.norm(dim=-1).mean()) if len(points) else 1.0
         return DepthTerm.absent(weight=1.0, radius=radius, moments=moments)
 
@@ -188,7 +188,7 @@ class MapAligner(Stateful):
         """The sums of depth and of images at a pose (4, 4) and a motion, with the moments of the rows, in units of information."""
         scale, step = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         depth, _ = self._depth_term(self._observed_surface(view.taken, view.camera, T_wc), T_wc, step, None, motion)
-        images = self._image_term(self.images.as_taken(view), references, T_wc, step, motion)
+        images = self._image_term(self.appearances.as_taken(view), references, T_wc, step, motion)
         return depth.sums.scaled(scale), images.sums.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
@@ -201,12 +201,12 @@ class MapAligner(Stateful):
 
     def displacement(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
         """The displacement of a view's image at a pose (4, 4) [rad], over the references by their landmarks in view; 0: unknown."""
-        return self._displacement(self.images.of(view), T_wc, references, None)
+        return self._displacement(self.appearances.of(view), T_wc, references, None)
 
     def _displacement(self, frame: Appearance, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion | None) -> float:
         total, count = 0.0, 0
         for reference in references:
-            seen, off = displacement(frame, self.images.landmarks(reference), reference.T_wk, T_wc, motion)
+            seen, off = displacement(frame, self.appearances.landmarks(reference), reference.T_wk, T_wc, motion)
             if seen >= self.config.min_landmarks:
                 total, count = total + seen * off, count + seen
         return total / max(count, 1)
@@ -259,7 +259,7 @@ class MapAligner(Stateful):
         """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
         level, moments = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level), motion is not None
         noise, widest = self.config.colour_noise, self.config.colour_robust
-        posed = [(self.images.landmarks(reference), reference.T_wk) for reference in references]
+        posed = [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
         terms = [
             photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
             for marks, T_wk in [*posed, *([] if recent is None else [recent])]
@@ -274,8 +274,8 @@ class MapAligner(Stateful):
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
-        marks, noise, widest = self.images.landmarks(reference), self.config.colour_noise, self.config.colour_robust
-        term = photometric_term(self.images.of(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
+        marks, noise, widest = self.appearances.landmarks(reference), self.config.colour_noise, self.config.colour_robust
+        term = photometric_term(self.appearances.of(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
 
     def _judged(

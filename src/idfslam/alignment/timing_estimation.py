@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _PRIOR = 0.015
 # [1] Standard deviations by which a time must differ from zero to be used. More: slow recordings stay as they are, and true times are used
 # later.
-_SIGNIFICANT = 4.0
+SIGNIFICANT = 4.0
 # [1] Share of the sums that is kept from frame to frame. More: the estimate is steadier, and early frames, tracked without times, count for
 # longer.
 _KEPT = 0.99
@@ -61,7 +61,7 @@ class TimingEstimator(Stateful):
         unknown = [k for k in range(3) if values[k] is None]
         for k, value, sigma in zip(unknown, *self._estimate(values)):
             least = 0.0 if k < 2 else -_LONGEST
-            values[k] = float(np.clip(value, least, _LONGEST)) if abs(value) > _SIGNIFICANT * sigma else 0.0
+            values[k] = float(np.clip(value, least, _LONGEST)) if abs(value) > SIGNIFICANT * sigma else 0.0
         return values[0] or 0.0, values[1] or 0.0, values[2] or 0.0
 
     def estimates(self, stated: SensorTiming) -> dict[str, tuple[float, float]]:

@@ -25,8 +25,6 @@ Found = TypeVar("Found")
 _EARLY = 12  # stored keyframes at the early check; more: surer and later. This and the rest: chosen by hand
 _STRETCH = 12  # keyframes in a row that are checked together; more: surer, slower
 _STRETCHES = 2  # such stretches at the end of a run, one of them its last keyframes; more: surer, slower
-_ROUNDS = 2  # times that tracks are searched where the first search raises doubts; more: slower, a wrong camera is told more exactly
-_SECONDS = 10.0  # [s] after which no further round begins; more: surer on slow machines
 
 
 class CameraCheck(KeyframeHook):
@@ -86,7 +84,7 @@ def _estimated(footage: Sequence[Footage]) -> Estimate | None:
     """The camera that fits; None if none is to be believed. Only a camera in doubt is searched for more exactly."""
     estimate = self_calibrate(footage, rounds=1)
     if estimate is not None and estimate.explains_images and doubts(estimate):
-        estimate = self_calibrate(footage, rounds=_ROUNDS, seconds=_SECONDS)
+        estimate = self_calibrate(footage, rounds=1, start=estimate)
     return estimate if estimate is not None and estimate.explains_images else None
 
 

@@ -140,7 +140,7 @@ class System:
 
     @cached_property
     def light(self) -> LightEstimation:
-        return LightEstimation(self.graph, self.aligner.images.take_out) if self.aligns else LightEstimation(self.graph)
+        return LightEstimation(self.graph, self.aligner.appearances.take_out) if self.aligns else LightEstimation(self.graph)
 
     @cached_property
     def relocaliser(self) -> Relocaliser:
@@ -166,7 +166,7 @@ class System:
     def _learn_masked(self, keyframe: Keyframe) -> None:
         """Has all parts take up the changed mask of a stored keyframe."""
         if self.aligns:
-            self.aligner.images.forget(keyframe)
+            self.aligner.appearances.forget(keyframe)
         self.coverage.replace(keyframe)
         self.relearn.add([keyframe])
 

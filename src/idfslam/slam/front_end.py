@@ -114,7 +114,7 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
-        view.T_wk = self.rotation.correct(self.aligner.images.as_taken(view), view.T_wk, self._last_pose(view))
+        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         if wide and registered is not None and registered.refutes(aligned):

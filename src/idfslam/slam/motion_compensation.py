@@ -134,7 +134,7 @@ class MotionCompensation(Stateful):
         if keyframe.rectification is not None or keyframe.velocity is None or times.synchronised:
             return False
         keyframe.rectify(Rectification(times, keyframe.velocity))
-        self.aligner.images.forget(keyframe)
+        self.aligner.appearances.forget(keyframe)
         return True
 
     def _keep_velocity(self, view: Keyframe, T_wc: Tensor) -> None:

@@ -55,11 +55,11 @@ class RecentFrame(Stateful):
         if tracked.is_lost or tracked.evidence.in_view >= _ENOUGH or self._within(view, tracked.T_wc, references) >= _ENOUGH:
             self._landmarks = None
         elif view.has_depth and self._shared(view, tracked.T_wc) < _SHARED:
-            self._landmarks, self._index = self.aligner.images.landmarks(view), view.index
+            self._landmarks, self._index = self.aligner.appearances.landmarks(view), view.index
 
     def _within(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
         """The share of the keyframes' landmarks that lie within a view at this pose (4, 4). Somebody may stand before them."""
-        marks = [(self.aligner.images.landmarks(reference).points, reference.T_wk) for reference in references]
+        marks = [(self.aligner.appearances.landmarks(reference).points, reference.T_wk) for reference in references]
         inside = [_inside(view, T_wc, points, T_wk) for points, T_wk in marks]
         return float(torch.cat(inside).float().mean()) if inside else 0.0
 

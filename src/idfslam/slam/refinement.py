@@ -61,4 +61,4 @@ class KeyframeRefinement(Refinement):
         if aligned.status is Status.OK and small and not self.aligner.is_doubtful(aligned):
             # Half of the change: the map has learnt this place partly from the present pose.
             self.graph.set_pose(keyframe, moved(keyframe.T_wk, change / 2))
-        self.aligner.images.release(keyframe)
+        self.aligner.appearances.release(keyframe)

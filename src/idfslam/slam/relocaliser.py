@@ -114,7 +114,7 @@ class Relocaliser(Stateful):
             references = self.graph.older_references(keyframe, self.references)
             errors += [self.aligner.photometric_comparison(keyframe, other, keyframe.T_wk)[1] for other in references]
             displacements.append(self.aligner.displacement(keyframe, keyframe.T_wk, references))
-            self.aligner.images.release(keyframe)
+            self.aligner.appearances.release(keyframe)
         self.aligner.usual_error.expect(errors)
         self.aligner.doubt.expect(displacements)
 
