@@ -103,6 +103,19 @@ def test_a_part_of_the_recording(part: str, tmp_path: Path, caplog: pytest.LogCa
     assert f"a part of the recording {tmp_path / 'kitchen'}, which is read" in caplog.text
 
 
+def test_results_of_earlier_runs_in_the_recording_do_not_matter(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "kitchen")
+    (path / "results/depth_run").mkdir(parents=True)  # `idf-slam run .`
+    assert len(open_recording(path)) == 3
+
+
+def test_an_empty_folder_is_no_part_of_a_recording(tmp_path: Path) -> None:
+    empty = write_folder(tmp_path / "kitchen") / "empty"
+    empty.mkdir()
+    with pytest.raises(RecordingError, match=r"kitchen/empty: not a known recording: found an empty folder"):
+        open_recording(empty)
+
+
 def test_a_list_of_a_tum_sequence(tmp_path: Path) -> None:
     write_tum(tmp_path / "desk")
     assert open_recording(tmp_path / "desk/rgb.txt").name == "desk"

@@ -320,6 +320,13 @@ def test_two_recordings_of_one_name_do_not_share_a_folder(tmp_path: Path, monkey
     assert folder_for("room", None, overwrite=True) == Path("results/room")
 
 
+def test_a_run_that_fails_at_once_leaves_its_name_to_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ResultError), claimed(folder_for("room", None, overwrite=False)):
+        raise ResultError("no GPU")
+    assert folder_for("room", None, overwrite=False) == Path("results/room")
+
+
 def test_a_default_folder_of_somebody_else_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

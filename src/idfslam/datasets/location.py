@@ -52,6 +52,8 @@ def locate(path: Path, recognise: Callable[[Path], T | None], recognise_around: 
             return inner[0]
     if (archive := _only_archive(path)) is not None:
         return locate(archive, recognise, recognise_around)
+    if path.is_dir() and not any(path.iterdir()):
+        return None  # an empty folder is a part of no recording
     for folder in islice(path.parents, _LEVELS_UP):
         if (kind := recognise_around(folder)) is not None:
             log.warning("%s: a part of the recording %s, which is read", path, folder)

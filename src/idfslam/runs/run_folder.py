@@ -125,13 +125,17 @@ class RunFolder:
         return sorted(names, key=lambda name: _LAST.index(name) if name in _LAST else -1)
 
     def _unmark(self) -> None:
-        """Removes the mark of a folder without results, and the folder if it was made for this run and is empty."""
+        """Removes the mark of a folder without results; from an empty one the lock, and the folder if it was made for this run.
+
+        A folder that was reserved for the run (`folder_for`) is left with nothing in it, so that the next run gets its name.
+        """
         if not Ledger(self.path).names and not (self.path / result_folder.CHECKPOINT).exists():
             (self.path / LEDGER).unlink(missing_ok=True)
-            if self._made and output_folder.is_empty(self.path):
+            if output_folder.is_empty(self.path):
                 (self.path / output_folder.LOCK).unlink(missing_ok=True)
-                with suppress(OSError):
-                    self.path.rmdir()
+                if self._made:
+                    with suppress(OSError):
+                        self.path.rmdir()
 
 
 @contextmanager

@@ -16,7 +16,8 @@ PUBLISHED = Calibration(600.0, 600.0, 599.5, 339.5, 1200, 680, source="the publi
 
 
 def recognises(path: Path) -> bool:
-    return (path / "results").is_dir()
+    """Images in results/ decide: a folder of that name is also where `idf-slam run` writes to."""
+    return any(file.is_file() for name in ("frame*", "depth*") for file in (path / "results").glob(name))
 
 
 def open_replica(path: Path, stated: Calibration) -> Recording:
