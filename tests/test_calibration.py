@@ -21,7 +21,7 @@ from idfslam.datasets.provenance import Provenance
 from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row, write_camera
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.sensing.depth_deformation import DepthDeformation
 
 
@@ -175,7 +175,7 @@ def test_too_few_views_are_one_line(box_recording: Path, capsys: pytest.CaptureF
 def test_a_camera_that_does_not_explain_the_images_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    shaken, source = replace(estimate(focal=0.11), noise=0.64), Source("somewhere")
+    shaken, source = replace(estimate(focal=0.11), noise=0.64), RecordingSource("somewhere")
     assert not shaken.explains_images and estimate().explains_images
     monkeypatch.setattr("idfslam.runs.calibration.calibrate", lambda *args, **flags: (shaken, None, {}))
     assert calibrated(source, FAST, tmp_path / "camera.json", None) is source

@@ -37,7 +37,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import FORMAT, Checkpoints, fingerprint
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.keyframes_file import read_keyframes
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.runner import resume, run
 from idfslam.slam import Slam
 from idfslam.storage.ledger import Ledger
@@ -326,7 +326,7 @@ def whole(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def broken(recording: Path, folder: Path, slam: Any = Mortal, every: int = 4, *, overwrite: bool = False) -> Path:
-    source = Source(str(recording))
+    source = RecordingSource(str(recording))
     config = replace(busy(), mesh=replace(busy().mesh, resolution=0.1))
     run(open_recording(recording), config, folder, source=source, make_slam=slam, checkpoint_every=every, overwrite=overwrite)
     return folder

@@ -35,7 +35,7 @@ from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera
-from idfslam.runs.run_config import Source, read_config, write_config
+from idfslam.runs.run_config import RecordingSource, read_config, write_config
 from idfslam.runs.source import open_source
 
 STORAGES = ("ros1", "sqlite3", "mcap")
@@ -296,7 +296,7 @@ def test_a_runs_topics_are_found_again(tmp_path: Path) -> None:
     """In config.yaml, for eval."""
     messages = [*recorded(), *(("/pose", 100 + i / 30, pose_message(100 + i / 30, pose(i))) for i in range(3))]
     path, topics = bag(tmp_path, messages), {"colour": COLOUR, "poses": "/pose"}
-    write_config(tmp_path, FAST, Source(str(path), topics=topics))
+    write_config(tmp_path, FAST, RecordingSource(str(path), topics=topics))
     _, source = read_config(tmp_path)
     assert source is not None and source.topics == topics
     np.testing.assert_allclose(open_source(source).ground_truth, [pose(i) for i in range(3)], atol=1e-9)

@@ -29,7 +29,7 @@ from idfslam.pictures.direction import best_direction
 from idfslam.pictures.mesh_renderer import Picture, looking_at, pose_outside
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
-from idfslam.runs.run_config import Source, write_config
+from idfslam.runs.run_config import RecordingSource, write_config
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 FEW = {"samples": 20_000, "views": 20}
@@ -314,7 +314,7 @@ def test_the_range_of_a_result_folders_recording(tmp_path: Path, caplog: pytest.
     # Truth in files and a recording that is gone
     save_tum(tmp_path / "truth.txt", Trajectory(np.arange(50) / 10, turning()))
     room().export(tmp_path / "truth.ply")
-    write_config(tmp_path, FAST, Source(str(tmp_path / "gone")))
+    write_config(tmp_path, FAST, RecordingSource(str(tmp_path / "gone")))
     alone = evaluate_folder(tmp_path, gt=tmp_path / "truth.txt", gt_mesh=tmp_path / "truth.ply", **FEW).mesh
     assert alone is not None and (alone.near, alone.far, alone.range_from) == (0.1, 10, "protocol")
     assert "no depth image of its recording can be read" in caplog.text and "gone: no such file" in caplog.text

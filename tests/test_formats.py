@@ -23,7 +23,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.mapping import saved_map
 from idfslam.runs import checkpoint, result_folder
 from idfslam.runs.keyframes_file import EarlierKeyframe, KeyframeRecord, write_keyframes
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.runner import run
 from idfslam.views import image_archive
 
@@ -50,7 +50,7 @@ def keys(values: Any) -> Iterator[str]:
 def finished(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a real run of eight frames."""
     folder = tmp_path_factory.mktemp("formats") / "run"
-    source = Source(str(box_recording), frames=8)
+    source = RecordingSource(str(box_recording), frames=8)
     run(open_recording(box_recording, frames=8), small(), folder, source=source, console=Console(quiet=True))
     return folder
 
@@ -64,7 +64,7 @@ def test_metrics(finished: Path) -> None:
 def test_keyframes(finished: Path, tmp_path: Path) -> None:
     assert unnamed(json.loads((finished / result_folder.KEYFRAMES).read_text())) == set()
     camera, T = Camera(4, 3, 4.0, 4.0, 1.5, 1.0), np.eye(4)
-    earlier = [EarlierKeyframe(Source("other"), 0, 0.0, T, camera)]
+    earlier = [EarlierKeyframe(RecordingSource("other"), 0, 0.0, T, camera)]
     write_keyframes(tmp_path, KeyframeRecord(camera, np.zeros(1, np.int64), np.zeros(1), T[None], earlier))
     values = json.loads((tmp_path / result_folder.KEYFRAMES).read_text())
     assert {"camera", "keyframes", "earlier"} <= set(values)

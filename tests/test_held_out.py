@@ -14,7 +14,7 @@ from idfslam.errors import ResultError
 from idfslam.graph.held_out import is_held_out
 from idfslam.pictures.view_comparison import PICTURE, VIEWS, compare_views
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.runner import run
 
 
@@ -23,7 +23,7 @@ def finished(box_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> F
     """A run of 14 frames that held every fourth out."""
     folder = tmp_path_factory.mktemp("held") / "run"
     config = replace(small(), hold_out=4)
-    run(open_recording(box_recording), config, folder, source=Source(str(box_recording)), console=Console(quiet=True))
+    run(open_recording(box_recording), config, folder, source=RecordingSource(str(box_recording)), console=Console(quiet=True))
     return FinishedRun(folder)
 
 

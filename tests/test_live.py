@@ -26,7 +26,7 @@ from idfslam.geometry.trajectory import load_tum
 from idfslam.live import Capture, LiveStream, absolute_path, is_live, open_live
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
-from idfslam.runs.run_config import Source, read_config
+from idfslam.runs.run_config import RecordingSource, read_config
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_feed
 from idfslam.slam import Slam
@@ -35,7 +35,7 @@ from idfslam.storage.ledger import Ledger
 
 
 def run_live(name: str, folder: Path, slam: Any = SeeingSlam) -> Run:
-    source = Source(name)
+    source = RecordingSource(name)
     return run(open_feed(source), FAST, folder, source=source, make_slam=slam)
 
 
@@ -242,7 +242,7 @@ def test_a_replay_through_the_command_line(
         ]
     )
     assert metrics_of(tmp_path)["ate_m"]["rmse"] < 0.05
-    assert read_config(tmp_path)[1] == Source(f"replay:{box_recording}", frames=3)
+    assert read_config(tmp_path)[1] == RecordingSource(f"replay:{box_recording}", frames=3)
     monkeypatch.chdir(tmp_path)
     command_line.main(["eval", str(tmp_path)])
     assert "ATE" in capsys.readouterr().out

@@ -23,7 +23,7 @@ from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.lost_frames import leave_out_lost, of_all_frames
-from idfslam.runs.run_config import Source, read_config, write_config
+from idfslam.runs.run_config import RecordingSource, read_config, write_config
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source, read_frames
 
@@ -58,7 +58,7 @@ def test_a_run_that_begins_without_depth(tmp_path: Path, capsys: pytest.CaptureF
     path = write_box_recording(tmp_path / "box")
     for file in sorted((path / "depth").iterdir())[:5]:
         assert cv2.imwrite(str(file), np.zeros_like(cv2.imread(str(file), cv2.IMREAD_UNCHANGED)))
-    source = Source(str(path))
+    source = RecordingSource(str(path))
     done = run(open_source(source), small(), tmp_path / "out", source=source)
     statuses = FinishedRun(tmp_path / "out").statuses
     assert statuses[:5] == [Status.LOST] * 5 and statuses[5].measured
@@ -112,7 +112,7 @@ def test_a_protocol_without_a_true_mesh_is_told(known_run: Path, tmp_path: Path,
 
 def test_truth_that_a_run_left_unread(known_run: Path, box_recording: Path, tmp_path: Path) -> None:
     """It is in config.yaml, so that a resumed run leaves it unread too; `eval` reads it."""
-    folder, source = shutil.copytree(known_run, tmp_path / "out"), Source(str(box_recording), truth=False)
+    folder, source = shutil.copytree(known_run, tmp_path / "out"), RecordingSource(str(box_recording), truth=False)
     write_config(folder, read_config(folder)[0], source)
     assert read_config(folder)[1] == source and open_source(source).ground_truth is None
     assert evaluate_folder(folder).ate.translation.rmse < 1e-6
@@ -123,7 +123,7 @@ def test_truth_that_a_run_left_unread(known_run: Path, box_recording: Path, tmp_
 def test_no_truth_at_all_is_one_line(known_run: Path, box_recording: Path, tmp_path: Path) -> None:
     folder, recording = shutil.copytree(known_run, tmp_path / "out"), shutil.copytree(box_recording, tmp_path / "box")
     shutil.rmtree(recording / "pose")
-    write_config(folder, read_config(folder)[0], Source(str(recording)))
+    write_config(folder, read_config(folder)[0], RecordingSource(str(recording)))
     with pytest.raises(ResultError, match="its recording has no ground truth; give one with --gt"):
         evaluate_folder(folder)
 

@@ -23,7 +23,7 @@ from idfslam.mapping.saved_map import load_map
 from idfslam.runs import result_folder
 from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.prior_map import load_prior
-from idfslam.runs.run_config import Source, read_config, write_config
+from idfslam.runs.run_config import RecordingSource, read_config, write_config
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 
@@ -35,7 +35,7 @@ CONFIG = replace(FAST, mapper=replace(FAST.mapper, first_iterations=60), refinem
 
 def localised(recording: Path, folder: Path, prior: Path | None, *, start: int = 0, frames: int | None = None) -> Path:
     """A run, in the map of another."""
-    source = Source(str(recording), start=start, frames=frames)
+    source = RecordingSource(str(recording), start=start, frames=frames)
     run(open_source(source), CONFIG, folder, source=source, prior=None if prior is None else load_prior(prior))
     return folder
 

@@ -14,7 +14,7 @@ from idfslam.frame import FrameResult, Status
 from idfslam.runs import progress
 from idfslam.runs.metrics import read_metrics
 from idfslam.runs.progress import ProgressBar
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 from idfslam.slam import warm_up
@@ -74,7 +74,7 @@ def test_a_quiet_console_shows_nothing(clock: Clock) -> None:
 def test_keyframes_of_progress_and_summary_agree(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_BETWEEN_LINES", 0.0)
     text = io.StringIO()
-    source = Source(str(box_recording))
+    source = RecordingSource(str(box_recording))
     config = replace(FAST, device="cpu", keyframes=replace(FAST.keyframes, translation=0.01, cull=0.5))
     done = run(open_source(source), config, tmp_path / "out", source=source, console=Console(file=text))
     told = [int(count) for count in re.findall(r"keyframes (\d+)", text.getvalue())]

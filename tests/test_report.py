@@ -19,7 +19,7 @@ from idfslam.geometry.level import from_above, level
 from idfslam.geometry.trajectory import TrajectoryError
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
-from idfslam.runs.run_config import Source, write_config
+from idfslam.runs.run_config import RecordingSource, write_config
 from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
 
@@ -117,7 +117,7 @@ def test_without_recording_map_and_log(known_run: Path, tmp_path: Path) -> None:
     folder.mkdir()
     for name in (result_folder.TRAJECTORY, result_folder.KEYFRAMES):
         shutil.copy(known_run / name, folder)
-    write_config(folder, FAST, Source(str(tmp_path / "gone")))
+    write_config(folder, FAST, RecordingSource(str(tmp_path / "gone")))
     atomic_files.write_json(folder / result_folder.METRICS, {"submaps": 3})
     (folder / result_folder.PICTURES).mkdir()
     (folder / result_folder.PICTURES / "mesh_1.png").write_bytes(b"of an earlier report")
@@ -169,7 +169,7 @@ def test_names_cannot_become_markup(known_run: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(known_run, tmp_path / "<b>bold")
     (folder / result_folder.MESH).unlink()  # the pictures have no names in them, and take time
     (folder / result_folder.MAP).unlink()
-    write_config(folder, FAST, Source("<i>gone"))
+    write_config(folder, FAST, RecordingSource("<i>gone"))
     write_report(folder)
     text = (folder / result_folder.REPORT).read_text()
     assert "&lt;b&gt;bold" in text

@@ -19,7 +19,7 @@ from idfslam.errors import ResultError
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.run_folder import RunFolder, check_usable, claimed, config_folder, folder_for, is_unfinished
 from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
@@ -345,6 +345,6 @@ def test_a_report_of_somebody_else_is_told_before_the_run(box_recording: Path, t
     (tmp_path / "report.html").write_text("mine")
     line = refused(capsys, "run", box_recording, "--out", tmp_path, "--overwrite")
     assert "report.html: was not written by idf-slam, so it is not replaced; move it away" in line
-    source = Source(str(box_recording))
+    source = RecordingSource(str(box_recording))
     run(open_source(source), FAST, tmp_path, source=source, make_slam=KnownSlam, overwrite=True)  # a run alone writes no report
     assert (tmp_path / "report.html").read_text() == "mine"

@@ -30,7 +30,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.meter import speed_by_block
-from idfslam.runs.run_config import Source, read_config
+from idfslam.runs.run_config import RecordingSource, read_config
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.storage import atomic_files
@@ -106,7 +106,7 @@ class InterruptedSlam(KnownSlam):
 
 
 def run_known(recording: Path, folder: Path, slam: Any = KnownSlam, *, overwrite: bool = False) -> Run:
-    source = Source(str(recording))
+    source = RecordingSource(str(recording))
     return run(open_source(source), FAST, folder, source=source, make_slam=slam, overwrite=overwrite)
 
 
@@ -139,7 +139,7 @@ def test_config_tells_values_recording_and_versions(box_recording: Path, tmp_pat
     run_known(box_recording, tmp_path)
     config, source = read_config(tmp_path)
     assert config == load(tmp_path / result_folder.CONFIG) == FAST
-    assert source == Source(str(box_recording))
+    assert source == RecordingSource(str(box_recording))
     assert {"idf-slam", "python", "torch"} <= yaml.safe_load((tmp_path / result_folder.CONFIG).read_text())["versions"].keys()
 
 

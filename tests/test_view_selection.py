@@ -8,7 +8,7 @@ from helpers.flat_wall import wall_graph
 from helpers.grey_archive import grey_archive
 from helpers.painted_wall import at, painted
 from idfslam.frame import Frame, Status
-from idfslam.geometry.pose_distance import image_motions
+from idfslam.geometry.pose_distance import apparent_motions
 from idfslam.graph.archive import Archive
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
@@ -116,5 +116,5 @@ def test_those_of_another_camera_are_left_out() -> None:
 
 def test_motion_of_the_image() -> None:
     np.testing.assert_allclose(
-        image_motions(at(0.0), np.stack([at(0.5), at(0.0, 0.0, 0.1), at(0.2, 0.0, 0.1)])), [0.25, 0.1, 0.2], atol=1e-6
+        apparent_motions(at(0.0), np.stack([at(0.5), at(0.0, 0.0, 0.1), at(0.2, 0.0, 0.1)])), [0.25, 0.1, 0.2], atol=1e-6
     )

@@ -19,7 +19,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.checkpoint import Checkpoints
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.keyframes_file import EarlierKeyframe, KeyframeRecord, write_keyframes
-from idfslam.runs.run_config import Source, write_config
+from idfslam.runs.run_config import RecordingSource, write_config
 from idfslam.storage import atomic_files
 from idfslam.views.image_archive import save_archive
 
@@ -32,8 +32,8 @@ def write(folder: Path, recording: Path) -> Path:
     folder.mkdir()
     poses, stamps = np.stack([pose(0), pose(1)]), np.array([0.0, 0.1])
     save_tum(folder / result_folder.TRAJECTORY, Trajectory(stamps, poses))
-    write_config(folder, FAST, Source(str(recording)))
-    earlier = [EarlierKeyframe(Source("before"), 3, 0.5, poses[1], CAMERA)]
+    write_config(folder, FAST, RecordingSource(str(recording)))
+    earlier = [EarlierKeyframe(RecordingSource("before"), 3, 0.5, poses[1], CAMERA)]
     write_keyframes(folder, KeyframeRecord(CAMERA, np.array([0, 1]), stamps, poses, earlier))
     log = FrameLog()
     for i in range(2):

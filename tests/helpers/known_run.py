@@ -19,7 +19,7 @@ from idfslam.mapping.updates import InTurns
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
-from idfslam.runs.run_config import Source, write_config
+from idfslam.runs.run_config import RecordingSource, write_config
 from idfslam.storage import atomic_files
 
 KNOWN_KEYFRAMES = (0, 6, 13)
@@ -44,7 +44,7 @@ def write_known_run(folder: Path, box_recording: Path) -> Path:
         save_tum(folder / name, Trajectory(recording.timestamps, poses))
     indices = np.array(KNOWN_KEYFRAMES)
     write_keyframes(folder, KeyframeRecord(recording.camera, indices, recording.timestamps[indices], poses[indices]))
-    write_config(folder, FAST, Source(str(box_recording)))
+    write_config(folder, FAST, RecordingSource(str(box_recording)))
     known_log().save(folder / result_folder.FRAMES)
     plot_trajectory(folder / result_folder.PICTURE, poses)
     stages = {"align": 40.0, "map": 25.0, "finetune": 1.5}

@@ -20,7 +20,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.keyframes_file import read_keyframes
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.runner import Run, run
 from idfslam.runs.source import open_source
 from idfslam.slam.warm_up import COMPILING, will_compile
@@ -52,7 +52,7 @@ def demo(
     overwrite: results in `folder` may be replaced. Raises ConfigError for more frames than the tour of the room has, ResultError as `run`
     does.
     """
-    source = Source(f"synthetic:{room}", frames=frames)
+    source = RecordingSource(f"synthetic:{room}", frames=frames)
     tell = (lambda stage: None) if console is None else partial(console.print, highlight=False, markup=False, soft_wrap=True)
     tell(f"building the room, {COMPILING}" if will_compile(config) else "building the room")
     with compiling_ahead(config) as wait_until_compiled:

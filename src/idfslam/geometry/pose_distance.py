@@ -13,6 +13,6 @@ def pose_distances(T_a: NDArray[np.float64], T_b: NDArray[np.float64]) -> NDArra
     return shift + _AHEAD * 2 * np.arcsin(np.minimum(chord / 8**0.5, 1.0))  # for rotations A and B, |B - A| = sqrt(8) sin(angle / 2)
 
 
-def image_motions(T_wa: NDArray[np.float64], T_wb: NDArray[np.float64]) -> NDArray[np.float64]:
+def apparent_motions(T_wa: NDArray[np.float64], T_wb: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far the image moves [rad] from a camera at T_wa (4, 4) to cameras at T_wb (N, 4, 4): the turn, and the shift seen 2 m ahead."""
     return pose_distances(T_wa[None], T_wb) / _AHEAD

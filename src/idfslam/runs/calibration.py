@@ -31,7 +31,7 @@ from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.metrics import read_metrics
 from idfslam.runs.progress import ProgressBar
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.source import open_source, read_frames
 from idfslam.sensing.depth_deformation import DepthDeformation
 from idfslam.slam import Slam
@@ -66,7 +66,7 @@ class Calibrated(NamedTuple):
     times: Mapping[str, SensorTime]  # of the sensor, by name: those that the recordings do not state
 
 
-def calibrate(sources: Sequence[Source], config: Config, *, truth: bool, console: Console | None = None) -> Calibrated:
+def calibrate(sources: Sequence[RecordingSource], config: Config, *, truth: bool, console: Console | None = None) -> Calibrated:
     """The camera of recordings or of the recordings of result folders, all of one camera.
 
     truth: the recordings' true poses tell the scale of depth. Raises RecordingError if the recordings show too little, or, with `truth`,
@@ -112,7 +112,7 @@ def unexplained(estimate: Estimate) -> str:
     return f"{found}: blur or a shutter bends them, or objects move; record a still scene slowly"
 
 
-def calibrated(source: Source, config: Config, path: Path, console: Console | None) -> Source:
+def calibrated(source: RecordingSource, config: Config, path: Path, console: Console | None) -> RecordingSource:
     """The recording of `source` with the camera that it shows itself, which is written to a file `path`.
 
     If it shows too little, a warning says so, and it stays as it was. A guessed camera is replaced also by one that fits only roughly.
@@ -134,14 +134,14 @@ def calibrated(source: Source, config: Config, path: Path, console: Console | No
     return replace(source, camera=times or None, depth_scale=None, camera_file=str(path.absolute()))
 
 
-def _run_of(source: Source) -> FinishedRun | None:
+def _run_of(source: RecordingSource) -> FinishedRun | None:
     """The run, if the source is a result folder."""
     folder = Path(source.path)
     is_run = (folder / result_folder.KEYFRAMES).is_file() and (folder / result_folder.CONFIG).is_file()
     return FinishedRun(folder) if is_run else None
 
 
-def _recording_of(source: Source) -> Dataset:
+def _recording_of(source: RecordingSource) -> Dataset:
     """The recording, or that of the result folder. Raises ConfigError for a live camera."""
     if is_live(source.path):
         raise ConfigError(f"{source.path}: a live camera, expected a recording: record it first, with `idf-slam record`")
@@ -149,7 +149,7 @@ def _recording_of(source: Source) -> Dataset:
     return open_source(source, report=True) if run is None else run.recording
 
 
-def keyframes_of(source: Source, recording: Dataset, config: Config, console: Console | None) -> list[Keyframes]:
+def keyframes_of(source: RecordingSource, recording: Dataset, config: Config, console: Console | None) -> list[Keyframes]:
     """The keyframes of a recording by SLAM, or of a result folder; those of each submap by themselves."""
     run = _run_of(source)
     if run is None:
@@ -159,7 +159,9 @@ def keyframes_of(source: Source, recording: Dataset, config: Config, console: Co
     return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses, times)]
 
 
-def keyframes_by_slam(recording: Dataset, config: Config, console: Console | None = None, source: Source | None = None) -> list[Keyframes]:
+def keyframes_by_slam(
+    recording: Dataset, config: Config, console: Console | None = None, source: RecordingSource | None = None
+) -> list[Keyframes]:
     """The keyframes of a recording, those of each submap by themselves, at the poses that SLAM gives them. source: see `read_frames`."""
     slam = Slam(replace(config, refine=False, calibrate="off"))
     with ProgressBar(len(recording), console) as bar:

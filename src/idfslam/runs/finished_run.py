@@ -19,7 +19,7 @@ from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.keyframes_file import KeyframeRecord, read_keyframes
 from idfslam.runs.lost_frames import of_all_frames
 from idfslam.runs.metrics import corrected_frames, read_metrics
-from idfslam.runs.run_config import Source, read_config
+from idfslam.runs.run_config import RecordingSource, read_config
 from idfslam.runs.source import open_source
 from idfslam.views.image_archive import ImageArchive, load_archive
 from idfslam.views.image_based_rendering import MapViews
@@ -82,7 +82,7 @@ class FinishedRun:
         _, source = read_config(self.folder)
         if source is None and self._moved is None:
             raise ResultError(f"{self.folder}: {result_folder.CONFIG} names no recording; give it with --recording")
-        named = source or Source("")
+        named = source or RecordingSource("")
         recording = open_source(named if self._moved is None else replace(named, path=str(self._moved)))
         if len(recording) < len(self.trajectory) or recording.camera != self.keyframes.camera:
             size = f"{len(recording)} frames of {recording.camera.width}x{recording.camera.height}"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.runs.result_folder import KEYFRAMES, SCHEMA, existing
-from idfslam.runs.run_config import Source, source_of
+from idfslam.runs.run_config import RecordingSource, source_of
 from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
 from idfslam.storage.plain_values import fits, shown
@@ -21,7 +21,7 @@ from idfslam.storage.plain_values import fits, shown
 class EarlierKeyframe:
     """A keyframe of the map that a run started in."""
 
-    source: Source  # the recording that holds its frame
+    source: RecordingSource  # the recording that holds its frame
     index: int  # of the frame in that recording
     timestamp: float  # [s]
     T_wk: NDArray[np.float64]  # (4, 4)
@@ -57,7 +57,7 @@ def write_keyframes(folder: Path, record: KeyframeRecord) -> None:
     atomic_files.write_json(folder / KEYFRAMES, values)
 
 
-def own_keyframes(record: KeyframeRecord, source: Source) -> list[EarlierKeyframe]:
+def own_keyframes(record: KeyframeRecord, source: RecordingSource) -> list[EarlierKeyframe]:
     """The keyframes of a run, as an extension of its map stores them."""
     columns = zip(record.indices, record.timestamps, record.poses, strict=True)
     return [EarlierKeyframe(source, int(index), float(stamp), T_wk, record.camera) for index, stamp, T_wk in columns]

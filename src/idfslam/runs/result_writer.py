@@ -16,7 +16,7 @@ from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.keyframes_file import KeyframeRecord, write_keyframes
 from idfslam.runs.metrics import pose_errors
 from idfslam.runs.prior_map import PriorMap
-from idfslam.runs.run_config import Source, write_config
+from idfslam.runs.run_config import RecordingSource, write_config
 from idfslam.slam import Slam
 from idfslam.storage import atomic_files
 from idfslam.views.image_archive import save_archive
@@ -36,7 +36,7 @@ class ResultWriter:
         recording: FrameSource,
         config: Config,
         *,
-        source: Source | None = None,
+        source: RecordingSource | None = None,
         prior: PriorMap | None = None,
     ) -> None:
         self._folder, self._slam, self._recording = folder, slam, recording

@@ -19,7 +19,7 @@ _PACKAGES = ("torch", "numpy", "numba", "opencv-python-headless", "trimesh")
 
 
 @dataclass(frozen=True)
-class Source:
+class RecordingSource:
     """A recording and the selection of its frames: the arguments of `open_recording`."""
 
     path: str
@@ -34,7 +34,7 @@ class Source:
     truth: bool = True  # False leaves the ground truth unread
 
 
-def write_config(folder: Path, config: Config, source: Source | None) -> None:
+def write_config(folder: Path, config: Config, source: RecordingSource | None) -> None:
     """Writes config.yaml: all values, the recording, and the versions of the packages."""
     versions = {"idf-slam": __version__, "python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
     values = dump(config) | dict(zip(RUN_SECTIONS, (asdict(source) if source else None, versions)))
@@ -42,7 +42,7 @@ def write_config(folder: Path, config: Config, source: Source | None) -> None:
         part.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
 
 
-def read_config(folder: Path) -> tuple[Config, Source | None]:
+def read_config(folder: Path) -> tuple[Config, RecordingSource | None]:
     """Reads config.yaml. Raises ResultError if the folder holds no run, ConfigError if the file is damaged."""
     path = existing(folder, CONFIG)
     recording = read_yaml(path).get(RUN_SECTIONS[0])
@@ -51,11 +51,11 @@ def read_config(folder: Path) -> tuple[Config, Source | None]:
     return load(path), source_of(recording, path)
 
 
-def source_of(values: Any, path: Path) -> Source:
+def source_of(values: Any, path: Path) -> RecordingSource:
     """The source that values of a file state. Raises ResultError for other names, and for values of other types."""
-    types = get_type_hints(Source)
+    types = get_type_hints(RecordingSource)
     if not isinstance(values, dict) or "path" not in values or not values.keys() <= types.keys():
         raise ResultError(f"{path}: 'recording' is {shown(values)}, expected {', '.join(types)}")
     if wrong := [name for name, value in values.items() if not fits(value, types[name])]:
         raise ResultError(f"{path}: '{wrong[0]}' of the recording is {shown(values[wrong[0]])}, expected {types[wrong[0]]}")
-    return Source(**values)
+    return RecordingSource(**values)

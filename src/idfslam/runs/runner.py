@@ -24,7 +24,7 @@ from idfslam.runs.metrics import kept_keyframes, keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.result_writer import ResultWriter, trajectory_of
-from idfslam.runs.run_config import Source, read_config, write_config
+from idfslam.runs.run_config import RecordingSource, read_config, write_config
 from idfslam.runs.run_folder import RunFolder
 from idfslam.runs.run_state import RunState
 from idfslam.runs.source import open_source, read_frames
@@ -52,7 +52,7 @@ def run(
     config: Config,
     folder: Path,
     *,
-    source: Source | None = None,
+    source: RecordingSource | None = None,
     prior: PriorMap | None = None,
     console: Console | None = None,
     make_slam: Callable[[Config], Slam] = Slam,
@@ -164,7 +164,7 @@ def _checkpoints(recording: Dataset | LiveStream, config: Config, folder: Path, 
 def _process(
     state: RunState,
     recording: Dataset | LiveStream,
-    source: Source | None,
+    source: RecordingSource | None,
     viewer: Viewer,
     checkpoints: Checkpoints,
     stop: Event,

@@ -9,14 +9,14 @@ from idfslam.datasets import Dataset, Prefetch, open_recording
 from idfslam.errors import RecordingError
 from idfslam.frame import Frame
 from idfslam.live import LiveStream, is_live, open_live
-from idfslam.runs.run_config import Source
+from idfslam.runs.run_config import RecordingSource
 
 log = logging.getLogger(__name__)
 
 _NAMED = 3  # unreadable frames of which each is a warning; raised, a damaged recording fills the console. Chosen by hand
 
 
-def open_source(source: Source, *, report: bool = False) -> Dataset:
+def open_source(source: RecordingSource, *, report: bool = False) -> Dataset:
     """The recording that `source` names, with the frames that it selects. report: as in `open_recording`.
 
     Raises RecordingError or ConfigError.
@@ -24,7 +24,7 @@ def open_source(source: Source, *, report: bool = False) -> Dataset:
     return open_recording(**asdict(source), report=report)
 
 
-def open_feed(source: Source) -> Dataset | LiveStream:
+def open_feed(source: RecordingSource) -> Dataset | LiveStream:
     """The recording or live camera that `source` names. Raises as `open_live` and `open_source` do."""
     if not is_live(source.path):
         return open_source(source, report=True)
@@ -32,7 +32,7 @@ def open_feed(source: Source) -> Dataset | LiveStream:
     return open_live(options.pop("path"), **options)
 
 
-def read_frames(recording: Dataset | LiveStream, source: Source | None = None, *, first: int = 0) -> Iterator[tuple[Frame, bool]]:
+def read_frames(recording: Dataset | LiveStream, source: RecordingSource | None = None, *, first: int = 0) -> Iterator[tuple[Frame, bool]]:
     """Each frame from index `first` on, read ahead, and whether it could be read. A blank frame replaces an unreadable one.
 
     The first unreadable frames are warnings of their own, the others are counted in one at the end, and so are frames without depth.

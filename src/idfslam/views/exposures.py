@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.geometry.depth_view import DepthView
-from idfslam.geometry.pose_distance import image_motions
+from idfslam.geometry.pose_distance import apparent_motions
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light_comparison import Comparison, compare
 from idfslam.sensing.light_solution import exposure_changes, exposures
@@ -34,7 +34,7 @@ def solve_exposures(colours: Iterable[NDArray[np.uint8]], depths: Sequence[Depth
     small = [_small(colour, view) for colour, view in zip(colours, depths)]
     pairs, comparisons = list[tuple[int, int]](), list[Comparison]()
     for a in range(1, len(depths)):
-        for b in np.argsort(image_motions(poses[a], poses[:a]), kind="stable")[:_NEAREST]:
+        for b in np.argsort(apparent_motions(poses[a], poses[:a]), kind="stable")[:_NEAREST]:
             if (found := _compare(small[a], depths[a], small[b], depths[b])) is not None:
                 pairs.append((a, int(b)))
                 comparisons.append(found)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.pose_distance import image_motions
+from idfslam.geometry.pose_distance import apparent_motions
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.views.blending import BlendedImages, Floats, blended, off_edge
 from idfslam.views.image_archive import ImageArchive
@@ -58,7 +58,7 @@ class MapViews:
 
     def _chosen(self, T_wc: NDArray[np.float64], coarse: Camera, depth: Floats) -> tuple[NDArray[np.int64], Floats]:
         """The images to blend (K,), nearest first, and how close each is to the view (K,), 1 for the closest."""
-        motion = image_motions(T_wc, self.archive.T_wc)
+        motion = apparent_motions(T_wc, self.archive.T_wc)
         chosen = list(np.argsort(motion, kind="stable")[:_NEAREST])
         sees = self._sees(T_wc, coarse, depth) if len(motion) > len(chosen) else np.zeros((len(motion), 0), bool)
         open_ = ~sees[chosen].any(0)

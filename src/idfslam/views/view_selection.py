@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.pose_distance import image_motions
+from idfslam.geometry.pose_distance import apparent_motions
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, rectified
@@ -82,7 +82,7 @@ class ViewSelection(Stateful):
         """Takes over the images of an earlier run, each relative to the nearest stored keyframe, with index -1."""
         self.camera, poses = archive.camera, torch.stack([k.T_wk for k in self.frames.graph.keyframes]).numpy()
         for view, T_wc in zip(archive.views, archive.T_wc):
-            k = int(image_motions(T_wc, poses).argmin())
+            k = int(apparent_motions(T_wc, poses).argmin())
             self._earlier.append((replace(view, index=EARLIER), k, np.linalg.inv(poses[k]) @ T_wc))
 
     def posed(self) -> list[tuple[EncodedView, NDArray[np.float64]]]:
@@ -101,7 +101,7 @@ class ViewSelection(Stateful):
         of_view = sharpness(view.taken.frame.colour) if of_view is None else of_view
         if self._best is None or of_view > self._best.sharpness:
             self._best = _Candidate(view.taken.frame, view.rectification_of_taken, view.moving, of_view)
-        if self._begun_at is None or float(image_motions(self._begun_at, T_wc[None])[0]) > _STRETCH:
+        if self._begun_at is None or float(apparent_motions(self._begun_at, T_wc[None])[0]) > _STRETCH:
             self._keep()
             self._begun_at = T_wc
 
@@ -129,7 +129,7 @@ class ViewSelection(Stateful):
     def _thin(self) -> None:
         """Drops the less sharp one of the two most similar views, again and again."""
         views, poses = [view for view, _ in self.posed()], np.stack([T_wc for _, T_wc in self.posed()])
-        apart = np.stack([image_motions(T, poses) for T in poses])
+        apart = np.stack([apparent_motions(T, poses) for T in poses])
         np.fill_diagonal(apart, np.inf)
         left, size = np.full(len(poses), True), sum(view.size for view in views)
         while size > _THINNED * self._budget and left.sum() > 1:

@@ -61,7 +61,7 @@ class Calibrate:
         from idfslam.cli.tables import print_calibration
         from idfslam.datasets.generated import absolute_path
         from idfslam.runs.calibration import calibrate, check_camera_path, unexplained, write_camera
-        from idfslam.runs.run_config import Source
+        from idfslam.runs.run_config import RecordingSource
 
         if self.out is not None:
             check_camera_path(self.out)
@@ -69,7 +69,7 @@ class Calibrate:
         scale = camera.pop("depth_scale", None)
         file = None if part.camera_file is None else str(part.camera_file.absolute())
         given = part.format, camera or None, file, scale, None, part.start, part.frames, part.stride
-        sources = [Source(absolute_path(str(path)), *given) for path in self.recordings]
+        sources = [RecordingSource(absolute_path(str(path)), *given) for path in self.recordings]
         estimate, recording, times = calibrate(sources, values, truth=self.truth, console=console)
         print_calibration([*findings(estimate), *time_findings(times)], estimate.landmarks, estimate.sightings, estimate.noise, output())
         if not estimate.explains_images:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from idfslam.datasets import Dataset
-    from idfslam.runs.run_config import Source
+    from idfslam.runs.run_config import RecordingSource
     from idfslam.runs.runner import Run as RunResult
     from idfslam.viewer.rerun_viewer import Viewer
 
@@ -162,7 +162,7 @@ class Run:
         from idfslam.datasets.provenance import is_guessed
         from idfslam.live import LiveStream, absolute_path
         from idfslam.runs.prior_map import load_prior
-        from idfslam.runs.run_config import Source
+        from idfslam.runs.run_config import RecordingSource
         from idfslam.runs.run_folder import check_usable, folder_for
         from idfslam.runs.runner import run
         from idfslam.runs.source import open_feed
@@ -176,7 +176,7 @@ class Run:
         part = self.recording
         place, frames = absolute_path(str(self.path)), (part.start, part.frames, part.stride, part.truth)
         camera_file = None if part.camera_file is None else str(part.camera_file.absolute())
-        source = Source(place, part.format, camera or None, camera_file, scale, topics or None, *frames)
+        source = RecordingSource(place, part.format, camera or None, camera_file, scale, topics or None, *frames)
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
         prior = None if self.map is None else load_prior(self.map)
@@ -190,7 +190,7 @@ class Run:
         done = run(recording, values, folder, source=source, console=console, **options)
         self._conclude(done, console, None if isinstance(recording, LiveStream) else recording)
 
-    def _calibrated(self, source: "Source", folder: Path, console: "Console") -> "Source":
+    def _calibrated(self, source: "RecordingSource", folder: Path, console: "Console") -> "RecordingSource":
         """The recording with the camera that it shows itself, in a file beside the result folder."""
         from idfslam.live import is_live
         from idfslam.runs.calibration import calibrated
