@@ -48,7 +48,7 @@ def test_images_come_back_exactly(eight_bits: bool) -> None:
     archive, keyframes = Archive(2), [keyframe(i, eight_bits=eight_bits) for i in range(5)]
     before = [(k.frame, k.depth.clone(), k.colour.clone()) for k in keyframes]
     for k in keyframes:
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     assert [k._images is None for k in keyframes] == [True, True, True, False, False]
     for k, (frame, depth, colour) in zip(keyframes, before):
         assert torch.equal(k.depth, depth)
@@ -61,7 +61,7 @@ def test_images_come_back_exactly(eight_bits: bool) -> None:
 def test_a_stored_keyframe_that_is_rectified_comes_back_rectified() -> None:
     archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
     for k in keyframes:
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     first, raw = keyframes[0], keyframes[0].colour.clone()  # in the file by now, and read again
     first.keep_features(features(0))
     first.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, 3.0])))
@@ -90,9 +90,9 @@ def test_images_are_rectified_when_they_are_asked_for() -> None:
 def test_what_was_used_last_stays() -> None:
     archive, keyframes = Archive(2), [keyframe(i, eight_bits=True) for i in range(3)]
     for k in keyframes[:2]:
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     assert keyframes[0].depth.shape == (48, 64)  # used again
-    keyframes[2].keep_in(archive)
+    keyframes[2].keep_in(archive, keyframes[2].host)
     assert [k._images is None for k in keyframes] == [False, True, False]
 
 
@@ -101,7 +101,7 @@ def test_features_come_back_exactly_and_without_the_images() -> None:
     assert keyframes[0].features is None
     for k in keyframes:
         k.keep_features(features(k.index))
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     for k in (keyframes[0], keyframes[2], keyframes[0]):
         before = features(k.index)
         assert (k._images, k._features) == (None, None)
@@ -117,7 +117,7 @@ def test_features_come_back_exactly_and_without_the_images() -> None:
 def test_features_can_be_kept_after_the_images_were_put_away() -> None:
     archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
     for k in keyframes:
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     keyframes[0].keep_features(features(0))
     assert keyframes[1].depth.shape == (48, 64)  # and the first is put away
     assert keyframes[0].depth.shape == (48, 64)
@@ -129,7 +129,7 @@ def test_the_file_lies_in_the_folder_that_is_set_and_is_not_seen(tmp_path: Path)
     archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
     archive.folder = tmp_path
     for k in keyframes:
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     assert archive._file is not None
     assert os.fstat(archive._file.fileno()).st_dev == tmp_path.stat().st_dev
     assert list(tmp_path.iterdir()) == []  # deleted with the process, however that ends
@@ -140,7 +140,7 @@ def stay_in_memory(archive: Archive, count: int = 4) -> list[Keyframe]:
     keyframes = [keyframe(i, eight_bits=True) for i in range(count)]
     for k in keyframes:
         k.keep_features(features(k.index))
-        k.keep_in(archive)
+        k.keep_in(archive, k.host)
     for k in keyframes:
         assert torch.equal(k.depth, keyframe(k.index, eight_bits=True).depth)
         assert torch.equal(k.features.trunk, features(k.index).trunk)

@@ -72,7 +72,7 @@ def test_images_are_rectified_once() -> None:
     assert view.rectification_of_taken is None
     view.rectify(Rectification(RowTimes(0.03, 0.03, 0.0), np.array([0, 0, 0, 0, 1.0, 0])))
     assert view.rectification_of_taken is view.rectification is not None
-    view.keep_in(Archive(4))
+    view.keep_in(Archive(4), 0)
     assert view.rectification_of_taken is None
 
 

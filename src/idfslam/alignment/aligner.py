@@ -29,7 +29,8 @@ from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Images, Keyframe
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_images import Images
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated rooms and redkitchen.

@@ -9,7 +9,8 @@ from idfslam.alignment.constants import MASKED
 from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, pyramid
 from idfslam.config import AlignmentConfig
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Images, Keyframe
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_images import Images
 from idfslam.sensing.vignette import Vignette
 
 

@@ -47,7 +47,7 @@ class KeyframeGraph:
         """Takes over `state`. `revive` makes the keyframes with their images."""
         for kept in state["keyframes"]:
             self.keyframes.append(revive(kept))
-            self.keyframes[-1].keep_in(self.archive)
+            self.keyframes[-1].keep_in(self.archive, self.keyframes[-1].host)
         last = state["last_keyframe"]
         self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
         self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
@@ -87,7 +87,7 @@ class KeyframeGraph:
 
     def _store(self, keyframe: Keyframe) -> None:
         self.keyframes.append(keyframe)
-        keyframe.keep_in(self.archive)
+        keyframe.keep_in(self.archive, keyframe.host)
         for i in keyframe.covisible:
             self.keyframes[i].covisible.add(keyframe.host)
         for i in keyframe.edges:

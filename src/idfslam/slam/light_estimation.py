@@ -14,8 +14,9 @@ from torch import Tensor
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.graph.keyframe import Images, Keyframe
+from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_images import Images
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
