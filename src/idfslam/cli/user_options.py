@@ -1,6 +1,6 @@
 """`--help` shows the options that users set; `--help-all` shows all of them.
 
-Which values of the configuration users set is marked on their fields (`UserOption` in config/sections.py). Flags that are no part of the
+Which values of the configuration users set is marked on their fields (`UserOption` in config/). Flags that are no part of the
 configuration are always shown. Hidden options work as all others do.
 """
 
@@ -13,7 +13,7 @@ import tyro
 from tyro.conf import Suppress, arg
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from idfslam.config import sections
+from idfslam import config
 from idfslam.config.fields import field_types, is_user_option, meanings
 
 HELP, HELP_ALL = ("-h", "--help"), "--help-all"
@@ -42,7 +42,7 @@ def _with_help(info: StructTypeInfo, *, hide: bool = False) -> StructConstructor
     for field in fields(kind):
         field_type: Any = types[field.name]
         default = _default(field, info.default)
-        hidden = hide and kind.__module__ == sections.__name__ and not is_dataclass(default) and not is_user_option(field_type)
+        hidden = hide and kind.__module__.startswith(f"{config.__name__}.") and not is_dataclass(default) and not is_user_option(field_type)
         if hidden:
             field_type = Annotated[field_type, Suppress]
         text = texts.get(field.name)

@@ -1,24 +1,18 @@
 """The values of the system: sections, presets, and configurations in YAML files."""
 
-from idfslam.config.presets import FAST, IMAP, NICE, PAPER, PRESETS, PRETRAIN
-from idfslam.config.sections import (
-    AlignmentConfig,
-    Config,
+from idfslam.config.config import Config
+from idfslam.config.keyframe_sections import KeyframeConfig, LoopConfig, RefinementConfig
+from idfslam.config.map_sections import (
     FieldConfig,
-    FinetuneConfig,
     FusionConfig,
-    InverseRenderingConfig,
     JointMappingConfig,
-    KeyframeConfig,
-    LoopConfig,
     MapperConfig,
     MeshConfig,
     OccupancyGridsConfig,
-    PretrainConfig,
-    RefinementConfig,
-    TrackerConfig,
     VolumeDensityConfig,
 )
+from idfslam.config.presets import FAST, IMAP, NICE, PAPER, PRESETS, PRETRAIN
+from idfslam.config.tracking_sections import AlignmentConfig, FinetuneConfig, InverseRenderingConfig, PretrainConfig, TrackerConfig
 from idfslam.config.yaml_file import RUN_SECTIONS, check, dump, load, preset, read_yaml, update
 
 __all__ = [

@@ -1,19 +1,10 @@
 """The presets: `paper` holds the values of Sec. VI-A; `fast`, the default, is the system for use. `imap` and `nice` are our implementations
 of the two systems that the paper compares itself with; docs/presets.md has the source of each value."""
 
-from idfslam.config.sections import (
-    Config,
-    FieldConfig,
-    FinetuneConfig,
-    FusionConfig,
-    InverseRenderingConfig,
-    JointMappingConfig,
-    KeyframeConfig,
-    LoopConfig,
-    MapperConfig,
-    PretrainConfig,
-    TrackerConfig,
-)
+from idfslam.config.config import Config
+from idfslam.config.keyframe_sections import KeyframeConfig, LoopConfig
+from idfslam.config.map_sections import FieldConfig, FusionConfig, JointMappingConfig, MapperConfig
+from idfslam.config.tracking_sections import FinetuneConfig, InverseRenderingConfig, PretrainConfig, TrackerConfig
 
 FAST = Config()
 

@@ -5,9 +5,10 @@ from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+from idfslam.config.config import Config
 from idfslam.config.fields import bounds, field_types
 from idfslam.config.presets import PRESETS
-from idfslam.config.sections import Config, PretrainConfig
+from idfslam.config.tracking_sections import PretrainConfig
 from idfslam.errors import ConfigError
 from idfslam.storage import yaml_text
 from idfslam.storage.plain_values import shown
