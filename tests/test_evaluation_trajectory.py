@@ -10,6 +10,7 @@ from idfslam.evaluation.trajectory_error import (
     absolute_trajectory_error,
     first_pose_alignment,
     matched_ground_truth,
+    pose_alignment,
     relative_pose_error,
 )
 from idfslam.geometry.trajectory import Trajectory, TrajectoryError
@@ -145,3 +146,27 @@ def test_the_first_pose_places_a_map_whose_later_centres_are_off() -> None:
     np.testing.assert_allclose(first_pose_alignment(estimate, truth), truth[0], atol=1e-12)
     turned = absolute_trajectory_error(estimate, truth).T_gt_est[:3, :3]
     assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) > 15
+
+
+def test_poses_on_a_line_are_aligned_in_all_directions() -> None:
+    """The centres alone leave the turn about the line open."""
+    truth = np.tile(np.eye(4), (3, 1, 1))
+    truth[:, 0, 3] = [0.0, 0.1, 0.2]
+    T_gt_est = np.eye(4)
+    T_gt_est[:3, :3], T_gt_est[:3, 3] = Rotation.from_rotvec([0.5, -0.2, 0.3]).as_matrix(), [1.0, -2.0, 3.0]
+    estimate = np.linalg.inv(T_gt_est) @ truth
+    truth[1] = np.nan
+    np.testing.assert_allclose(pose_alignment(estimate, truth), T_gt_est, atol=1e-12)
+    np.testing.assert_allclose(pose_alignment(estimate[:1], truth[:1]), T_gt_est, atol=1e-12)
+
+
+def test_a_short_path_with_errors_turns_the_map_little() -> None:
+    """Two centres 10 cm apart, one 5 cm off to the side. The centres alone turn by 27 degrees; six points 2 m around each turn by 0.03."""
+    truth, estimate = np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1))
+    truth[1, 0, 3] = estimate[1, 0, 3] = 0.1
+    estimate[1, 1, 3] = 0.05
+    turn = np.arctan2(-12 * 0.05 * 0.025, 12 * 0.05**2 + 8 * 2.0**2)  # sums of cross and dot products; 8 of the points turn about z
+    found = Rotation.from_matrix(pose_alignment(estimate, truth)[:3, :3]).as_rotvec()
+    np.testing.assert_allclose(found[2], turn, rtol=1e-6)
+    centres = Rotation.from_matrix(absolute_trajectory_error(estimate, truth).T_gt_est[:3, :3]).magnitude()
+    assert centres == pytest.approx(np.arctan(0.5))

@@ -23,12 +23,13 @@ from idfslam.evaluation.trajectory_error import (
     absolute_trajectory_error,
     first_pose_alignment,
     matched_ground_truth,
+    pose_alignment,
     relative_pose_error,
 )
 from idfslam.evaluation.truth_plausibility import doubt
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
-from idfslam.geometry.trajectory import Trajectory, is_rotation_determined, load_tum
+from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.storage.ledger import Ledger
 
 log = logging.getLogger(__name__)
@@ -52,9 +53,9 @@ def evaluate(
 ) -> Evaluation:
     """Errors of FOLDER/trajectory.txt and, if a true mesh is given, of FOLDER/mesh.ply; writes evaluation.json, trajectory.png, error.png.
 
-    The alignment of the two trajectories moves the mesh into the frame of the truth, or the first frame's true pose, by protocol;
-    the true mesh must be in the frame of the true trajectory. If nothing of the mesh counts under the protocol, a warning says so and the
-    mesh is not evaluated.
+    The alignment of all poses moves the mesh into the frame of the truth, or the first frame's true pose, by protocol; the true mesh must
+    be in the frame of the true trajectory. If nothing of the mesh counts under the protocol, a warning says so and the mesh is not
+    evaluated.
 
     camera: of the recording; with sensor_range, the depths that the sensor read, it decides which surface the recording could show.
     tolerance: largest difference of stamps [s] that belong together. keyframes: indices (K,) of the frames to mark in the plot.
@@ -78,9 +79,7 @@ def evaluate(
     if what := doubt(estimate.poses, truth, ate):
         log.warning("%s: %s", folder, what)
     if gt_mesh is not None:
-        T_gt_est = first_pose_alignment(estimate.poses, truth) if rules.first_pose else ate.T_gt_est
-        if not rules.first_pose and not is_rotation_determined(truth[ate.frames, :3, 3]):
-            log.warning("the true camera centres lie on one line: the alignment that moves the mesh is not determined")
+        T_gt_est = (first_pose_alignment if rules.first_pose else pose_alignment)(estimate.poses, truth)
         measure = partial(mesh_error, poses=truth, T_gt_est=T_gt_est, sensor_range=sensor_range, samples=samples, views=views, seed=seed)
         result = replace(result, mesh=_mesh_errors(folder, gt_mesh, camera, partial(measure, protocol=protocol)))
     with ledger.replacing(EVALUATION) as part:

@@ -10,7 +10,7 @@ protocol:
   perfect reconstruction has accuracy 0 (between two sets of 200 000 points on 150 m^2 it is 1.4 cm). Accuracy is measured to all of the
   true surface. Depth L1 is taken over pixels where both have a surface; the share of the other pixels is given separately.
 - `nice` (NICE-SLAM): faces in a frustum, no occlusion test; the reconstruction is placed by the first frame's true pose, with which its
-  authors start, not by the alignment of all camera centres; then ICP, point to point, 0.1 m. All frames, no far plane.
+  authors start, not by the alignment of all poses; then ICP, point to point, 0.1 m. All frames, no far plane.
 - `neural-rgbd` (Neural RGB-D, GO-Surf): faces in a frustum and unoccluded by the mesh itself, margin 3 cm, 0.01 to 10 m, every second
   frame.
 - `coslam` (Co-SLAM): as neural-rgbd, and surface in a recorded frustum is kept too if a virtual view sees it unoccluded. The published
@@ -60,7 +60,7 @@ class Protocol:
     occluder: str = "itself"  # the mesh that hides surface: "itself" or "truth"
     stride: int = 1  # every so many-th recorded frame is used
     virtual_positions: int = 0  # of virtual views; 0: there are none
-    first_pose: bool = False  # whether the first frame's true pose places the reconstruction, not the alignment of all camera centres
+    first_pose: bool = False  # whether the first frame's true pose places the reconstruction, not the alignment of all poses
     icp: bool = False  # whether ICP aligns the reconstruction to the truth first
     sensor_limited: bool = False  # whether the depth range is limited to the depths that the sensor read
     point_to_surface: bool = False  # distances to the surface, not to points on it; a true point must be seen itself, not only its face
