@@ -198,14 +198,15 @@ def _cost(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         memory, gpu = ([row[key] for row in own if row.get(key)] for key in ("peak_memory_mb", "peak_gpu_memory_mb"))
         cells = [method, f"{speed:.2f}", f"{2000 / speed / 3600:.2f}", f"{max(memory):.0f}" if memory else "-"]
         cells += [f"{max(gpu):.0f}" if gpu else "-", f"{sum(row['lost_frames'] for row in own)} of {sum(row['processed'] for row in own)}"]
+        cells += [f"{statistics.fmean(row['keyframes'] for row in own):.1f}"]
         lines.append({"cells": [_cell(text) for text in cells], "printed": False})
     if lines:
-        lines.append({"cells": [_cell(t) for t in ("iDF-SLAM, printed", "-", "about 7", "-", "about 4000", "-")], "printed": True})
-        lines.append({"cells": [_cell(t) for t in ("iMAP, printed", "-", "about 12", "-", "-", "-")], "printed": True})
+        lines.append({"cells": [_cell(t) for t in ("iDF-SLAM, printed", "-", "about 7", "-", "about 4000", "-", "-")], "printed": True})
+        lines.append({"cells": [_cell(t) for t in ("iMAP, printed", "-", "about 12", "-", "-", "-", "-")], "printed": True})
     about = (
         "Means over the scenes, largest memory. The paper's hours are those of a GeForce RTX 2080 Ti; ours are extrapolated from the speed."
     )
-    titles = ["method", "frames/s", "hours for 2000 frames", "memory [MiB]", "GPU memory [MiB]", "lost frames"]
+    titles = ["method", "frames/s", "hours for 2000 frames", "memory [MiB]", "GPU memory [MiB]", "lost frames", "keyframes"]
     return {"id": "cost", "title": "Time and memory", "about": about, "titles": titles, "rows": lines}
 
 
