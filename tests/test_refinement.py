@@ -34,7 +34,7 @@ def graph() -> KeyframeGraph:
 
 
 def refinement(graph: KeyframeGraph, queue: RelearnQueue, learner: Mapper) -> KeyframeRefinement:
-    return KeyframeRefinement(FAST.refinement, graph, queue, aligner(learner))
+    return KeyframeRefinement(FAST.refinement, graph, queue, aligner(learner), references=FAST.alignment.references)
 
 
 def test_where_a_loop_has_put_a_keyframe_it_stays_until_the_map_has_followed(graph: KeyframeGraph, corner: Mapper) -> None:

@@ -144,7 +144,7 @@ class System:
 
     @cached_property
     def relocaliser(self) -> Relocaliser:
-        return Relocaliser(self.tracker, self.features, self.aligner, self.graph)
+        return Relocaliser(self.tracker, self.features, self.aligner, self.graph, references=self.config.alignment.references)
 
     @cached_property
     def relocalisation_check(self) -> RelocalisationCheck:
@@ -218,7 +218,8 @@ class System:
         if not self.aligns:
             return NoRefinement()
         held = (lambda keyframe: False) if self.local_adjustment is None else self.local_adjustment.holds
-        return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner, held)
+        references = self.config.alignment.references
+        return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner, held, references=references)
 
     @cached_property
     def adjustment(self) -> KeyframeAdjustment:

@@ -39,8 +39,11 @@ class KeyframeRefinement(Refinement):
         relearn: RelearnQueue,
         aligner: MapAligner,
         held: Callable[[Keyframe], bool] = lambda keyframe: False,
+        *,
+        references: int,
     ) -> None:
-        """held: whether something more exact than the map holds a keyframe, which then stays."""
+        """held: whether something more exact than the map holds a keyframe, which then stays. references: keyframes it is compared with."""
+        self.references = references
         self.held, self.config, self.graph, self.relearn, self.aligner = held, config, graph, relearn, aligner
 
     def refine(self, keyframes: Sequence[Keyframe]) -> None:
@@ -54,7 +57,7 @@ class KeyframeRefinement(Refinement):
                 self._refine(keyframe)
 
     def _refine(self, keyframe: Keyframe) -> None:
-        references = self.graph.older_references(keyframe, self.aligner.config.references)
+        references = self.graph.older_references(keyframe, self.references)
         aligned = self.aligner.align(keyframe, keyframe.T_wk, references, max_guess_error_px=0.0)
         change = change_between(keyframe.T_wk, aligned.T_wc)
         small = float(change[:3].norm()) < self.config.max_shift

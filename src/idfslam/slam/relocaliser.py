@@ -34,7 +34,9 @@ _RIVAL = 0.8  # [1] share of the best score above which another place makes the 
 class Relocaliser(Stateful):
     """Finds views among keyframes."""
 
-    def __init__(self, tracker: Tracker, features: KeyframeFeatures, aligner: MapAligner, graph: KeyframeGraph) -> None:
+    def __init__(self, tracker: Tracker, features: KeyframeFeatures, aligner: MapAligner, graph: KeyframeGraph, *, references: int) -> None:
+        """references: number of keyframes whose images a view is compared with."""
+        self.references = references
         self.tracker, self.features, self.aligner, self.graph = tracker, features, aligner, graph
         self._codebook: Tensor | None = None
         self._descriptors: FrameMemory[Tensor] = FrameMemory()
@@ -47,11 +49,6 @@ class Relocaliser(Stateful):
         """Takes over `state`."""
         self._codebook = None if state["codebook"] is None else state["codebook"].to(self.tracker.device)
         self._descriptors.restore(state["descriptors"], lambda descriptor: descriptor.to(self.tracker.device))
-
-    @property
-    def references(self) -> int:
-        """The number of keyframes whose images a view is compared with."""
-        return self.aligner.config.references
 
     def descriptor(self, view: Keyframe) -> Tensor:
         """A view's global descriptor, computed once; the first view gives the codebook."""
