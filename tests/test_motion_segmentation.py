@@ -76,7 +76,7 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
     """Without the nearest layer the image fits no better; tracking it has turned, rectified and marked the view meanwhile."""
     graph = KeyframeGraph(FAST.keyframes)
     segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
-    segmentation.restore(segmentation.state() | {"usual_error": 0.02})
+    segmentation.restore(segmentation.state() | {"usual_error": {"mean": 0.02}})
     shown, first = view(CORNER, EYE), Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.1))
     shown.rectify(first)
     predicted = shown.T_wk.clone()

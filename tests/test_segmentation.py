@@ -15,6 +15,8 @@ from idfslam.segmentation.constants import SIGMAS, SLACK
 from idfslam.segmentation.free_space import PosedView, plain_vote, sigma, votes
 from idfslam.segmentation.memory import Memory
 from idfslam.segmentation.region_growing import grown
+from idfslam.segmentation.remembered import Remembered
+from idfslam.segmentation.witnesses import Witnesses
 
 CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
 
@@ -128,6 +130,49 @@ def test_moving_cells_agree_but_do_not_hold() -> None:
     assert not votes(wall(3.0), np.eye(4), [posed(wall(3.0), testifies=False)]).stays.any()
 
 
+def test_what_stands_for_long_and_was_never_seen_through_since_stays() -> None:
+    here, gone = wall(3.0, body=1.5), wall(3.0)
+    old, still, nothing = posed(here, moving=True), np.eye(4), np.zeros((80, 107), np.bool_)
+    old = PosedView(old.view, old.T_wc, old.moving, settles=True)
+    before = PosedView(gone, still, nothing, settles=True)
+    assert votes(here, still, [before]).moves.sum() == 40 * 20
+    assert not votes(here, still, [before, old]).moves.any()
+    assert votes(here, still, [before, old]).held[20:60, 40:60].all()
+    since = PosedView(gone, still, nothing)
+    assert votes(here, still, [before, old, since]).moves.sum() == 40 * 20  # she left, and is back
+
+
+# ----- witnesses
+
+
+def remembered(view: CoarseView, number: int, host: int = 0) -> Remembered:
+    nothing = np.zeros(view.depth.shape, np.bool_)
+    return Remembered(host, np.eye(4), view, nothing, True, nothing, number)
+
+
+def test_views_that_saw_through_what_moves_are_asked_again() -> None:
+    def pose_of(host: int) -> np.ndarray:
+        T = np.eye(4)
+        T[0, 3] = 0.1 * host
+        return T
+
+    views = [remembered(wall(3.0), number, host) for host, number in enumerate((0, 10, 20, 30, 40))]
+    witnesses = Witnesses(pose_of)
+    assert list(witnesses.nearest(np.eye(4), 50, [views])) == [0, 10]  # the most similar poses
+    assert list(witnesses.asked(np.eye(4), 50, [views], moves=False)) == [0, 10]
+    assert list(witnesses.asked(np.eye(4), 50, [views], moves=True)) == [0, 10, 40]  # and 20, 30 or 40 in turns
+    moving, parts = np.zeros((80, 107), np.bool_), [np.zeros((80, 107), np.bool_) for _ in range(3)]
+    moving[:10, :30] = True
+    parts[0][:10, :20], parts[1][:10, 18:30], parts[2][:10, :22] = True, True, True
+    witnesses.prove({10: parts[0], 20: parts[1], 30: parts[2]}, moving)
+    assert witnesses.proven == [30, 20]  # 220 of 300 cells, then the other 80
+    assert list(witnesses.asked(np.eye(4), 51, [views], moves=True)) == [0, 10, 20, 30, 40]
+    assert 0 in witnesses.asked(pose_of(4), 95, [views], moves=False)  # it shows what stands for 90 frames
+    far = np.eye(4)
+    far[2, 3] = 3.0
+    assert witnesses.asked(far, 51, [views], moves=True) == {}
+
+
 @cache
 def room(movers: str | None) -> SyntheticRoom:
     return SyntheticRoom(2, 300, 320, 240, noise=True, movers=movers)
@@ -204,6 +249,40 @@ def test_cells_are_carried_to_where_another_camera_sees_them() -> None:
 
 
 # ----- memory
+
+
+def stands_from(start: int, frames: int) -> tuple[Memory, list[float]]:
+    """A memory of a bolted camera before a wall, before which a body stands from a frame on; and how much of the body is masked."""
+    memory, shares = Memory(lambda k: np.eye(4)), list[float]()
+    for i in range(frames):
+        cells = memory.segment(wall(3.0, body=1.5 if i >= start else 0.0), np.eye(4))
+        memory.remember(i // 10, np.eye(4), stored=i % 10 == 0)
+        shares.append(float(cells[20:60, 40:60].mean()))
+    return memory, shares
+
+
+def test_who_stands_still_is_masked_for_three_seconds_and_is_then_part_of_the_scene() -> None:
+    _, shares = stands_from(30, 150)
+    assert shares[29] == 0.0
+    assert min(shares[30:120]) == 1.0
+    assert max(shares[140:]) == 0.0
+
+
+def test_a_view_at_its_predicted_pose_need_not_be_segmented_again() -> None:
+    memory, _ = stands_from(30, 40)
+    again, _ = stands_from(30, 40)
+    view, T, off = wall(3.0, body=1.5, columns=slice(150, 210)), np.eye(4), np.eye(4)
+    T[0, 3], off[0, 3] = 0.005, 0.02
+    expected = memory.expect(view, np.eye(4))
+    assert expected[20:60, 50:70].all()
+    assert memory.confirm(off) is None
+    confirmed = memory.confirm(T)
+    assert confirmed is not None
+    np.testing.assert_array_equal(confirmed, again.segment(view, np.eye(4)))
+    assert memory.confirm(T) is None  # it was taken up
+
+
+# ----- memory in a room
 
 
 def walked(recording: SyntheticRoom, frames: int, every: int = 15) -> tuple[Memory, list[float], list[float]]:

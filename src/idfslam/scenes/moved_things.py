@@ -35,6 +35,22 @@ class PushedChair:
         furniture.chair(scene, T, self._timber, self._cloth)
 
 
+class SwivelChair:
+    """A chair that turns where it stands by an angle [degrees], from `start` to `end` [s]."""
+
+    def __init__(self, materials: Scene, at: Array, angle: float, start: float, end: float) -> None:
+        """at (2,) [m]: its place on the floor."""
+        self.at, self.angle, self.start, self.end = at, angle, start, end
+        self._turn = float(materials.rng.uniform(0, 360))
+        self._timber = furniture.wood(materials)
+        self._cloth = furniture.cloth(materials)
+
+    def draw(self, scene: Scene, seconds: float) -> None:
+        """Draws the chair at a time."""
+        turn = self._turn + self.angle * eased(seconds, self.start, self.end)
+        furniture.chair(scene, place(float(self.at[0]), float(self.at[1]), turn=turn), self._timber, self._cloth)
+
+
 class OpenedDoor:
     """A panelled door, hinged at a wall's frame (4, 4) (x along the wall, y into the room), that opens from `start` to `end` [s]."""
 

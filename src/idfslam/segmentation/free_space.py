@@ -37,6 +37,7 @@ class PosedView:
     T_wc: Array
     moving: Cells
     testifies: bool = True  # False: it was taken about when the view was, so that its seeing the same says nothing
+    settles: bool = False  # True: it was taken so long before that what it sees in the same place stands there
 
 
 @dataclass(frozen=True)
@@ -46,16 +47,18 @@ class Votes:
     through: Counts
     seen: Counts  # in cells that do not move
     agree: Counts  # in any cells
+    stands: Cells  # whether one of them saw it long before, and none saw through it since
+    by: Sequence[Cells]  # for each view, the cells (h, w) whose points it saw through
 
     @property
     def moves(self) -> Cells:
         """Cells whose points most of the views that know the place saw through."""
-        return self.through > self.seen
+        return (self.through > self.seen) & ~self.stands
 
     @property
     def held(self) -> Cells:
         """Cells whose points at least as many views see, in cells that do not move, as saw through them."""
-        return (self.seen > 0) & (self.seen >= self.through)
+        return self.stands | ((self.seen > 0) & (self.seen >= self.through))
 
     @property
     def stays(self) -> Cells:
@@ -71,16 +74,24 @@ def votes(view: CoarseView, T_wc: Array, others: Sequence[PosedView]) -> Votes:
     """
     shape = view.depth.shape
     through, seen, agree = (np.zeros(shape, np.int32) for _ in range(3))
+    stood, gone_since, by = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), list[Cells]()
     vote = compiled_vote if compiles() else plain_vote
     for other in others:
         T_oc = np.linalg.inv(other.T_wc) @ T_wc
         gone, there, fixed = (np.zeros(shape, np.bool_) for _ in range(3))
         known = vote(view, other, T_oc, gone, there, fixed)
-        if gone.sum() <= EVERYTHING * known:
-            through += gone
-            seen += fixed & other.testifies
-            agree += there & other.testifies
-    return Votes(through, seen, agree)
+        if gone.sum() > EVERYTHING * known:
+            gone[:], there[:], fixed[:] = False, False, False
+        by.append(gone)
+        through += gone
+        if other.testifies:
+            seen += fixed
+            agree += there
+        if other.settles:
+            stood |= there
+        else:
+            gone_since |= gone
+    return Votes(through, seen, agree, stood & ~gone_since, by)
 
 
 def compiled_vote(view: CoarseView, other: PosedView, T_oc: Array, gone: Cells, there: Cells, fixed: Cells) -> int:

@@ -4,19 +4,20 @@ The views that are remembered are segmented again when later ones have seen more
 in the first view once it has left its place.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 from idfslam.segmentation.carrying import carried
 from idfslam.segmentation.coarse_view import CoarseView
+from idfslam.segmentation.constants import SLACK
 from idfslam.segmentation.free_space import PosedView, votes
 from idfslam.segmentation.region_growing import grown
+from idfslam.segmentation.remembered import Remembered, Segmented
+from idfslam.segmentation.witnesses import Witnesses
 from idfslam.storage.state import State
 
 Array = NDArray[np.float64]
@@ -25,96 +26,80 @@ Cells = NDArray[np.bool_]
 # All of them were chosen by hand on generated rooms.
 _EVERY = 6  # [frames] between views that are remembered besides keyframes. More: slow movements are found, and all of them later
 _RECENT = 8  # such views. More: movement is found longer after it, slower
-_WITNESSES = 3  # of the recent views, and as many of the others, are asked about a view. More: surer, slower
 _AGAIN = 2  # [frames] from one keyframe that is segmented again to the next. More: faster, and keyframes heal later
 _MOST = 200  # views of keyframes, beyond which every other one is dropped. More: more memory, 0.2 MB each
-_APART, _TURNED = 2.5, np.cos(np.deg2rad(50))  # [m], cosine: views farther apart are not asked. More: witnesses that see little of a view
 _SAME = 0.15  # [m] depth by which a carried cell may change. More: what a person uncovers is masked a little longer
 _FOLLOWED = 0.3  # [m] the same for what has left its place in a view of some frames before. More: faster walkers are followed
-_SETTLED = (
-    10  # [frames] from when on a view that sees the same tells that it stays. More: slower walkers are found, false masks last longer
-)
 _BACK = 20  # of the newest keyframes are looked back at. More: older ones that serve as references again are masked at once
 _NEWS = 16  # [cells] that must change for a keyframe's mask to be replaced. More: masks of keyframes follow later evidence less
 _SUSPECTED = 20  # [frames] that such a cell stays masked longer after tracking has told that it moves. More: likewise
 _AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its place. More: more of its surroundings are masked there
+# Share of a cell, and of the slack, by which a predicted pose may be off. More: more views need no second segmentation, with rougher masks
+_OFF = 0.3
 _LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
-
-
-@dataclass(frozen=True)
-class Remembered:
-    """A view that is remembered, at its pose (4, 4) in its host keyframe."""
-
-    host: int
-    T_kc: Array
-    view: CoarseView
-    moving: Cells
-    stored: bool  # whether it is the host keyframe itself
-    left: Cells  # cells whose points later views saw through
-    number: int  # of the frame
-
-    def state(self) -> State:
-        """All of it."""
-        arrays = {name: _kept(getattr(self, name)) for name in ("T_kc", "moving", "left")}
-        return {"host": self.host, "view": self.view.state(), "stored": self.stored, "number": self.number, **arrays}
-
-    @classmethod
-    def from_state(cls, state: State) -> "Remembered":
-        """What `state` was made from."""
-        arrays = {name: _array(state[name]) for name in ("T_kc", "moving", "left")}
-        return cls(host=state["host"], view=CoarseView.from_state(state["view"]), stored=state["stored"], number=state["number"], **arrays)
-
-
-@dataclass(frozen=True)
-class Segmented:
-    """A view at its pose (4, 4), and what moves in it."""
-
-    view: CoarseView
-    T_wc: Array
-    moving: Cells
-    age: NDArray[np.int32]  # [frames] since there was evidence that a cell moves; negative: it is taken to move for so long
-
-    def state(self) -> State:
-        """All of it."""
-        return {"view": self.view.state()} | {name: _kept(getattr(self, name)) for name in ("T_wc", "moving", "age")}
-
-    @classmethod
-    def from_state(cls, state: State) -> "Segmented":
-        """What `state` was made from."""
-        return cls(CoarseView.from_state(state["view"]), *(_array(state[name]) for name in ("T_wc", "moving", "age")))
 
 
 class Memory:
     """Remembered views, and what moved in the last one. `pose_of` gives the present camera-to-world pose (4, 4) of a keyframe."""
 
     def __init__(self, pose_of: Callable[[int], Array]) -> None:
-        self._pose_of = pose_of
+        self._pose_of, self._witnesses = pose_of, Witnesses(pose_of)
         self.keyframes: list[Remembered] = []
         self.recent: list[Remembered] = []
         self._last: Segmented | None = None  # the view before this one
         self._suspected: Cells | None = None  # cells of the next view that its tracking says to move
+        self._expected: tuple[Segmented, dict[int, Cells]] | None = None  # the next view, as it is at its predicted pose
         self._turn = 0  # number of the keyframe that is segmented again next
         self._since = 0  # frames since one was remembered
         self._number = 0  # of frames so far
 
-    def predicted(self, camera: Camera, T_wc: Array) -> Cells:
-        """(h, w) the cells of a camera at a pose (4, 4) in which what moved last would be if it stood still."""
-        return np.isfinite(self._carried(camera, T_wc)[0])
+    def expect(self, view: CoarseView, T_predicted: Array) -> Cells:
+        """(h, w) the cells of a view that show what moves if it is at a predicted pose (4, 4). Nothing is known before the first view."""
+        if self._last is None or self.still:
+            self._expected = None
+            return np.zeros(view.depth.shape, np.bool_)
+        near_left = [near for kept in self.recent if (near := self._near_left(kept, view, T_predicted)) is not None]
+        self._expected = self._judged(view, T_predicted, self._number + 1, near_left)
+        return self._expected[0].moving
+
+    def confirm(self, T_wc: Array) -> Cells | None:
+        """What `segment` would give for the view that was expected, if its pose (4, 4) is about the predicted one; None: it is not."""
+        if self._expected is None or self._suspected is not None or not _is_near(self._expected[0], T_wc):
+            return None
+        self._number += 1
+        segmented, through = self._expected
+        self._followed(segmented.view, T_wc)
+        self._keep(replace(segmented, T_wc=T_wc), through)
+        return segmented.moving
 
     def segment(self, view: CoarseView, T_wc: Array) -> Cells:
         """(h, w) the cells of a view at a pose (4, 4) that show what moves."""
         self._number += 1
-        found = votes(view, T_wc, self._witnesses(T_wc, self._number, [self.recent, self.keyframes]))
+        segmented, through = self._judged(view, T_wc, self._number, self._followed(view, T_wc))
+        self._keep(segmented, through)
+        return segmented.moving
+
+    def _keep(self, segmented: Segmented, through: dict[int, Cells]) -> None:
+        self._last, self._suspected, self._expected = segmented, None, None
+        self._witnesses.prove(through, segmented.moving)
+
+    def _judged(self, view: CoarseView, T_wc: Array, number: int, near_left: list[Cells]) -> tuple[Segmented, dict[int, Cells]]:
+        """What moves in a view of this number, and the cells (h, w) that other views saw through. near_left: where something left."""
+        asked = self._witnesses.asked(T_wc, number, [self.recent, self.keyframes], moves=not self.still)
+        found = votes(view, T_wc, list(asked.values()))
         near, before = self._carried(view.camera, T_wc)
-        goes_on = (np.abs(view.depth - near) < _SAME) & (~found.held | (before < 0))
-        fresh = grown(found.moves, found.stays, view.depth) | (self._followed(view, T_wc) & ~found.stays)
+        carried_on = np.abs(view.depth - near) < _SAME
+        pauses = carried_on & (found.through > 0) & ~found.stands  # one who stands still where views of her have gathered
+        goes_on = carried_on & (~found.held | (before < 0))
+        stays = (found.held | (found.stays & ~carried_on)) & ~pauses
+        fresh = grown(found.moves | pauses, stays, view.depth)
+        for cells in near_left:
+            fresh |= cells & ~found.stays
         age = np.where(goes_on, before + 1, _LASTS + 1)
         age = np.where(fresh, np.minimum(age, 0), age)
         if self._suspected is not None:
             age[self._suspected] = -_SUSPECTED
-        self._suspected = None
-        self._last = Segmented(view, T_wc, age <= _LASTS, age.astype(np.int32))
-        return self._last.moving
+        return Segmented(view, T_wc, age <= _LASTS, age.astype(np.int32)), dict(zip(asked, found.by))
 
     def _carried(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere. And the ages of its cells."""
@@ -122,20 +107,25 @@ class Memory:
             return np.full((camera.height, camera.width), np.float32(np.inf)), np.zeros((camera.height, camera.width), np.int32)
         return carried(self._last.view, self._last.T_wc, self._last.moving, camera, T_wc, ages=self._last.age)
 
-    def _followed(self, view: CoarseView, T_wc: Array) -> Cells:
-        """(h, w) the cells near the places that something has left since the recent views."""
-        out = np.zeros(view.depth.shape, np.bool_)
+    def _followed(self, view: CoarseView, T_wc: Array) -> list[Cells]:
+        """(h, w) each: the cells near the places that something has left since the recent views. One of them learns what has left."""
         newest = len(self.recent) - 1
         look = newest if self._turn % 2 else self._turn // 2 % max(newest, 1)  # one a frame: the newest, then another in turns
-        for k, kept in enumerate(self.recent):
-            T = self._pose_of(kept.host) @ kept.T_kc
-            if k == look:
-                found = votes(kept.view, T, [PosedView(view, T_wc, out)])
-                left = grown(found.moves, found.stays, kept.view.depth)
-                self.recent[k] = kept = replace(kept, left=kept.left | left, moving=kept.moving | left)
-            if kept.left.any():
-                out |= np.abs(view.depth - carried(kept.view, T, kept.left, view.camera, T_wc)[0]) < _FOLLOWED
-        return out
+        if self.recent:
+            kept = self.recent[look]
+            found = votes(kept.view, self._pose(kept), [PosedView(view, T_wc, np.zeros(view.depth.shape, np.bool_))])
+            left = grown(found.moves, found.stays, kept.view.depth)
+            self.recent[look] = replace(kept, left=kept.left | left, moving=kept.moving | left)
+        return [near for kept in self.recent if (near := self._near_left(kept, view, T_wc)) is not None]
+
+    def _near_left(self, kept: Remembered, view: CoarseView, T_wc: Array) -> Cells | None:
+        """(h, w) the cells of a view at a pose (4, 4) near the places that something has left since a recent view; None: nothing has."""
+        if not kept.left.any():
+            return None
+        return np.asarray(np.abs(view.depth - carried(kept.view, self._pose(kept), kept.left, view.camera, T_wc)[0]) < _FOLLOWED)
+
+    def _pose(self, kept: Remembered) -> Array:
+        return np.asarray(self._pose_of(kept.host) @ kept.T_kc)
 
     @property
     def still(self) -> bool:
@@ -154,7 +144,7 @@ class Memory:
 
     def forget_last(self) -> None:
         """What moved is not known any more: the camera was lost."""
-        self._last = None
+        self._last = self._expected = None
 
     def remember(self, host: int, T_kc: Array, *, stored: bool) -> None:
         """Keeps the view segmented last, if it is a stored keyframe or a while after the one before."""
@@ -196,15 +186,15 @@ class Memory:
         self._turn += 1
         if self._last is None or self._turn % _AGAIN:
             return None
-        near = [k for k, kept in enumerate(self.keyframes) if _unlikeness(self._pose_of(kept.host), self._last.T_wc) < np.inf]
+        near = [k for k, kept in enumerate(self.keyframes) if self._witnesses.sees(kept, self._last.T_wc)]
         if not near:
             return None
         turn = near[self._turn // _AGAIN % len(near)]
         kept = self.keyframes[turn]
         T_wc = self._pose_of(kept.host)
-        found = votes(kept.view, T_wc, self._witnesses(T_wc, kept.number, [self.recent]))
+        found = votes(kept.view, T_wc, list(self._witnesses.nearest(T_wc, kept.number, [self.recent]).values()))
         left = kept.left | grown(found.moves, found.stays, kept.view.depth)
-        moving = (kept.moving & ~found.stays) | left
+        moving = (kept.moving & ~found.held) | left
         if (moving != kept.moving).sum() < _NEWS:
             return None
         self.keyframes[turn] = replace(kept, moving=moving, left=left)
@@ -214,39 +204,18 @@ class Memory:
         """The remembered views, and what moved in the last one."""
         views = {name: [kept.state() for kept in getattr(self, name)] for name in ("keyframes", "recent")}
         last = None if self._last is None else self._last.state()
-        return {**views, "last": last, "counts": [self._turn, self._since, self._number]}
+        return {**views, "last": last, "counts": [self._turn, self._since, self._number], "proven": list(self._witnesses.proven)}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self.keyframes, self.recent = ([Remembered.from_state(kept) for kept in state[name]] for name in ("keyframes", "recent"))
         self._last = None if state["last"] is None else Segmented.from_state(state["last"])
         self._turn, self._since, self._number = state["counts"]
-
-    def _witnesses(self, T_wc: Array, number: int, kinds: Sequence[Sequence[Remembered]]) -> list[PosedView]:
-        """The views of each kind that see most of what a camera at a pose (4, 4) sees."""
-        chosen: list[tuple[float, Remembered, Array]] = []
-        for kind in kinds:
-            near = []
-            for kept in kind:
-                T = self._pose_of(kept.host) @ kept.T_kc
-                unlikeness = _unlikeness(T, T_wc)
-                if unlikeness < np.inf:
-                    near.append((unlikeness, kept, T))
-            chosen += sorted(near, key=lambda item: item[0])[:_WITNESSES]
-        return [PosedView(kept.view, T, kept.moving, abs(number - kept.number) >= _SETTLED) for _, kept, T in chosen]
+        self._witnesses.proven = list(state["proven"])
 
 
-def _unlikeness(T: Array, T_wc: Array) -> float:
-    """How far two poses (4, 4) are apart, for the choice of views; infinite: they hardly see the same."""
-    apart, facing = float(np.linalg.norm(T[:3, 3] - T_wc[:3, 3])), float(T[:3, 2] @ T_wc[:3, 2])
-    return apart / _APART + 2 * (1 - facing) if apart < _APART and facing > _TURNED else np.inf
-
-
-def _kept(array: NDArray[Any]) -> torch.Tensor:
-    """An array as a state has it."""
-    return torch.from_numpy(array.copy())
-
-
-def _array(tensor: torch.Tensor) -> NDArray[Any]:
-    """The array that `_kept` was given."""
-    return tensor.numpy().copy()
+def _is_near(segmented: Segmented, T_wc: Array) -> bool:
+    """Whether a view is segmented alike at a pose (4, 4): its cells' points move by less than a share of a cell, and of the slack."""
+    turn = np.linalg.norm(segmented.T_wc[:3, :3] - T_wc[:3, :3]) / np.sqrt(2)  # [rad] for small angles
+    shift = np.linalg.norm(segmented.T_wc[:3, 3] - T_wc[:3, 3])
+    return bool(turn * segmented.view.camera.fx < _OFF and shift < _OFF * SLACK)

@@ -54,6 +54,10 @@ class FrontEnd(Stateful, ABC):
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         """Learns from the final result for a view, after recovery. The view still has its predicted pose."""
 
+    def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
+        """[1] The photometric error of a view at a pose (4, 4), of what is not hidden in it; 0: unknown."""
+        return 0.0
+
     def undo(self) -> Callable[[], None]:
         """What makes it forget that a view was tracked again after this call. The view itself is not its concern."""
         return lambda: None
@@ -156,6 +160,9 @@ class AlignmentToMap(FrontEnd):
             self.aligner.accept(tracked.alignment, view.T_wk)
         if self.compensation.accept(view, tracked, self._references()):
             self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
+
+    def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
+        return self.aligner.evidence(view, T_wc, self._references()).photometric_error
 
     def undo(self) -> Callable[[], None]:
         kept = [(part, vars(part).copy()) for part in (self.rotation, self.compensation, self.compensation.motion)]

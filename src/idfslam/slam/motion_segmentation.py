@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.alignment.motion import image_motion
+from idfslam.alignment.usual_error import UsualError
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
@@ -28,17 +29,17 @@ from idfslam.storage.state import State, Stateful
 # not recognised outweighs it. More: fewer frames are told. Chosen by hand.
 _CROWDED = 0.6
 # [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
-_UNUSUAL = 1.3
-# [1] Photometric error without the nearest layer, over that with it and over the usual one, up to which the layer moves. On redkitchen,
-# where nothing moves, the first was 0.66 and more in 46 trials; it was 0.50 and 0.60 where people began to walk. More: more layers move.
-_BETTER, _AS_USUAL = 0.62, 1.1
+_UNUSUAL = 1.15
+# [1] Photometric error of what lies behind the nearest layer at the pose found without the layer, over that at the pose found with it, up
+# to which the layer moves; and over the usual one. Where people began to walk the first was 0.68 to 0.89, where nothing moved 0.91 to 1.06.
+# More: more layers move.
+_BETTER, _AS_USUAL = 0.85, 1.1
 _DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
 # [frames] before the next trial after one that did not help; twice as many after each further one, and as usual after a frame that fits.
 # More: faster, and movement is noticed later.
 _WAITS, _MOST_WAITS = 1, 32
 # [frames] passed over between two that are segmented while nothing moves. More: faster, and what begins to move is found later.
 _PASSED_OVER = 2
-_RATE = 0.05  # [1] of the running mean of photometric errors. More: what is usual follows the last frames faster
 _LAYER = 0.04, 0.7  # [1] least and largest share of the nearest layer. Wider: smaller and larger bodies are tried
 
 
@@ -91,7 +92,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         """masked: is called with a stored keyframe whose mask has changed. references: the keyframes that frames are tracked against."""
         self.graph, self.timer, self._masked, self._references = graph, timer, masked, references
         self.memory = Memory(lambda host: graph.keyframes[host].T_wk.numpy())
-        self._usual_error = 0.0  # photometric error of frames [1]; 0: not known yet
+        self._usual_error = UsualError(0.0, _UNUSUAL)
         self._waits = 0  # frames before the nearest layer is left out again on trial
         self._next_wait = _WAITS  # and after the next trial that does not help
         self._passed_over = 0  # frames since one was segmented
@@ -99,18 +100,20 @@ class FreeSpaceSegmentation(MotionSegmentation):
     def state(self) -> State:
         """The remembered views, the usual photometric error, and the frames before the next trial and since the last segmentation."""
         counts = {"waits": [self._waits, self._next_wait], "passed_over": self._passed_over}
-        return {"memory": self.memory.state(), "usual_error": self._usual_error, **counts}
+        return {"memory": self.memory.state(), "usual_error": self._usual_error.state(), **counts}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self.memory.restore(state["memory"])
-        self._usual_error, (self._waits, self._next_wait), self._passed_over = state["usual_error"], state["waits"], state["passed_over"]
+        self._usual_error.restore(state["usual_error"])
+        (self._waits, self._next_wait), self._passed_over = state["waits"], state["passed_over"]
 
     def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
         """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
         error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
-        if not self._usual_error or (error <= _UNUSUAL * self._usual_error and not tracked.is_lost):
-            self._next_wait = _WAITS if error <= _AS_USUAL * self._usual_error else self._next_wait
+        usual = self._usual_error
+        if not usual.is_known or (usual.is_within(error, _UNUSUAL) and not tracked.is_lost):
+            self._next_wait = _WAITS if usual.is_within(error, _AS_USUAL) else self._next_wait
             return tracked
         if self._waits:
             return tracked
@@ -122,8 +125,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         view.hide(pixels if hidden is None else pixels | hidden)
         without = front_end.track(view)
         found = without.status.trusted if tracked.is_lost else not without.is_lost
-        least = min(_BETTER * (error or np.inf), _AS_USUAL * self._usual_error)
-        if found and _photometric_error(without) < least and _drawn_away(tracked, without):
+        if found and usual.is_within(_photometric_error(without), _AS_USUAL) and self._is_drawn(view, tracked, without, front_end):
             self.memory.suspect(layer)
             return without
         before.restore(view)
@@ -131,9 +133,21 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self._waits, self._next_wait = self._next_wait, min(2 * self._next_wait, _MOST_WAITS)
         return tracked
 
+    def _is_drawn(self, view: Keyframe, tracked: Tracked, without: Tracked, front_end: FrontEnd) -> bool:
+        """Whether the layer, hidden in the view, drew the pose away: it is another one without, at which the rest fits much better."""
+        if tracked.is_lost:
+            return True
+        radius = 1.0 if without.alignment is None else without.alignment.radius
+        if image_motion(tracked.T_wc, without.T_wc, radius) <= _DRAWN:
+            return False
+        return front_end.misfit(view, without.T_wc) < _BETTER * front_end.misfit(view, tracked.T_wc)
+
     def predict(self, view: Keyframe) -> None:
         with self.timer.stage("segment"):
-            cells = self.memory.predicted(cells_camera(view.camera), view.T_wk.numpy())
+            if self.memory.still:
+                view.hide(None)
+                return
+            cells = self.memory.expect(_coarse(view), view.T_wk.numpy())
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
 
     def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
@@ -141,7 +155,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
             self.memory.forget_last()
             view.hide(None)
             return tracked
-        self._learn_usual(_photometric_error(tracked))
+        self._usual_error.accept(_photometric_error(tracked))
         if self.memory.still and self._passed_over < _PASSED_OVER:
             self._passed_over += 1
             self.memory.pass_over()
@@ -149,18 +163,16 @@ class FreeSpaceSegmentation(MotionSegmentation):
             return tracked
         self._passed_over = 0
         with self.timer.stage("segment"):
-            cells = self.memory.segment(_coarse(view), tracked.T_wc.numpy())
+            T_wc = tracked.T_wc.numpy()
+            cells = self.memory.confirm(T_wc) if view.rectification_of_taken is None else None
+            if cells is None:
+                cells = self.memory.segment(_coarse(view), T_wc)
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
             self.memory.look_back_at_recent()
             for keyframe in self._references():
                 if (shown := self.memory.look_back(keyframe.host)) is not None:
                     self._mask(keyframe, shown)
             return crowded(view, tracked)
-
-    def _learn_usual(self, error: float) -> None:
-        if error > 0:
-            bounded = min(error, _UNUSUAL * self._usual_error) if self._usual_error else error
-            self._usual_error += (bounded - self._usual_error) * (_RATE if self._usual_error else 1.0)
 
     def _mask(self, keyframe: Keyframe, cells: NDArray[np.bool_]) -> None:
         keyframe.hide(in_pixels(cells, keyframe.camera))
@@ -222,12 +234,6 @@ def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
         return tracked
     covariance = None if tracked.covariance is None else tracked.covariance / (1 - share) ** 2
     return replace(tracked, status=Status.DEGENERATE, covariance=covariance)
-
-
-def _drawn_away(tracked: Tracked, without: Tracked) -> bool:
-    """Whether the pose is another one without the layer."""
-    radius = 1.0 if without.alignment is None else without.alignment.radius
-    return tracked.is_lost or image_motion(tracked.T_wc, without.T_wc, radius) > _DRAWN
 
 
 def _photometric_error(tracked: Tracked) -> float:
