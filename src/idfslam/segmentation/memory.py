@@ -36,6 +36,7 @@ _SUSPECTED = 20  # [frames] that such a cell stays masked longer after tracking 
 _AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its place. More: more of its surroundings are masked there
 # Share of a cell, and of the slack, by which a predicted pose may be off. More: more views need no second segmentation, with rougher masks
 _OFF = 0.3
+_TURNS = 2  # frames in which each recent view is compared once with what moves. More: faster, and all of it later
 _LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
 
 
@@ -58,7 +59,7 @@ class Memory:
         if self._last is None or self.still:
             self._expected = None
             return np.zeros(view.depth.shape, np.bool_)
-        near_left = [near for kept in self.recent if (near := self._near_left(kept, view, T_predicted)) is not None]
+        near_left = self._all_near_left(view, T_predicted)
         self._expected = self._judged(view, T_predicted, self._number + 1, near_left)
         return self._expected[0].moving
 
@@ -116,7 +117,12 @@ class Memory:
             found = votes(kept.view, self._pose(kept), [PosedView(view, T_wc, np.zeros(view.depth.shape, np.bool_))])
             left = grown(found.moves, found.stays, kept.view.depth)
             self.recent[look] = replace(kept, left=kept.left | left, moving=kept.moving | left)
-        return [near for kept in self.recent if (near := self._near_left(kept, view, T_wc)) is not None]
+        return self._all_near_left(view, T_wc)
+
+    def _all_near_left(self, view: CoarseView, T_wc: Array) -> list[Cells]:
+        """What `_near_left` gives for every other recent view, in turns."""
+        looked = self.recent[self._number % _TURNS :: _TURNS]
+        return [near for kept in looked if (near := self._near_left(kept, view, T_wc)) is not None]
 
     def _near_left(self, kept: Remembered, view: CoarseView, T_wc: Array) -> Cells | None:
         """(h, w) the cells of a view at a pose (4, 4) near the places that something has left since a recent view; None: nothing has."""
@@ -164,7 +170,8 @@ class Memory:
     def look_back_at_recent(self) -> None:
         """Takes what recent views show at the place of what moves now for the same body."""
         if self._last is not None and self._last.moving.any():
-            for k, kept in enumerate(self.recent):
+            for k in range(self._number % _TURNS, len(self.recent), _TURNS):
+                kept = self.recent[k]
                 near = self._carried(kept.view.camera, self._pose_of(kept.host) @ kept.T_kc)[0]
                 self.recent[k] = replace(kept, moving=kept.moving | (np.abs(kept.view.depth - near) < _AT_PLACE))
 
@@ -186,8 +193,8 @@ class Memory:
         self._turn += 1
         if self._last is None or self._turn % _AGAIN:
             return None
-        near = [k for k, kept in enumerate(self.keyframes) if self._witnesses.sees(kept, self._last.T_wc)]
-        if not near:
+        near = np.flatnonzero(self._witnesses.see(self.keyframes, self._last.T_wc))
+        if not len(near):
             return None
         turn = near[self._turn // _AGAIN % len(near)]
         kept = self.keyframes[turn]

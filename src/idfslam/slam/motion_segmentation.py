@@ -1,6 +1,6 @@
 """What moves before the camera: the pixels of a frame that show it take no part in tracking, in the map and in anything else.
 
-A view is masked before it is tracked by what moved in the frame before, and segmented once its pose is known
+A view is segmented at its predicted pose before it is tracked, and again once its pose is known if that is another one
 (`idfslam.segmentation.memory`). Stored keyframes are masked later, too, where later views have seen through what they show.
 """
 
@@ -48,7 +48,7 @@ class MotionSegmentation(Stateful, ABC):
 
     @abstractmethod
     def predict(self, view: Keyframe) -> None:
-        """Hides what moved last in a view at its predicted pose."""
+        """Hides what moves in a view at its predicted pose."""
 
     @abstractmethod
     def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
