@@ -10,6 +10,7 @@ from idfslam.datasets.generated import kind_of
 from idfslam.datasets.generated.corridor import SyntheticCorridor
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld import handheld_room
+from idfslam.datasets.generated.hard_cases import HARD_CASE_SECONDS, HARD_CASES
 from idfslam.datasets.generated.movers import MOVERS, PEOPLE
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.scenes.floor_path import FloorPath
@@ -145,3 +146,49 @@ def test_corridor_and_handheld_have_them_too() -> None:
     still = handheld_room(Faults.named(None), 0, 40, **SIZE)
     assert np.abs(shaken[20].colour - still[20].colour).mean() > 0.02
     np.testing.assert_array_equal(shaken.exact(20).depth[~shaken.moving(20)], still.exact(20).depth[~shaken.moving(20)])
+
+
+# ----- hard cases
+
+
+@cache
+def hard_case(name: str) -> SyntheticRoom:
+    return SyntheticRoom(0, 180, **SIZE, movers=name)
+
+
+def shares(name: str) -> list[float]:
+    """Of every tenth image, what the bodies cover."""
+    return [float(hard_case(name).moving(i).mean()) for i in range(0, 180, 10)]
+
+
+def test_one_who_crosses_fills_half_of_the_view_and_is_gone_before_and_after() -> None:
+    share = shares("crossing")
+    assert share[0] == share[-1] == 0.0
+    assert 0.3 < max(share) < 0.6
+
+
+def test_one_who_pauses_stands_for_60_frames() -> None:
+    scene = hard_case("pausing")._scene
+    assert isinstance(scene, MovingScene)
+    path = scene.bodies[0].path  # type: ignore[attr-defined]
+    stands = [path.place(t) for t in (2.2, 3.0, 3.8)]
+    np.testing.assert_allclose(stands, [stands[0]] * 3, atol=0.02)
+    assert np.linalg.norm(np.subtract(path.place(5.9), stands[0])) > 0.4
+    assert min(shares("pausing")[7:12]) > 0.1
+
+
+@pytest.mark.parametrize("name", ["swivelling", "opening"])
+def test_a_thing_moves_in_its_place(name: str) -> None:
+    scene = hard_case(name)._scene
+    assert isinstance(scene, MovingScene)
+    before, start, end, after = (np.array([shape[4:7] for shape in drawn(scene.bodies[0], t)]) for t in (0.0, 2.0, 4.0, HARD_CASE_SECONDS))
+    np.testing.assert_allclose(before, start)
+    np.testing.assert_allclose(end, after)
+    assert np.linalg.norm(end - start, axis=1).max() > 0.1
+    assert max(shares(name)) > 0.02
+
+
+def test_there_are_five_hard_cases() -> None:
+    assert list(HARD_CASES) == ["crossing", "pausing", "swivelling", "opening", "pair"]
+    assert max(shares("pair")) > 0.15
+    assert len(hard_case("pair")._scene.bodies) == 2  # type: ignore[union-attr]

@@ -105,6 +105,34 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
     assert not shown.registered
 
 
+@pytest.mark.parametrize(
+    ("off", "error", "misfit", "after"),
+    [(0.05, 0.021, 0.7, 2), (0.05, 0.021, 0.85, None), (0.002, 0.021, 0.7, None), (0.05, 0.023, 0.7, None), (0.05, 0.018, 0.7, 1)],
+)
+def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error: float, misfit: float, after: int | None) -> None:
+    """In two frames in a row, or in one if the image fits far better. The walls are 2 m off: 5 cm move the image enough, 2 mm do not."""
+    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation.restore(segmentation.state() | {"usual_error": {"mean": 0.02}})
+    found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
+    drawn, free = (pose(x, 0, 0, 0, 0, 0) for x in (off, 0.0))
+    tracked = Tracked(drawn, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.03))
+    without = Tracked(free, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=error))
+
+    class Trial(FrontEnd):
+        def track(self, view: Keyframe) -> Tracked:
+            return without
+
+        def misfit(self, view: Keyframe, T_wc: torch.Tensor) -> float:
+            return misfit if torch.equal(T_wc, free) else 1.0
+
+    results = []
+    for _ in range(2):
+        shown = view(CORNER, EYE)
+        results.append(segmentation.check(shown, tracked, Trial()))
+        assert (shown.moving is not None) == (results[-1] is without)
+    assert next((i + 1 for i, result in enumerate(results) if result is without), None) == after
+
+
 def test_it_can_be_switched_off() -> None:
     assert isinstance(Slam(FAST).segmentation, FreeSpaceSegmentation)
     assert isinstance(Slam(replace(FAST, movers="off")).segmentation, NoSegmentation)
