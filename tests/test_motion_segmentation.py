@@ -158,6 +158,7 @@ class TracksTwice(NoSegmentation):
         undo, T_wk = front_end.undo(), view.T_wk.clone()
         view.hide(half(view))
         front_end.track(view)
+        front_end.misfit(view, T_wk)
         view.hide(None)
         undo()
         view.T_wk = T_wk
