@@ -217,9 +217,9 @@ class FusionConfig:
 
     enabled: bool = True
     """Fuse the depth images of mapped views at their final poses. Meshes and views of the map are sharper, and its file is larger."""
-    voxel: Positive = 0.015
+    voxel: Positive = 0.01
     """Edge of a voxel [m]. Larger ones are faster and smaller, and smooth more."""
-    blocks: Count = 40_000
+    blocks: Count = 30_000
     """Largest number of blocks of 8 x 8 x 8 voxels. In scenes that need more, voxels are larger."""
 
 

@@ -1,8 +1,8 @@
 """Depth images with poses fused into one volume."""
 
 import math
-from collections.abc import Iterable, Sequence
-from itertools import chain
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,44 +10,50 @@ from numpy.typing import NDArray
 from idfslam.fusion.constants import BLOCK
 from idfslam.fusion.integration import Voxels, integrate
 from idfslam.fusion.prepared_depth import prepared
-from idfslam.fusion.smoothing import around
+from idfslam.fusion.smoothing import denoised
 from idfslam.fusion.tsdf_volume import STEPS, TsdfVolume
 from idfslam.geometry.blocks import touched_blocks
 from idfslam.geometry.depth_view import DepthView
 
+Item = TypeVar("Item")
+
 _TRUNCATION = 3.0  # [voxels] More: noise is averaged farther from the surface, thin things are filled. Chosen by hand
 _MARGIN = 2.0  # [voxels] from readings up to which there are blocks. More: more of them, slower. Chosen by hand
 _STRIDE = 2  # [px] of the readings that blocks are made near. More: faster, and far surfaces have holes without blocks. Chosen by hand
-# [m] Error of the network's surface, with which that of a fused distance is compared. More: the network counts less. Chosen by hand
-_OF_NETWORK = 0.004
-_ROUGHNESS = 0.0005  # [m] by which smoothing may be off. More: less is smoothed. Chosen by hand
+# [m] Error of the network's surface where fused distances are uncertain: at edges, far away, at grazing views. It is compared with theirs.
+# More: the network counts less. Chosen on generated rooms
+_OF_NETWORK = 0.015
 _LEAST_NUMBER = 1000  # deviations that a block's scatter needs. More: fewer blocks tell the noise. Chosen by hand
 
 
-def fuse(views: Sequence[DepthView], voxel: float, most_blocks: int, more: Iterable[DepthView] = ()) -> TsdfVolume:
+def fuse(views: Sequence[DepthView], voxel: float, most_blocks: int, readings: Iterable[DepthView] | None = None) -> TsdfVolume:
     """The volume of views, in voxels of `voxel` [m], or of larger ones where it would have more than `most_blocks` blocks.
 
-    more: further views, which are fused too, but make no blocks; they count first. Memory: 4 kB a block, and one view of `more`.
+    readings: the depth images that are fused, if they are others than the views, which then only tell where blocks are needed. The first
+    ones that see a block count. Memory: 4 kB a block, and one image of `readings`.
     """
     voxel, blocks = _allocated(views, voxel, most_blocks)
     voxels = Voxels.empty(voxel, _TRUNCATION * voxel, blocks)
-    in_random_order = (views[i] for i in np.random.default_rng(0).permutation(len(views)))  # a block takes the first views that see it
-    for view in chain(more, in_random_order):
+    for view in in_random_order(views) if readings is None else readings:
         integrate(voxels, prepared(view))
     return finished(voxels)
+
+
+def in_random_order(views: Sequence[Item]) -> Iterator[Item]:
+    """The same views from all of a run, since a block takes the first ones that see it."""
+    return (views[i] for i in np.random.default_rng(0).permutation(len(views)))
 
 
 def finished(voxels: Voxels) -> TsdfVolume:
     """The volume of the voxels: smoothed and trusted by the variance of each distance."""
     seen = voxels.weight > 0
     variance = variance_factor(voxels) / np.where(seen, voxels.weight, 1)
-    share = variance / (variance + np.float32(_ROUGHNESS**2))
-    distance = voxels.distance + share * (around(voxels.blocks, voxels.distance, seen) - voxels.distance)
+    distance = denoised(voxels.blocks, voxels.distance, variance, seen)
     certain = np.float32(_OF_NETWORK**2) / (variance + np.float32(_OF_NETWORK**2))
     near = np.clip(2 - 2 * distance / np.float32(voxels.truncation), 0, 1)  # farther before the surface only free space was seen
-    trust = np.where(seen, certain * near, 0)
-    steps = np.rint(np.where(seen, distance, 0) * np.float32(STEPS / voxels.truncation)).astype(np.int16)
-    return TsdfVolume(voxels.voxel, voxels.truncation, voxels.blocks, steps, np.rint(trust * 255).astype(np.uint8))
+    trust = np.rint(np.where(seen, certain * near, 0) * 255).astype(np.uint8)
+    steps = np.rint(np.where(trust > 0, distance, 0) * np.float32(STEPS / voxels.truncation)).astype(np.int16)  # zeros: a small file
+    return TsdfVolume(voxels.voxel, voxels.truncation, voxels.blocks, steps, trust)
 
 
 def variance_factor(voxels: Voxels) -> np.float32:

@@ -25,7 +25,7 @@ REACH = 2  # [px] rows and columns around a reading that its plane is fitted to.
 _LEAST_READINGS = 6  # readings that a plane needs; fewer: the surface counts as slanted as can be. More: edges count less. Chosen by hand
 # [1] Power of the share of the readings around that lie on the same surface, by which information falls towards edges: there a pixel may
 # show either side. More: what is fused keeps farther from edges. Chosen by hand
-_EDGE_POWER = 4
+_EDGE_POWER = 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from itertools import chain
 
 from idfslam.config import FusionConfig
-from idfslam.fusion.fuse import fuse
+from idfslam.fusion.fuse import fuse, in_random_order
 from idfslam.fusion.tsdf_volume import TsdfVolume
 from idfslam.geometry.depth_view import DepthView
 from idfslam.graph.coverage import Coverage
@@ -34,10 +33,13 @@ class ViewFusion(SurfaceFusion):
         self.config, self.graph, self.coverage = config, graph, coverage
 
     def volume(self, archived: Sequence[DepthView]) -> TsdfVolume | None:
-        return fuse(self.coverage.views(), self.config.voxel, self.config.blocks, more=chain(self._keyframes(), archived))
+        return fuse(self.coverage.views(), self.config.voxel, self.config.blocks, readings=self._readings(archived))
 
-    def _keyframes(self) -> Iterator[DepthView]:
-        """The keyframes of the first submap. Their images come from the archive one at a time."""
+    def _readings(self, archived: Sequence[DepthView]) -> Iterator[DepthView]:
+        """Keyframes, views and archived images, finest first, one at a time."""
         for keyframe in self.graph.keyframes:
             if keyframe.submap == 0:
                 yield DepthView(keyframe.T_wk.numpy(), keyframe.frame.depth, keyframe.camera)
+        for T_wc, depth in in_random_order(self.coverage.packed()):
+            yield depth.view(T_wc)
+        yield from archived

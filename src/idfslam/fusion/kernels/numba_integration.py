@@ -86,9 +86,9 @@ def integrate(  # type: ignore[no-untyped-def]
                 to_plane = (read - ahead) * slope[at]
                 if to_plane < _TWO * truncation:
                     to_plane = (_interpolated(depth, u, v, read) - ahead) * slope[at]
-                if to_plane <= -truncation:
-                    continue
                 place = to_plane / truncation
+                if place <= -_ONE:
+                    continue
                 w = information[at] * min(min(_ONE, _ONE + place), max(_FREE, _TWO - _TWO * place))
                 before, off = weight[m, i, j, k], min(to_plane, truncation) - distance[m, i, j, k]
                 if before > _ZERO and abs(to_plane) < _HALF * truncation:
