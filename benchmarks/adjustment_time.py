@@ -57,14 +57,13 @@ def problem(keyframes: int, landmarks: int, laps: int, rng: np.random.Generator)
     order = np.lexsort((keyframe[inside], landmark[inside]))
     keyframe, landmark = keyframe[inside][order], landmark[inside][order]
     count = len(keyframe)
-    blank = Observations(
-        keyframe, landmark, np.zeros((count, 2)), np.tile(np.eye(2) / IMAGE, (count, 1, 1)), np.ones(count), np.full(count, DEPTH)
-    )
+    flat, roots = np.zeros((count, 2)), np.tile(np.eye(2) / IMAGE, (count, 1, 1))
+    blank = Observations(keyframe, landmark, flat, roots, np.ones(count), np.full(count, DEPTH), flat)
     p = camera_points(poses, points, blank)
     where = model.project(p)[0] + IMAGE * rng.standard_normal((count, 2))
     visible = (p[:, 2] > 0.5) & ((where >= 0) & (where < [CAMERA.width, CAMERA.height])).all(1)
     readings = p[:, 2] + DEPTH * rng.standard_normal(count)
-    seen = Observations(keyframe, landmark, where, blank.root, readings, blank.reading_sigma)[visible]
+    seen = Observations(keyframe, landmark, where, blank.root, readings, blank.reading_sigma, flat)[visible]
     steps = exp(np.concatenate([DRIFT[0] * rng.standard_normal((keyframes, 3)), DRIFT[1] * rng.standard_normal((keyframes, 3))], 1))
     off = [poses[0]]
     for i in range(1, keyframes):

@@ -60,13 +60,12 @@ def test_a_value_that_nothing_tells_keeps_its_prior() -> None:
     """One view of points with depth says nothing of the lens: any will do."""
     problem = true_problem(TRUE, noise=1.0)
     first = problem.seen[problem.seen.keyframe == 0]
-    twice = [np.repeat(part, 2, axis=0) for part in vars(first).values()]
-    twice[0] = np.tile([0, 1], len(first))
+    twice = replace(first[np.repeat(np.arange(len(first)), 2)], keyframe=np.tile([0, 1], len(first)))
     alone = replace(
         problem,
         model=CameraModel.as_stated(CAMERA),
         poses=np.tile(np.eye(4), (2, 1, 1)),
-        seen=type(first)(*twice),
+        seen=twice,
         fixed=np.array([True] * 2),
     )
     sigma = np.sqrt(np.diag(adjust(alone).values_covariance()))

@@ -14,9 +14,10 @@ def plane(a: float, b: float, c: float) -> np.ndarray:
 
 
 def test_exact_on_a_slanted_plane() -> None:
-    z, sigma = local_depth(plane(0.4, 0.002, -0.001), UV)
+    z, sigma, slope = local_depth(plane(0.4, 0.002, -0.001), UV)
     np.testing.assert_allclose(z, 1 / (0.4 + 0.002 * UV[:, 0] - 0.001 * UV[:, 1]), rtol=1e-5)
     assert (sigma < 0.003).all()
+    np.testing.assert_allclose(slope, -(z[:, None] ** 2) * [0.002, -0.001], rtol=1e-3)
 
 
 def test_noise_is_averaged_and_sigma_tells_it() -> None:
@@ -25,7 +26,7 @@ def test_noise_is_averaged_and_sigma_tells_it() -> None:
     noise = 0.0012 * (1 + 1.5 * (true - 0.4) ** 2)  # that of a Kinect
     off = [local_depth((true + noise * rng.standard_normal(true.shape)).astype(np.float32), UV)[0] for _ in range(200)]
     spread = np.std(off, axis=0)
-    z, sigma = local_depth(true, UV)
+    z, sigma, _ = local_depth(true, UV)
     np.testing.assert_allclose(np.mean(off, axis=0), z, atol=3e-4)
     np.testing.assert_allclose(np.hypot(spread, 5e-4 * z), np.hypot(sigma - 5e-4 * z, 5e-4 * z), rtol=0.15)
 

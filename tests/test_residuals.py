@@ -21,9 +21,8 @@ def problem() -> Problem:
 
 def test_known_residuals() -> None:
     """A point 2 m ahead and 0.1 m to the right: 290 * 0.05 + 158 = 172.5 px."""
-    sighting = Observations(
-        np.array([0]), np.array([0]), np.array([[170.5, 122.0]]), np.eye(2)[None] / PIXEL, np.array([1.98]), np.array([0.01])
-    )
+    uv, root, flat = np.array([[170.5, 122.0]]), np.eye(2)[None] / PIXEL, np.zeros((1, 2))
+    sighting = Observations(np.array([0]), np.array([0]), uv, root, np.array([1.98]), np.array([0.01]), flat)
     found = residuals(CameraModel.as_stated(CAMERA), np.eye(4)[None], np.array([[0.1, 0.0, 2.0]]), sighting)
     np.testing.assert_allclose(found, [[2 / PIXEL, -1 / PIXEL, 2.0]], atol=1e-9)
 
@@ -64,7 +63,7 @@ def test_a_point_behind_the_camera_has_infinite_residuals(problem: Problem) -> N
 def test_a_landmark_needs_two_views_and_three_measurements() -> None:
     keyframe, landmark = np.array([0, 1, 0, 0, 1]), np.array([0, 0, 1, 2, 2])
     uv, root = np.zeros((5, 2)), np.tile(np.eye(2), (5, 1, 1))
-    seen = Observations(keyframe, landmark, uv, root, np.array([1.0, 0.0, 1.0, 0.0, 0.0]), np.ones(5))
+    seen = Observations(keyframe, landmark, uv, root, np.array([1.0, 0.0, 1.0, 0.0, 0.0]), np.ones(5), uv)
     points, kept = tracks(np.array([[0.0, 0, 1], [0, 0, 2], [0, 0, 3]]), seen)
     assert points.tolist() == [[0, 0, 1]]
     assert kept.landmark.tolist() == [0, 0]

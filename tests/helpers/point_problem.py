@@ -35,7 +35,8 @@ def true_problem(model: CameraModel, *, keyframes: int = 8, landmarks: int = 250
     points = rng.uniform([-1.6, -1.2, 1.8], [1.6, 1.2, 3.8], (landmarks, 3))
     landmark, keyframe = (index.ravel() for index in np.meshgrid(np.arange(landmarks), np.arange(keyframes), indexing="ij"))
     zeros = np.zeros(len(keyframe))
-    every = Observations(keyframe, landmark, np.zeros((len(keyframe), 2)), np.tile(np.eye(2) / PIXEL, (len(keyframe), 1, 1)), zeros, zeros)
+    flat, roots = np.zeros((len(keyframe), 2)), np.tile(np.eye(2) / PIXEL, (len(keyframe), 1, 1))
+    every = Observations(keyframe, landmark, flat, roots, zeros, zeros, flat)
     p = camera_points(poses, points, every)
     uv = model.project(p)[0]
     c = CAMERA

@@ -6,15 +6,18 @@ Levenberg-Marquardt with robust weights (Huber, by iterated reweighting). The no
 variance components: squared residuals over their redundancy. Measurements that fit badly are left out. Nothing depends on chance or order.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import bsr_array
 
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
-from idfslam.adjustment.residuals import Array, Linearised, Observations, linearise, residuals, tracks
+from idfslam.adjustment.residuals import Array, Linearised, Observations, camera_points, linearise, tracks
+from idfslam.adjustment.row_motion import KeyframeMotion, Velocities, row_motion
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
 from idfslam.geometry import se3
 from idfslam.graph.pose_graph import RelativePoses
@@ -41,11 +44,23 @@ class Problem:
     fixed: NDArray[np.bool_]  # (K,) poses that stay: at least one of each group of keyframes that nothing connects
     estimated: NDArray[np.bool_]  # (P,) values of the camera that are estimated
     edges: RelativePoses | None = None  # relative poses that were measured by other means
+    velocities: Velocities | None = None  # of all keyframes, where the rows of an image have times of their own
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns a keyframe has: D."""
+        return 6 if self.velocities is None else 12
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(6 K + P,) the unknowns that are estimated."""
-        return np.concatenate([np.repeat(~self.fixed, 6), self.estimated])
+        """(D K + P,) the unknowns that are estimated. A pose that stays may have a velocity that does not."""
+        of_keyframes = np.ones((len(self.poses), self.unknowns), bool)
+        of_keyframes[self.fixed, :6] = False
+        return np.concatenate([of_keyframes.ravel(), self.estimated])
+
+    def linearised(self) -> Linearised:
+        """The residuals at the present values, with derivatives."""
+        return linearise(self.model, self.poses, self.points, self.seen, None if self.velocities is None else self.velocities.present)
 
 
 @dataclass(frozen=True)
@@ -59,12 +74,20 @@ class Adjusted:
 
     def values_covariance(self) -> Array:
         """(P, P) of the camera's values; zero for those that were not estimated."""
-        first = 6 * len(self.problem.poses)
+        first = self.problem.unknowns * len(self.problem.poses)
         return self.system.covariance(np.arange(first, first + len(NAMES)))
 
     def pose_covariance(self, keyframe: int) -> Array:
         """(6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; zero for a fixed one."""
-        return self.system.covariance(np.arange(6 * keyframe, 6 * keyframe + 6))
+        return self.system.covariance(self.problem.unknowns * keyframe + np.arange(6))
+
+
+def in_motion(problem: Problem, motions: Sequence[KeyframeMotion]) -> Problem:
+    """A problem whose K keyframes moved so while their images were taken."""
+    seen, z = problem.seen, camera_points(problem.poses, problem.points, problem.seen)[:, 2:]
+    points = problem.model.rays(seen.uv) * z
+    rows = row_motion(points, seen.keyframe, motions, problem.model.camera)
+    return replace(problem, seen=replace(seen, rows=rows), velocities=Velocities.of(motions))
 
 
 def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
@@ -74,7 +97,7 @@ def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
     problem = replace(problem, points=points, seen=seen)
     for last in [False] * (_ROUNDS - 1) + [True]:
         problem, converged = _minimised(problem, end, _STEPS)
-        at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+        at = problem.linearised()
         late = perf_counter() > end
         if last or late:
             break
@@ -93,7 +116,7 @@ def adjust_briefly(problem: Problem, *, noise: Array, steps: int) -> tuple[Probl
     Outliers stay, at less weight. Returns the problem, with the noise that is found, and the factors (2,) of that on the stated one.
     """
     problem, _ = _minimised(_with_noise(problem, noise), np.inf, steps)
-    at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+    at = problem.linearised()
     factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
     return _with_noise(problem, factors), noise * factors
 
@@ -116,7 +139,7 @@ def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]
     """The problem at the least cost, and whether it converged."""
     damping, cost = _DAMPING[0], _cost(problem)
     for _ in range(steps):
-        at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+        at = problem.linearised()
         n = _equations(at, problem)
         while damping <= _DAMPING[2]:
             if perf_counter() > end:
@@ -136,10 +159,16 @@ def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]
 
 def _moved(problem: Problem, n: NormalEquations, damping: float) -> Problem:
     """The problem after one step."""
-    drawn = np.concatenate([np.zeros(6 * len(problem.poses)), -_value_information() * problem.model.values])
-    poses, values, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
-    model = replace(problem.model, values=problem.model.values + values)
-    return replace(problem, model=model, poses=problem.poses @ exp(poses), points=problem.points + points)
+    drawn = np.concatenate([np.zeros(problem.unknowns * len(problem.poses)), -_value_information() * problem.model.values])
+    keyframes, values, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
+    model, v = replace(problem.model, values=problem.model.values + values), problem.velocities
+    return replace(
+        problem,
+        model=model,
+        poses=problem.poses @ exp(keyframes[:, :6]),
+        points=problem.points + points,
+        velocities=None if v is None else replace(v, present=v.present + keyframes[:, 6:]),
+    )
 
 
 def _value_information() -> Array:
@@ -147,17 +176,32 @@ def _value_information() -> Array:
 
 
 def _information(problem: Problem) -> Array:
-    return np.concatenate([np.full(6 * len(problem.poses), _POSE_INFORMATION), _value_information()])
+    of_keyframes = np.zeros((len(problem.poses), problem.unknowns))
+    of_keyframes[:, :6] = _POSE_INFORMATION
+    return np.concatenate([of_keyframes.ravel(), _value_information()])
 
 
 def _equations(at: Linearised, problem: Problem) -> NormalEquations:
     weights = robust_weights(at.residuals)
     finite = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
     n = NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
+    if problem.velocities is not None:
+        n.poses[:, 6:, 6:] += problem.velocities.information
+        n.right_poses[:, 6:] += problem.velocities.right
     if problem.edges is None:
         return n
     between, right = problem.edges.normal_equations(torch.from_numpy(problem.poses))
-    return replace(n, between_poses=between, right_poses=n.right_poses + right)
+    n.right_poses[:, :6] += right
+    return replace(n, between_poses=of_blocks(between, problem.unknowns))
+
+
+def of_blocks(H: bsr_array, size: int) -> bsr_array:
+    """A matrix of blocks (6, 6) with blocks (size, size) that begin with them, and zeros."""
+    if size == 6:
+        return H
+    blocks = np.zeros((len(H.data), size, size))
+    blocks[:, :6, :6] = H.data
+    return bsr_array((blocks, H.indices, H.indptr), shape=tuple(n // 6 * size for n in H.shape))
 
 
 def _sizes(off: Array) -> Array:
@@ -173,10 +217,11 @@ def robust_weights(off: Array) -> Array:
 
 def _cost(problem: Problem) -> float:
     """Huber's cost of the residuals, and the cost of the camera's deviations and of the relative poses."""
-    size = _sizes(residuals(problem.model, problem.poses, problem.points, problem.seen))
+    size = _sizes(problem.linearised().residuals)
     capped = np.minimum(size, _HUBER)
     finite = np.where(np.isfinite(size), capped * (2 * size - capped), 1e12)  # a point behind the camera: no step may lead there
     off = 0.0 if problem.edges is None else problem.edges.squared_errors(torch.from_numpy(problem.poses)).sum()
+    off += 0.0 if problem.velocities is None else problem.velocities.cost
     return float(finite.sum() + (_value_information() * problem.model.values**2).sum() + off)
 
 

@@ -5,6 +5,7 @@ Nothing is forgotten or moved: a landmark lies where its host saw it, and what w
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ class _Hosted:
     patches: Patches
     reading: Array  # (M,) [m]
     sigma: Array  # (M,) [m]
+    slope: Array  # (M, 2) [m/px]
     first: int  # number of its first landmark
     covariance: Array  # (M, 2, 2) [px^2] sum of those of the positions where others see them
     sightings: Indices  # (M,) how many of these there are
@@ -33,7 +35,7 @@ class _Hosted:
     def state(self) -> State:
         """All of it."""
         p = self.patches
-        arrays = {"reading": self.reading, "sigma": self.sigma, "covariance": self.covariance, "sightings": self.sightings}
+        arrays = {name: vars(self)[name] for name in _ARRAYS}
         tensors = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
         return {"uv": p.uv, "points": p.points, "normals": p.normals, "first": self.first, **tensors}
 
@@ -41,8 +43,10 @@ class _Hosted:
     def from_state(state: State) -> "_Hosted":
         """What `state` was made of."""
         patches = Patches(state["uv"], state["points"], state["normals"])
-        reading, sigma, covariance, sightings = (state[key].numpy().copy() for key in ("reading", "sigma", "covariance", "sightings"))
-        return _Hosted(patches, reading, sigma, state["first"], covariance, sightings)
+        return _Hosted(patches, first=state["first"], **{name: state[name].numpy().copy() for name in _ARRAYS})
+
+
+_ARRAYS = "reading", "sigma", "slope", "covariance", "sightings"
 
 
 class GrowingTracks(Stateful):
@@ -56,7 +60,7 @@ class GrowingTracks(Stateful):
 
     def state(self) -> State:
         """The landmarks and their sightings."""
-        seen = {str(k): {name: torch.from_numpy(array.copy()) for name, array in vars(s).items()} for k, s in self._seen.items()}
+        seen = {str(k): {name: torch.from_numpy(array.copy()) for name, array in s.columns.items()} for k, s in self._seen.items()}
         return {"hosted": {str(k): hosted.state() for k, hosted in self._hosted.items()}, "seen": seen, "count": self._count} | {
             "viewers": {str(k): viewers for k, viewers in self._viewers.items()}
         }
@@ -85,25 +89,25 @@ class GrowingTracks(Stateful):
             if (hosted := self._hosted.get(k)) is None or not len(hosted.patches):
                 continue
             at, uv, covariance = found_in(hosted.patches, other, features, np.asarray(np.linalg.inv(T_ok), np.float64), model)
-            reading, sigma = local_depth(depth, uv)
+            reading, sigma, slope = local_depth(depth, uv)
             good = (reading > 0) & taken.free(uv)
-            at, uv, covariance, reading, sigma = (column[good] for column in (at, uv, covariance, reading, sigma))
+            at, uv, covariance, reading, sigma, slope = (column[good] for column in (at, uv, covariance, reading, sigma, slope))
             taken.take(uv)
             hosted.covariance[at] += covariance
             hosted.sightings[at] += 1
             self._viewers.setdefault(k, []).append(number)
             numbers = np.full(len(at), number, np.int64), (hosted.first + at).astype(np.int64)
-            found.append(Observations(*numbers, uv, root_of(covariance), reading, sigma))
+            found.append(Observations(*numbers, uv, root_of(covariance), reading, sigma, slope))
         self._seen[number] = joined(found)
         self._host(number, features, depth, taken)
 
     def _host(self, number: int, features: FrameFeatures, depth: NDArray[np.float32], taken: Taken) -> None:
         patches = features.patches
-        reading, sigma = local_depth(depth, patches.uv.numpy())
+        reading, sigma, slope = local_depth(depth, patches.uv.numpy())
         chosen = (reading > 0) & taken.free(patches.uv.numpy())
         patches, count = patches[torch.from_numpy(np.flatnonzero(chosen))], int(chosen.sum())
         nothing = np.zeros((count, 2, 2)), np.zeros(count, np.int64)
-        self._hosted[number] = _Hosted(patches, reading[chosen], sigma[chosen], self._count, *nothing)
+        self._hosted[number] = _Hosted(patches, reading[chosen], sigma[chosen], slope[chosen], self._count, *nothing)
         self._count += count
 
     def forget(self, k: int) -> None:
@@ -145,9 +149,8 @@ class GrowingTracks(Stateful):
         hosted = self._hosted[k]
         at = np.flatnonzero(hosted.sightings)
         root = root_of(hosted.covariance[at] / hosted.sightings[at, None, None])
-        return Observations(
-            np.full(len(at), k, np.int64), hosted.first + at, hosted.patches.uv.numpy()[at], root, hosted.reading[at], hosted.sigma[at]
-        )
+        measured = hosted.reading[at], hosted.sigma[at], hosted.slope[at]
+        return Observations(np.full(len(at), k, np.int64), hosted.first + at, hosted.patches.uv.numpy()[at], root, *measured)
 
     def _points(self, landmarks: Indices, hosts: Sequence[int], poses: Array) -> Array:
         """(L, 3) [m] in the world of landmarks (L,), ascending, of these hosts."""
@@ -162,6 +165,7 @@ class GrowingTracks(Stateful):
 
 def joined(parts: Sequence[Observations]) -> Observations:
     """All of the observations."""
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0))
-    columns = zip(*(vars(part).values() for part in [nothing, *parts]))
-    return Observations(*(np.concatenate(column) for column in columns))
+    none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
+    nothing = Observations(none, none, flat, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0), flat)
+    columns: dict[str, Any] = {name: np.concatenate([part.columns[name] for part in [nothing, *parts]]) for name in nothing.columns}
+    return Observations(**columns)

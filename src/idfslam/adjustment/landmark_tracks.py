@@ -77,9 +77,8 @@ def find_tracks(
     keyframe, number, uv, root = parts
     number = number + np.repeat(offsets[:-1], [len(h.sightings[0]) for _, h in rays])
     keyframe, number = keyframe.astype(np.int64), number.astype(np.int64)
-    reading, sigma = _readings(views, keyframe, uv)
     order = np.lexsort((keyframe, number))
-    seen = Observations(keyframe, number, uv, root, reading, sigma)[order]
+    seen = Observations(keyframe, number, uv, root, *_readings(views, keyframe, uv))[order]
     return tracks(points, seen[seen.reading > 0])  # without a surface all around, what is in front of it moves in the patch too
 
 
@@ -189,14 +188,14 @@ def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch
     return (depth[v, u] == 0) | ((depth[v, u] - z).abs() < _NEAR_SURFACE * z)
 
 
-def _readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array]:
-    """Depth (N,) [m] that the keyframes (N,) state at pixels uv (N, 2), and its standard deviation."""
-    reading, sigma = np.zeros(len(uv)), np.ones(len(uv))
+def _readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array, Array]:
+    """Depth (N,) [m] that the keyframes (N,) state at pixels uv (N, 2), its standard deviation, and its slope (N, 2) [m/px]."""
+    reading, sigma, slope = np.zeros(len(uv)), np.ones(len(uv)), np.zeros((len(uv), 2))
     for k, view in enumerate(views):
         chosen = keyframe == k
         if chosen.any():
-            reading[chosen], sigma[chosen] = local_depth(view.depth, uv[chosen])
-    return reading, sigma
+            reading[chosen], sigma[chosen], slope[chosen] = local_depth(view.depth, uv[chosen])
+    return reading, sigma, slope
 
 
 def root_of(covariance: Array) -> Array:

@@ -22,10 +22,13 @@ _BENT = 0.003  # [1] largest distance of the surface from that plane, as a share
 _FLOOR = 5e-4  # [1] least standard deviation as a share of depth, for what readings beside each other share; raised, depth counts less
 
 
-def local_depth(depth: NDArray[np.float32], uv: Array) -> tuple[Array, Array]:
-    """Depth (N,) [m] at pixels uv (N, 2) of an image (H, W) [m], and its standard deviation (N,); 0 and 1 where no smooth surface is."""
+def local_depth(depth: NDArray[np.float32], uv: Array) -> tuple[Array, Array, Array]:
+    """Depth (N,) [m] at pixels uv (N, 2) of an image (H, W) [m], its standard deviation (N,), and its slope (N, 2) [m/px].
+
+    The slope is along rows and columns. They are 0, 1 and 0 where no smooth surface is.
+    """
     if not len(uv):
-        return np.zeros(0), np.ones(0)
+        return np.zeros(0), np.ones(0), np.zeros((0, 2))
     height, width = depth.shape
     centre, offset = np.rint(uv).astype(np.int64), np.arange(-_REACH, _REACH + 1)
     columns, rows = np.broadcast_arrays(centre[:, 0, None, None] + offset, centre[:, 1, None, None] + offset[:, None])
@@ -38,10 +41,13 @@ def local_depth(depth: NDArray[np.float32], uv: Array) -> tuple[Array, Array]:
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1) * known[..., None]
     H, b = terms.transpose(0, 2, 1) @ terms + 1e-6 * np.eye(6), (terms.transpose(0, 2, 1) @ inverse[..., None])
     plane, H_inverse = np.linalg.solve(H[:, :3, :3], b[:, :3]), np.linalg.inv(H)
-    surface = (H_inverse @ b)[:, 0, 0]
+    quadratic = (H_inverse @ b)[..., 0]
+    surface = quadratic[:, 0]
     found = (surface > 0) & (plane[:, 0, 0] > 0) & (count >= _LEAST_SHARE * known.shape[1])
     at = np.divide(1, surface, out=np.ones_like(surface), where=found)
     rough = np.sqrt((((terms[..., :3] @ plane)[..., 0] - inverse) ** 2).sum(1) / np.maximum(count, 1)) * at
     found &= (rough < _ROUGHNESS) & (np.abs(plane[:, 0, 0] * at - 1) < _BENT)
     noise = BEST * noise_ratio(torch.from_numpy(at)).numpy()
-    return np.where(found, at, 0.0), np.where(found, np.sqrt(H_inverse[:, 0, 0]) * noise + _FLOOR * at, 1.0)
+    sigma = np.where(found, np.sqrt(H_inverse[:, 0, 0]) * noise + _FLOOR * at, 1.0)
+    slope = -(at**2)[:, None] * quadratic[:, 1:3] / _REACH  # of the inverse of depth
+    return np.where(found, at, 0.0), sigma, np.where(found[:, None], slope, 0.0)

@@ -5,11 +5,13 @@ reading of depth there: the residuals are project(p) - uv and p_z - depth(readin
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.row_motion import RowMotion, displaced, hat
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -27,13 +29,20 @@ class Observations:
     root: Array  # (N, 2, 2) [1/px] square roots of the information of uv: root^T root
     reading: Array  # (N,) [m] depth as the sensor states it; 0: none
     reading_sigma: Array  # (N,) [m] its standard deviation
+    slope: Array  # (N, 2) [m/px] of the readings around it, along rows and columns
+    rows: RowMotion | None = None  # when they were seen; None: at the keyframes' time stamps
 
     def __len__(self) -> int:
         return len(self.keyframe)
 
     def __getitem__(self, chosen: NDArray[np.generic]) -> "Observations":
-        parts = self.keyframe, self.landmark, self.uv, self.root, self.reading, self.reading_sigma
-        return Observations(*(part[chosen] for part in parts))  # type: ignore[arg-type]
+        rows = None if self.rows is None else self.rows[chosen]
+        return Observations(**{name: part[chosen] for name, part in self.columns.items()}, rows=rows)
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """What was measured, without the times of rows."""
+        return {name: part for name, part in vars(self).items() if name != "rows"}
 
 
 def tracks(points: Array, seen: Observations) -> tuple[Array, Observations]:
@@ -51,7 +60,7 @@ class Linearised:
     """Residuals of N observations [standard deviations], three each: two of the image, one of depth, 0 without a reading."""
 
     residuals: Array  # (N, 3)
-    by_pose: Array  # (N, 3, 6) by xi, of T_wk exp(xi)
+    by_pose: Array  # (N, 3, 6) by xi, of T_wk exp(xi); (N, 3, 12) by xi and the keyframe's velocity, if that is an unknown
     by_point: Array  # (N, 3, 3)
     by_values: Array  # (N, 3, P) by the camera's values
 
@@ -62,14 +71,19 @@ def camera_points(poses: Array, points: Array, seen: Observations) -> Array:
     return np.einsum("nji,nj->ni", T[:, :3, :3], points[seen.landmark] - T[:, :3, 3])
 
 
-def residuals(model: CameraModel, poses: Array, points: Array, seen: Observations) -> Array:
+def residuals(model: CameraModel, poses: Array, points: Array, seen: Observations, velocities: Array | None = None) -> Array:
     """(N, 3) as of `Linearised`. A landmark behind its keyframe has infinite ones."""
-    return linearise(model, poses, points, seen).residuals
+    return linearise(model, poses, points, seen, velocities).residuals
 
 
-def linearise(model: CameraModel, poses: Array, points: Array, seen: Observations) -> Linearised:
-    """Residuals and derivatives of observations, of poses T_wk (K, 4, 4) and points (L, 3) in the world."""
+def linearise(model: CameraModel, poses: Array, points: Array, seen: Observations, velocities: Array | None = None) -> Linearised:
+    """Residuals and derivatives of observations, of poses T_wk (K, 4, 4) and points (L, 3) in the world.
+
+    velocities: (K, 6) of the keyframes, where `seen` has the times of rows.
+    """
     p = camera_points(poses, points, seen)
+    if seen.rows is not None and velocities is not None:
+        return _linearised_in_motion(model, poses[seen.keyframe, :3, :3], p, seen, seen.rows, velocities[seen.keyframe])
     behind = p[:, 2] < _NEAREST
     p[behind] = 0, 0, 1
     uv, uv_by_p, uv_by_values = model.project(p)
@@ -80,15 +94,32 @@ def linearise(model: CameraModel, poses: Array, points: Array, seen: Observation
     by_p[:, :2], by_p[:, 2, 2] = seen.root @ uv_by_p, weight
     by_values = np.concatenate([seen.root @ uv_by_values, -(weight[:, None] * depth_by_values)[:, None]], 1)
     R = poses[seen.keyframe, :3, :3]
-    by_pose = np.concatenate([-by_p, by_p @ _hat(p)], 2)  # T exp(xi) moves the point to p - v - omega x p
+    by_pose = np.concatenate([-by_p, by_p @ hat(p)], 2)  # T exp(xi) moves the point to p - v - omega x p
     off[behind] = np.inf
     return Linearised(off, by_pose, by_p @ R.transpose(0, 2, 1), by_values)
 
 
-def _hat(p: Array) -> Array:
-    """(N, 3, 3) the matrices of the cross product with vectors (N, 3)."""
-    out = np.zeros((len(p), 3, 3))
-    x, y, z = p.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out
+def _linearised_in_motion(model: CameraModel, R: Array, p: Array, seen: Observations, rows: RowMotion, velocities: Array) -> Linearised:
+    """The same of landmarks p (N, 3) at the time stamp of cameras with rotations R (N, 3, 3) and velocities (N, 6).
+
+    A reading of depth where colour shows a landmark is that of another point of its surface, if depth's row moved on.
+    """
+    behind = p[:, 2] < _NEAREST
+    p[behind] = 0, 0, 1
+    colour, depth = (displaced(p, rows.seconds[:, i, None] * velocities + rows.given[:, i]) for i in range(2))
+    behind |= (colour[0][:, 2] < _NEAREST) | (depth[0][:, 2] < _NEAREST)
+    uv, uv_by_colour, uv_by_values = model.project(colour[0])
+    uv_then, uv_by_depth, _ = model.project(depth[0])
+    stated, depth_by_values = model.depth(seen.uv, seen.reading)
+    z = depth[0][:, 2] + ((uv - uv_then) * seen.slope).sum(1)
+    weight = np.where(seen.reading > 0, 1 / seen.reading_sigma, 0.0)
+    off = np.concatenate([np.einsum("nij,nj->ni", seen.root, uv - seen.uv), (weight * (z - stated))[:, None]], 1)
+    slope = seen.slope[:, None]
+    z_by_colour, z_by_depth = weight[:, None, None] * (slope @ uv_by_colour), weight[:, None, None] * ([0.0, 0, 1] - slope @ uv_by_depth)
+    by_colour = np.concatenate([seen.root @ uv_by_colour, z_by_colour], 1)
+    by_depth = np.concatenate([np.zeros((len(p), 2, 3)), z_by_depth], 1)
+    by_p = by_colour @ colour[1] + by_depth @ depth[1]
+    by_velocity = rows.seconds[:, 0, None, None] * (by_colour @ colour[2]) + rows.seconds[:, 1, None, None] * (by_depth @ depth[2])
+    by_values = np.concatenate([seen.root @ uv_by_values, -(weight[:, None] * depth_by_values)[:, None]], 1)
+    off[behind] = np.inf
+    return Linearised(off, np.concatenate([-by_p, by_p @ hat(p), by_velocity], 2), by_p @ R.transpose(0, 2, 1), by_values)

@@ -16,18 +16,21 @@ from idfslam.adjustment.residuals import Array, Linearised, Observations
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and -J^T W r by blocks: poses (K, 6), the camera's values (P,), landmarks (L, 3)."""
+    """J^T W J and -J^T W r by blocks: keyframes (K, D), the camera's values (P,), landmarks (L, 3).
 
-    poses: Array  # (K, 6, 6): no image has a measurement in common with another
+    A keyframe has D = 6 unknowns, those of its pose, or 12, with those of its velocity.
+    """
+
+    poses: Array  # (K, D, D): no image has a measurement in common with another
     values: Array  # (P, P)
     landmarks: Array  # (L, 3, 3)
-    pose_values: Array  # (K, 6, P)
-    pose_landmark: bsr_array  # (6 K, 3 L)
+    pose_values: Array  # (K, D, P)
+    pose_landmark: bsr_array  # (D K, 3 L)
     values_landmarks: Array  # (P, 3 L)
-    right_poses: Array  # (K, 6)
+    right_poses: Array  # (K, D)
     right_values: Array  # (P,)
     right_landmarks: Array  # (L, 3)
-    between_poses: bsr_array | None = None  # (6 K, 6 K) of relative poses; None: none is measured
+    between_poses: bsr_array | None = None  # (D K, D K) of relative poses; None: none is measured
 
     @staticmethod
     def of(at: Linearised, weights: Array, seen: Observations, keyframes: int, landmarks: int) -> "NormalEquations":
@@ -37,7 +40,7 @@ class NormalEquations:
         wA, wB, wC = (J.transpose(0, 2, 1) * weights[:, None] for J in (A, B, C))
         order = np.lexsort((seen.landmark, seen.keyframe))
         starts = np.searchsorted(seen.keyframe[order], np.arange(keyframes + 1))
-        blocks, shape = (wA @ B)[order], (6 * keyframes, 3 * landmarks)
+        blocks, shape = (wA @ B)[order], (A.shape[2] * keyframes, 3 * landmarks)
         return NormalEquations(
             by_keyframe(wA @ A),
             np.einsum("npi,niq->pq", wC, C),
@@ -52,14 +55,14 @@ class NormalEquations:
 
 
 class ReducedSystem:
-    """The system of keyframes and camera alone, factorised. `free` (6 K + P,) says which unknowns are estimated.
+    """The system of keyframes and camera alone, factorised. `free` (D K + P,) says which unknowns are estimated.
 
-    information (6 K + P,): of each unknown at its present value, added to the diagonal. damping: share of it that is added to each
+    information (D K + P,): of each unknown at its present value, added to the diagonal. damping: share of it that is added to each
     diagonal, by Levenberg and Marquardt.
     """
 
     def __init__(self, n: NormalEquations, free: NDArray[np.bool_], information: Array, damping: float = 0.0) -> None:
-        K, P = len(n.poses), len(n.values)
+        (K, D), P = n.right_poses.shape, len(n.values)
         self.equations, self._free = n, np.flatnonzero(free)
         V = n.landmarks + damping * np.eye(3) * n.landmarks
         self.landmark_covariances = np.linalg.inv(V)
@@ -68,16 +71,16 @@ class ReducedSystem:
         W, Wc = n.pose_landmark, n.values_landmarks
         self._W_V = W @ V_inverse
         self._Wc_V = (self.landmark_covariances @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
-        poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(6 * K, 6 * K)) - self._W_V @ W.T
+        poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(D * K, D * K)) - self._W_V @ W.T
         if n.between_poses is not None:
             poses = poses + n.between_poses
-        cross = n.pose_values.reshape(6 * K, P) - self._W_V @ Wc.T
+        cross = n.pose_values.reshape(D * K, P) - self._W_V @ Wc.T
         values = n.values - self._Wc_V @ Wc.T
         S = csc_array(bmat([[poses, cross], [cross.T, values]]))
         diagonal = np.concatenate([np.einsum("kii->ki", n.poses).ravel(), np.diagonal(n.values)])
         S = S + csc_array((damping * diagonal + information, (np.arange(len(diagonal)),) * 2), shape=S.shape)
         self._lu: SuperLU = splu(csc_array(S[self._free][:, self._free]), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        self._size = 6 * K + P
+        self._size = D * K + P
 
     @property
     def entries(self) -> int:
@@ -85,24 +88,23 @@ class ReducedSystem:
         return int(self._lu.nnz)
 
     def solve(self, right: Array) -> tuple[Array, Array, Array]:
-        """Increments of the poses (K, 6), the values (P,) and the landmarks (L, 3). right (6 K + P,) is added to the right side."""
+        """Increments of the keyframes (K, D), the values (P,) and the landmarks (L, 3). right (D K + P,) is added to the right side."""
         n, L = self.equations, len(self.landmark_covariances)
         b = n.right_landmarks.ravel()
         reduced = np.concatenate([n.right_poses.ravel() - self._W_V @ b, n.right_values - self._Wc_V @ b]) + right
         x = np.zeros(self._size)
         x[self._free] = self._lu.solve(reduced[self._free])
-        K = len(n.poses)
-        poses, values = x[: 6 * K], x[6 * K :]
+        poses, values = np.split(x, [n.right_poses.size])
         tied = (n.pose_landmark.T @ poses + n.values_landmarks.T @ values).reshape(L, 3)
-        return poses.reshape(K, 6), values, np.einsum("lij,lj->li", self.landmark_covariances, n.right_landmarks - tied)
+        return poses.reshape(n.right_poses.shape), values, np.einsum("lij,lj->li", self.landmark_covariances, n.right_landmarks - tied)
 
     def covariance(self, unknowns: NDArray[np.int64]) -> Array:
-        """(U, U) marginal covariance of some of the unknowns (6 K + P); zero for those that are not estimated."""
+        """(U, U) marginal covariance of some of the unknowns (D K + P); zero for those that are not estimated."""
         out = self.covariance_with(unknowns)[unknowns]
         return (out + out.T) / 2
 
     def covariance_with(self, unknowns: NDArray[np.int64]) -> Array:
-        """(6 K + P, U) covariance of all unknowns with some of them; zero for those that are not estimated."""
+        """(D K + P, U) covariance of all unknowns with some of them; zero for those that are not estimated."""
         places = np.searchsorted(self._free, unknowns).clip(max=max(len(self._free) - 1, 0))
         estimated = self._free[places] == unknowns
         right = np.zeros((len(self._free), int(estimated.sum())))

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, robust_weights
-from idfslam.adjustment.residuals import Array, Indices, Linearised, linearise
+from idfslam.adjustment.bundle_adjustment import Adjusted, of_blocks, robust_weights
+from idfslam.adjustment.residuals import Array, Indices, Linearised
 from idfslam.adjustment.schur_complement import ReducedSystem
 
 # Parts of an image's height and width. Of 2, 3, 4 on generated recordings 3 gave errors that were most alike to their covariances. More:
@@ -24,8 +24,8 @@ class PoseCovariances:
     """Of each keyframe's pose."""
 
     def __init__(self, adjusted: Adjusted) -> None:
-        problem, self._system = adjusted.problem, adjusted.system
-        at = linearise(problem.model, problem.poses, problem.points, problem.seen)
+        problem, self._system, self._size = adjusted.problem, adjusted.system, adjusted.problem.unknowns
+        at = problem.linearised()
         scores = _scores(at, problem.seen.keyframe, problem.seen.landmark, self._system)
         size = np.array([problem.model.camera.width, problem.model.camera.height])
         column, row = (problem.seen.uv / size * _PARTS).astype(np.int64).clip(0, _PARTS - 1).T
@@ -35,19 +35,19 @@ class PoseCovariances:
         if problem.edges is not None:
             poses = torch.from_numpy(problem.poses)
             self._shared = self._shared + problem.edges.squared_errors(poses).mean() / 6 * csr_array(
-                problem.edges.normal_equations(poses)[0]
+                of_blocks(problem.edges.normal_equations(poses)[0], problem.unknowns)
             )
 
     def of(self, keyframe: int) -> Array:
         """(6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; zero for a fixed one."""
-        own = np.arange(6 * keyframe, 6 * keyframe + 6)
+        own = self._size * keyframe + np.arange(6)
         by_all = self._system.covariance_with(own)[: self._shared.shape[0]]
         shared = by_all.T @ (self._shared @ by_all)
         return self._system.covariance(own) + (shared + shared.T) / 2
 
 
 def _scores(at: Linearised, keyframe: Indices, landmark: Indices, system: ReducedSystem) -> csr_array:
-    """(N, 6 K) what each sighting contributes to the right side of the reduced system."""
+    """(N, D K) what each sighting contributes to the right side of the reduced system."""
     n = system.equations
     off = robust_weights(at.residuals) * np.where(np.isfinite(at.residuals), at.residuals, 0.0)
     by_pose = np.einsum("nip,ni->np", at.by_pose, off)
@@ -64,7 +64,7 @@ def _rows(blocks: Array, places: Indices, count: int) -> csr_array:
 
 
 def _squares(scores: csr_array, group: Indices) -> csr_array:
-    """(6 K, 6 K) the sum of g g^T over groups of rows, of which g is the sum."""
+    """(D K, D K) the sum of g g^T over groups of rows, of which g is the sum."""
     rows = np.arange(len(group))
     sums = csr_array((np.ones(len(group)), (group, rows)), shape=(int(group.max(initial=-1)) + 1, len(group))) @ scores
     return csr_array(sums.T @ sums)

@@ -1,6 +1,7 @@
 """The pose of every frame, relative to a stored keyframe. A frame moves with its host keyframe."""
 
 import itertools
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,6 +70,20 @@ class FramePoses(Stateful):
         """The pose (4, 4) float64 of the i-th frame."""
         frame = self._frames[i]
         return self.graph.keyframes[frame.host].T_wk @ frame.T_kc if self.graph.keyframes else frame.T_kc
+
+    def around(self, timestamp: float, reach: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stamps (M,) [s] and poses (M, 4, 4) of the frame at a time stamp and up to `reach` before and after it.
+
+        They are tracked without a gap, and of one submap. Empty if that frame is not tracked itself.
+        """
+        at = bisect_left(self._frames, timestamp, key=lambda frame: frame.timestamp)
+        if at == len(self) or self._frames[at].timestamp != timestamp or not self._frames[at].status.trusted:
+            return np.zeros(0), np.zeros((0, 4, 4))
+        belongs = lambda i: self._frames[i].status.trusted and self.submap(i) == self.submap(at)  # noqa: E731
+        before = list(itertools.takewhile(belongs, range(at - 1, max(at - reach, 0) - 1, -1)))
+        after = list(itertools.takewhile(belongs, range(at + 1, min(at + reach + 1, len(self)))))
+        chosen = [*reversed(before), at, *after]
+        return np.array([self._frames[i].timestamp for i in chosen]), np.stack([self.T_wc(i).numpy() for i in chosen])
 
     def submap(self, i: int) -> int:
         """The submap of the i-th frame."""

@@ -46,6 +46,7 @@ class KeyframeImages:
         """depth (H, W) [m] and colour (H, W, 3) in [0, 1] on the map's device."""
         self.index, self.timestamp = frame.index, frame.timestamp
         self.camera: Camera = frame.camera
+        self.timing, self.depth_lag = frame.timing, frame.depth_lag  # of the images as they were taken
         self._times = frame.depth_timestamp, frame.timing
         self.rectification: Rectification | None = None  # what the images are rectified with; None: they are as they were taken
         self.moving: NDArray[np.bool_] | None = None  # (H, W) pixels that are hidden since they show what moves; None: none

@@ -38,6 +38,7 @@ from idfslam.slam.inverse_rendering import InverseRendering
 from idfslam.slam.joint_mapping import JointMapping
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
+from idfslam.slam.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.local_adjustment import LocalAdjustment
@@ -211,7 +212,7 @@ class System:
 
     @cached_property
     def local_adjustment(self) -> LocalAdjustment | None:
-        return LocalAdjustment(self.graph, self.features) if self.aligns and self.config.refinement.adjust_local else None
+        return LocalAdjustment(self.graph, self.features, self.motions) if self.aligns and self.config.refinement.adjust_local else None
 
     @cached_property
     def refinement(self) -> Refinement:
@@ -226,7 +227,11 @@ class System:
         if not (self.aligns and self.config.refinement.adjust):
             return NoAdjustment()
         tracks = None if self.local_adjustment is None else self.local_adjustment.tracks
-        return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks)
+        return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks, self.motions)
+
+    @cached_property
+    def motions(self) -> KeyframeMotions:
+        return KeyframeMotions(self.frames, lambda keyframe: self.front_end.row_times(keyframe))
 
     @cached_property
     def polish(self) -> Polishing:

@@ -22,6 +22,7 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_selection import WIDE
+from idfslam.sensing.rectification import RowTimes
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.motion_compensation import MotionCompensation
 from idfslam.slam.recent_frame import RecentFrame
@@ -57,6 +58,10 @@ class FrontEnd(Stateful, ABC):
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         """[1] The photometric error of a view at a pose (4, 4), of what is not hidden in it; 0: unknown."""
         return 0.0
+
+    def row_times(self, keyframe: Keyframe) -> RowTimes:
+        """The times of the rows of a keyframe's images as they were taken, as far as they are known by now."""
+        return RowTimes()
 
     def undo(self) -> Callable[[], None]:
         """What makes it forget that a view was tracked again after this call. The view itself is not its concern."""
@@ -163,6 +168,9 @@ class AlignmentToMap(FrontEnd):
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self._references()).photometric_error
+
+    def row_times(self, keyframe: Keyframe) -> RowTimes:
+        return self.compensation.times(keyframe)
 
     def undo(self) -> Callable[[], None]:
         kept = [(part, vars(part).copy()) for part in (self.rotation, self.compensation, self.compensation.motion)]

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
+from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.landmark_tracks import View, find_tracks
@@ -23,6 +23,7 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import links
 from idfslam.graph.pose_graph import RelativePoses
+from idfslam.slam.keyframe_motion import KeyframeMotions
 
 log = logging.getLogger(__name__)
 
@@ -64,11 +65,19 @@ class NoAdjustment(KeyframeAdjustment):
 
 
 class GlobalAdjustment(KeyframeAdjustment):
-    """Bundle adjustment with the camera as it is stated. The graph's edges hold what landmarks do not."""
+    """Bundle adjustment with the camera as it is stated. The graph's edges hold what landmarks do not.
 
-    def __init__(self, graph: KeyframeGraph, seconds: float, tracks: GrowingTracks | None = None) -> None:
-        """seconds: time after which no further step begins [s], from the search of landmarks on. tracks: landmarks found during the run."""
-        self.graph, self.seconds, self.tracks = graph, seconds, tracks
+    Where the rows of an image have times of their own, each keyframe has a velocity besides its pose.
+    """
+
+    def __init__(
+        self, graph: KeyframeGraph, seconds: float, tracks: GrowingTracks | None = None, motions: KeyframeMotions | None = None
+    ) -> None:
+        """seconds: time after which no further step begins [s], from the search of landmarks on. tracks: landmarks found during the run.
+
+        motions: how the keyframes moved; None: their images are of one moment.
+        """
+        self.graph, self.seconds, self.tracks, self.motions = graph, seconds, tracks, motions
         self._adjusted: Adjusted | None = None
 
     def run(self) -> bool:
@@ -103,7 +112,10 @@ class GlobalAdjustment(KeyframeAdjustment):
             return None
         fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in keyframes])
         edges = RelativePoses.of(links(self.graph, EDGES))
-        return Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
+        problem = Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
+        if self.motions is None or all(self.motions.synchronised(keyframe) for keyframe in keyframes):
+            return problem
+        return in_motion(problem, [self.motions.of(keyframe) for keyframe in keyframes])
 
     def covariances(self) -> dict[int, Array]:
         if self._adjusted is None:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.adjustment.bundle_adjustment import Problem, adjust_briefly
+from idfslam.adjustment.bundle_adjustment import Problem, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.residuals import Array
@@ -23,6 +23,7 @@ from idfslam.graph.pose_graph import Edge, RelativePoses
 from idfslam.slam.global_adjustment import AGREE, EDGES
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.keyframe_motion import KeyframeMotions
 from idfslam.storage.state import State
 from idfslam.tracking.frame_features import subsampled_depth
 
@@ -38,8 +39,9 @@ _FARTHEST = 0.05  # [m] largest shift of such a point: so large a step is wrong.
 class LocalAdjustment(KeyframeHook):
     """Adjusts the newest keyframes of a graph."""
 
-    def __init__(self, graph: KeyframeGraph, features: KeyframeFeatures) -> None:
-        self.graph, self.features, self.tracks = graph, features, GrowingTracks()
+    def __init__(self, graph: KeyframeGraph, features: KeyframeFeatures, motions: KeyframeMotions | None = None) -> None:
+        """motions: how the keyframes moved; None: their images are of one moment."""
+        self.graph, self.features, self.motions, self.tracks = graph, features, motions, GrowingTracks()
         self._held: set[int] = set()  # numbers of the keyframes that landmarks hold
         self._edges: dict[int, Edge] = {}  # from a keyframe before each to it, as it was tracked
         self._noise = np.ones(2)  # of images and depth in the last window, over the stated one
@@ -117,7 +119,11 @@ class LocalAdjustment(KeyframeHook):
         seen = replace(seen, keyframe=np.searchsorted(numbers, seen.keyframe))
         none = np.zeros(len(NAMES), bool)
         between = RelativePoses.of(relative) if relative else None
-        return Problem(model, poses[numbers], points, seen, ~window[numbers] | begins, none, between), numbers
+        problem = Problem(model, poses[numbers], points, seen, ~window[numbers] | begins, none, between)
+        chosen = [keyframes[i] for i in numbers]
+        if self.motions is None or all(self.motions.synchronised(keyframe) for keyframe in chosen):
+            return problem, numbers
+        return in_motion(problem, [self.motions.of(keyframe) for keyframe in chosen]), numbers
 
     def _move(self, numbers: NDArray[np.int64], poses: Array) -> Moved:
         moved = list[Keyframe]()

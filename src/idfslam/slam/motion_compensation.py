@@ -73,7 +73,7 @@ class MotionCompensation(Stateful):
         """The same with the present view, after the motion has become known."""
         assert self._raw is not None
         errors = [_velocity_error(k) for k in references if k.velocity is not None]
-        self._prior, times = self.motion.predict(view.timestamp, view.T_wk).against(errors), self.times(self._raw)
+        self._prior, times = self.motion.predict(view.timestamp, view.T_wk).against(errors), self.times(view)
         if times.synchronised:
             return None
         view.T_wk = self._prior.T_wc
@@ -121,7 +121,7 @@ class MotionCompensation(Stateful):
 
         Returns whether it was rectified. Then the map has to learn it again.
         """
-        elapsed, times = view.timestamp - first.timestamp, self.times(first.frame)
+        elapsed, times = view.timestamp - first.timestamp, self.times(first)
         if first.rectification is not None or elapsed <= 0 or times.synchronised:
             return False
         self.motion.start(first.T_wk, T_wc, elapsed)
@@ -130,7 +130,7 @@ class MotionCompensation(Stateful):
 
     def rectify_stored(self, keyframe: Keyframe) -> bool:
         """Rectifies a keyframe of the time before the sensor's times were known. Returns whether the map has to learn it again."""
-        times = self.times(keyframe.frame)
+        times = self.times(keyframe)
         if keyframe.rectification is not None or keyframe.velocity is None or times.synchronised:
             return False
         keyframe.rectify(Rectification(times, keyframe.velocity))
@@ -141,9 +141,9 @@ class MotionCompensation(Stateful):
         view.velocity = along_camera(T_wc, self.motion.velocity)
         view.velocity_covariance = turned(T_wc[:3, :3].T.numpy(), self.motion.velocity_covariance)
 
-    def times(self, frame: Frame) -> RowTimes:
-        """The times of the rows of a frame, as it was taken: stated, estimated, or zero."""
-        return self.timing.of(frame.timing, frame.depth_lag)
+    def times(self, keyframe: Keyframe) -> RowTimes:
+        """The times of the rows of a keyframe's images, as they were taken: stated, estimated, or zero."""
+        return self.timing.of(keyframe.timing, keyframe.depth_lag)
 
     @staticmethod
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
