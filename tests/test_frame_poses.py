@@ -41,6 +41,21 @@ def test_gaps_are_interpolated_by_time_and_can_be_undone() -> None:
     assert frames.statuses() == [Status.OK, Status.LOST, Status.LOST, Status.OK]
 
 
+def test_frames_between_two_keyframes_follow_both() -> None:
+    """Keyframes at 0 and 0.6 s, of which the first moves by 0.1 m: the middle one moves by half of that, the next one by 86 %."""
+    frames = wall_frames(places=(0.0,))
+    for i in range(1, 18):
+        frames.append(i / 30, at(0.0), Status.OK)
+    new = keyframe(18, 1.8)
+    assert insert(frames, new)
+    before = [k.T_wk.clone() for k in frames.graph.keyframes]
+    frames.graph.keyframes[0].T_wk = at(0.1)
+    frames.follow_around(before)
+    moved = frames.trajectory()[:, 0, 3]
+    np.testing.assert_allclose(moved[[0, 1, 9, 18]], [0.1, 0.0855, 0.05, 1.8], atol=1e-4)
+    assert (np.diff(moved[1:18]) < 0).all()
+
+
 def test_state() -> None:
     frames = wall_frames(places=(0.0, 1.8))
     frames.append(1.0, at(1.9), Status.DEGENERATE)

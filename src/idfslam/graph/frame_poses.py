@@ -2,6 +2,7 @@
 
 import itertools
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,9 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.storage.state import State, Stateful
+
+_AROUND = 0.3  # [s] standard deviation of the weights of keyframes around a frame. More: frames follow more keyframes. Chosen by hand
+_NOTHING = 1e-3  # [1] weight of a keyframe, beside that of the nearest, below which it is left out. More: faster, less smooth
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,27 @@ class FramePoses(Stateful):
     def submap(self, i: int) -> int:
         """The submap of the i-th frame."""
         return self.graph.keyframes[self._frames[i].host].submap if self.graph.keyframes else 0
+
+    def follow_around(self, before: Sequence[Tensor]) -> None:
+        """Moves each frame by what the keyframes around it have moved, on average, from their poses `before` (K) of (4, 4).
+
+        Without it a frame moves as its host keyframe. Where a keyframe's own images were bent, that is no error of its frames.
+        """
+        keyframes = self.graph.keyframes
+        stamps = np.array([keyframe.timestamp for keyframe in keyframes])
+        moves = torch.stack([keyframe.T_wk for keyframe in keyframes]) @ se3.inverse(torch.stack(list(before)))
+        submaps = np.array([keyframe.submap for keyframe in keyframes])
+        for i, frame in enumerate(self._frames):
+            if frame.timestamp == stamps[frame.host]:
+                continue  # the keyframe itself
+            apart = np.where(submaps == submaps[frame.host], np.abs(stamps - frame.timestamp) / _AROUND, np.inf)
+            weight = np.exp((apart.min() ** 2 - apart**2) / 2)
+            near = np.flatnonzero(weight > _NOTHING)
+            T_before = before[frame.host] @ frame.T_kc
+            change = se3.log(se3.inverse(T_before) @ moves[near] @ T_before)
+            mean = torch.from_numpy(weight[near] / weight[near].sum()) @ change
+            T_kc = se3.inverse(keyframes[frame.host].T_wk) @ T_before @ se3.exp(mean)
+            self._frames[i] = replace(frame, T_kc=se3.orthonormal(T_kc))
 
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) poses of all frames. A frame outside the first submap has the pose of the last frame before it inside."""

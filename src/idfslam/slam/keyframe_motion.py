@@ -44,12 +44,15 @@ class KeyframeMotions:
         """The motion of a stored keyframe."""
         times = self.times(keyframe)
         stamps, poses = self.frames.around(keyframe.timestamp, _STAMPS)
-        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else np.inf
-        at = np.searchsorted(stamps, keyframe.timestamp)
+        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+        at = int(np.searchsorted(stamps, keyframe.timestamp))
         near = slice(max(at - _REACH, 0), at + _REACH + 1)
-        if len(stamps[near]) < _LEAST or interval > _SLOWEST:
+        least = _LEAST - 1 if keyframe.velocity is None else _LEAST  # the first keyframe has no frames before it
+        if len(stamps[near]) < least or not 0 < interval < _SLOWEST:
             return _as_tracked(keyframe, times)
         seconds = np.round((stamps[near] - keyframe.timestamp) / interval) * interval
+        if (np.diff(seconds) <= 0).any():  # stamps that are no order
+            return _as_tracked(keyframe, times)
         velocity, acceleration = motion_through(seconds, np.linalg.inv(poses[at]) @ poses[near])
         return KeyframeMotion(times, velocity, _diagonal(_ERROR), acceleration, keyframe.rectification)
 
