@@ -59,8 +59,8 @@ def test_frames_are_around_until_one_is_not_tracked() -> None:
     frames = wall_frames(places=(0.0,))
     for i, status in enumerate((Status.OK, Status.LOST, Status.OK, Status.OK, Status.DOUBTFUL)):
         frames.append((i + 1) / FPS, at(0.01 * i), status)
-    stamps, poses = frames.around(4 / FPS, 3)
+    stamps, poses = frames.around(keyframe(4, 0.03), 3)
     assert stamps.tolist() == [3 / FPS, 4 / FPS]
     torch.testing.assert_close(torch.from_numpy(poses[1]), at(0.03))
-    assert len(frames.around(2 / FPS, 3)[0]) == 0  # lost itself
-    assert len(frames.around(3.5 / FPS, 3)[0]) == 0  # no frame
+    for other in (keyframe(2, 0.01), keyframe(4, 0.02), keyframe(6, 0.0)):  # lost itself, of another run, none of the frames
+        assert len(frames.around(other, 3)[0]) == 0

@@ -75,19 +75,23 @@ class FramePoses(Stateful):
         frame = self._frames[i]
         return self.graph.keyframes[frame.host].T_wk @ frame.T_kc if self.graph.keyframes else frame.T_kc
 
-    def around(self, timestamp: float, reach: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Stamps (M,) [s] and poses (M, 4, 4) of the frame at a time stamp and up to `reach` before and after it.
+    def around(self, keyframe: Keyframe, reach: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stamps (M,) [s] and poses (M, 4, 4) of the frame of a keyframe, and up to `reach` before and after it.
 
-        They are tracked without a gap, and of one submap. Empty if that frame is not tracked itself.
+        They are tracked without a gap, and of one submap. Empty if the frame is not tracked itself, or is of another run.
         """
-        at = bisect_left(self._frames, timestamp, key=lambda frame: frame.timestamp)
-        if at == len(self) or self._frames[at].timestamp != timestamp or not self._frames[at].status.trusted:
+        at = bisect_left(self._frames, keyframe.timestamp, key=lambda frame: frame.timestamp)
+        if at == len(self) or not self._frames[at].status.trusted or not self._is_of(at, keyframe):
             return np.zeros(0), np.zeros((0, 4, 4))
         belongs = lambda i: self._frames[i].status.trusted and self.submap(i) == self.submap(at)  # noqa: E731
         before = list(itertools.takewhile(belongs, range(at - 1, max(at - reach, 0) - 1, -1)))
         after = list(itertools.takewhile(belongs, range(at + 1, min(at + reach + 1, len(self)))))
         chosen = [*reversed(before), at, *after]
         return np.array([self._frames[i].timestamp for i in chosen]), np.stack([self.T_wc(i).numpy() for i in chosen])
+
+    def _is_of(self, i: int, keyframe: Keyframe) -> bool:
+        """Whether the i-th frame is a keyframe's; those of a map from another run may have the same stamps."""
+        return self._frames[i].timestamp == keyframe.timestamp and bool(torch.allclose(self.T_wc(i), keyframe.T_wk, atol=1e-9))
 
     def submap(self, i: int) -> int:
         """The submap of the i-th frame."""

@@ -43,7 +43,7 @@ class KeyframeMotions:
     def of(self, keyframe: Keyframe) -> KeyframeMotion:
         """The motion of a stored keyframe."""
         times = self.times(keyframe)
-        stamps, poses = self.frames.around(keyframe.timestamp, _STAMPS)
+        stamps, poses = self.frames.around(keyframe, _STAMPS)
         interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
         at = int(np.searchsorted(stamps, keyframe.timestamp))
         near = slice(max(at - _REACH, 0), at + _REACH + 1)
