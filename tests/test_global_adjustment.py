@@ -9,12 +9,17 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from idfslam.config import FAST
+from idfslam.datasets.generated.faults import Faults
+from idfslam.datasets.generated.handheld import handheld_room
 from idfslam.datasets.generated.room import SyntheticRoom
-from idfslam.frame import Frame
+from idfslam.frame import Frame, Status
 from idfslam.geometry import se3
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.sensing.rectification import RowTimes
 from idfslam.slam.global_adjustment import GlobalAdjustment, NoAdjustment
+from idfslam.slam.keyframe_motion import KeyframeMotions
 
 FRAMES = range(0, 160, 20)
 OFF = 0.003, 0.001  # [m], [rad] standard deviations of the poses before, in each direction
@@ -101,3 +106,27 @@ def test_two_keyframes_stay(room: SyntheticRoom) -> None:
     graph = graph_of([room[i] for i in FRAMES[:2]], truth(room))
     assert not GlobalAdjustment(graph, 60.0).run()
     assert not NoAdjustment().run()
+
+
+@pytest.mark.slow
+def test_a_rolling_shutter_bends_nothing_where_keyframes_have_velocities() -> None:
+    """Raw images of a shaken camera with a rolling shutter, at true poses: the adjustment leaves them there if it knows the rows' times."""
+    room = handheld_room(Faults.named("shutter"), seed=1, frames=140, width=320, height=240)
+    true, times = np.linalg.inv(room.ground_truth[50]) @ room.ground_truth, room.true_timing
+    off = []
+    for knows in (False, True):
+        frames = FramePoses(KeyframeGraph(replace(FAST.keyframes, cull=1.0)))
+        for i in range(50, 140):
+            frames.append(float(room.timestamps[i]), torch.from_numpy(true[i]), Status.OK)
+            if i % 10 == 0:
+                frame = replace(room[i], index=i)
+                frames.graph.insert(
+                    keyframe := Keyframe(frame, torch.from_numpy(true[i]), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
+                )
+                frames.attach_last(keyframe)
+        motions = KeyframeMotions(frames, lambda keyframe: RowTimes(times.readout or 0.0, times.depth_readout or 0.0))
+        assert GlobalAdjustment(frames.graph, 60.0, None, motions if knows else None).run() == knows
+        if knows:
+            off = [np.linalg.norm(k.T_wk.numpy()[:3, 3] - true[k.index][:3, 3]) for k in frames.graph.keyframes]
+            assert np.isfinite(frames.trajectory()).all()
+    assert np.mean(off) < 0.003
