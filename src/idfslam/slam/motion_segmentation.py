@@ -38,7 +38,7 @@ _BETTER = 0.8
 # In redkitchen it was 0.66 and more. The last one is over the usual error. More: more layers move.
 _LESS, _FAR_LESS, _AS_USUAL = 0.76, 0.62, 1.1
 _DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
-# [frames] before the next trial after one that did not help; twice as many after each further one, and as usual after a frame that fits.
+# [frames] before the next trial after one that did not help; twice as many after each further one, and one less after a frame that fits.
 # More: faster, and movement is noticed later.
 _WAITS, _MOST_WAITS = 1, 32
 # [frames] passed over between two that are segmented while nothing moves. More: faster, and what begins to move is found later.
@@ -118,7 +118,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         usual = self._usual_error
         if not usual.is_known or (usual.is_within(error, _UNUSUAL) and not tracked.is_lost):
             self._found_once = False
-            self._next_wait = _WAITS if usual.is_within(error, _AS_USUAL) else self._next_wait
+            self._next_wait = max(self._next_wait - usual.is_within(error, _AS_USUAL), _WAITS)
             return tracked
         if self._waits:
             return tracked
