@@ -219,7 +219,7 @@ class FusionConfig:
     """Fuse the depth images of mapped views at their final poses. Meshes and views of the map are sharper, and its file is larger."""
     voxel: Positive = 0.01
     """Edge of a voxel [m]. Larger ones are faster and smaller, and smooth more."""
-    blocks: Count = 30_000
+    blocks: Count = 28_000
     """Largest number of blocks of 8 x 8 x 8 voxels. In scenes that need more, voxels are larger."""
 
 
