@@ -34,6 +34,21 @@ def test_a_steady_motion_is_learnt_and_predicted() -> None:
     np.testing.assert_allclose(ahead, VELOCITY / 30, rtol=0.03, atol=3e-4)
 
 
+def test_the_next_frame_improves_a_velocity() -> None:
+    """The pose swings at 2 Hz. A velocity that was estimated from the frames before lags; the smoothed one is twice as exact."""
+    motion, errors = ContinuousMotion(), []
+    for i in range(60):
+        angle = torch.tensor([0, 0, 0, 0, np.sin(4 * np.pi * i / 30) / 4, 0], dtype=torch.float64)
+        before, T = motion.velocity, moved(EYE, angle)
+        motion.accept_pose(i / 30, T, motion.predict(i / 30, EYE))
+        true = np.pi * np.cos(4 * np.pi * (i - 1) / 30)
+        if i > 20:
+            assert motion.smoothed is not None
+            errors.append((before[4] - true, motion.smoothed[0][4] - true))
+    filtered, smoothed = np.sqrt((np.array(errors) ** 2).mean(0))
+    assert 0.3 < filtered < 0.6 and smoothed < filtered / 2
+
+
 def test_a_missing_frame_takes_two_intervals() -> None:
     motion = ContinuousMotion()
     T = walked(motion, VELOCITY, 30)
@@ -46,6 +61,16 @@ def test_jitter_of_the_stamps_is_not_motion() -> None:
     T = walked(motion, VELOCITY, 30)
     ahead = change_between(T, motion.predict(30 / 30 + 0.006, EYE).T_wc).numpy()
     np.testing.assert_allclose(ahead, VELOCITY / 30, rtol=0.03, atol=3e-4)
+
+
+def test_sums_are_carried_to_another_pose() -> None:
+    """Residuals that are linear in the pose: sums taken elsewhere and carried back are those taken here."""
+    generator = torch.Generator().manual_seed(5)
+    J = torch.randn(50, 6, generator=generator, dtype=torch.float64)
+    r, rows = torch.randn(50, generator=generator, dtype=torch.float64), torch.rand(50, generator=generator, dtype=torch.float64) - 0.5
+    change, w = torch.randn(6, generator=generator, dtype=torch.float64), torch.ones(50, dtype=torch.float64)
+    here, there = RowMoments.of(J, w, r, rows), RowMoments.of(J, w, r + J @ change, rows)
+    np.testing.assert_allclose(there.carried(change.numpy()).b, here.b, atol=1e-9)
 
 
 def test_a_moved_graph_moves_the_motion() -> None:

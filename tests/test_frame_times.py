@@ -204,7 +204,8 @@ def test_the_first_frames_of_freiburg1_rpy() -> None:
     stamps = depth_timestamps(recording)
     assert stamps is not None
     assert (np.abs(stamps - recording.timestamps) < 1.1 * STEP)[np.isfinite(stamps)].all() and np.isfinite(stamps).all()
-    assert timing(recording) == UNKNOWN
+    assert timing(recording) == SensorTiming(0.026, 0.036, None)  # those of the camera, which the folder's name tells
+    assert timing(open_recording(path, camera={"readout": 0.0})) == SensorTiming(0.0, 0.036, None)
 
 
 # ----- the sensor's times

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from idfslam.alignment.continuous_motion import ContinuousMotion
 from idfslam.alignment.row_moments import RowMoments
-from idfslam.alignment.timing_estimation import TimingEstimator
+from idfslam.alignment.timing_estimation import MovingFrame, TimingEstimator
 from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.sensing.rectification import RowTimes
 
-EYE = torch.eye(4, dtype=torch.float64)
 UNKNOWN = SensorTiming(None, None, None)
 ZERO = RowTimes()
 
@@ -27,7 +25,8 @@ def estimated(true: RowTimes, *, used: RowTimes = ZERO, speed: float = 1.0, fram
             rows = torch.rand(500, generator=generator, dtype=torch.float64) - 0.5
             r = -(delay + readout * rows) * (J @ u) + 0.003 * torch.randn(500, generator=generator, dtype=torch.float64)
             sums.append(RowMoments.of(J, torch.ones(500, dtype=torch.float64), r, rows).scaled(1 / 0.003**2))
-        estimator.add(*sums, used, 0.0, velocity, ContinuousMotion().predict(0.0, EYE))
+        frame = MovingFrame(*sums, used, 0.0, velocity, np.zeros(6), np.eye(6) / 100)
+        estimator.add(frame, velocity, np.eye(6) / 1000)
     return estimator
 
 
@@ -55,6 +54,43 @@ def test_slow_motion_leaves_the_times_at_zero() -> None:
 def test_depth_keeps_its_stamp() -> None:
     assert TimingEstimator().of(UNKNOWN, 0.016) == RowTimes(0.0, 0.0, 0.016)
     assert TimingEstimator().of(SensorTiming(0.02, 0.03, -0.01), 0.016) == RowTimes(0.02, 0.03, pytest.approx(0.006))
+
+
+def test_the_error_that_is_left() -> None:
+    """At first as large as the times that are expected; after many frames, and of stated times, small."""
+    assert TimingEstimator().relative_error(UNKNOWN, RowTimes(depth_delay=0.01)) == pytest.approx(0.015 * (1 + 2 / 12) ** 0.5 / 0.01)
+    true = RowTimes(0.024, 0.03, -0.009)
+    assert estimated(true).relative_error(UNKNOWN, true) < 0.02
+    assert TimingEstimator().relative_error(SensorTiming(0.024, 0.03, -0.009), true) == 0.0
+
+
+def test_a_velocity_that_becomes_known_later_counts() -> None:
+    """The sums were taken at a wrong velocity, with the true times: these stay, once the velocity is corrected."""
+    rng, estimator, times = np.random.default_rng(3), TimingEstimator(), RowTimes(0.024, 0.03, -0.009)
+    generator = torch.Generator().manual_seed(3)
+    for _ in range(100):
+        velocity = np.concatenate([rng.normal(0, 0.3, 3), rng.normal(0, 1.0, 3)])
+        wrong, sums = velocity + rng.normal(0, 0.3, 6), []
+        for delay, readout in ((times.depth_delay, times.depth_readout), (0.0, times.readout)):
+            J = torch.randn(500, 6, generator=generator, dtype=torch.float64)
+            rows = torch.rand(500, generator=generator, dtype=torch.float64) - 0.5
+            r = -(delay + readout * rows) * (J @ torch.from_numpy(velocity - wrong))
+            sums.append(RowMoments.of(J, torch.ones(500, dtype=torch.float64), r, rows).scaled(1 / 0.003**2))
+        estimator.add(MovingFrame(*sums, times, 0.0, wrong, np.zeros(6), np.eye(6) / 100), velocity, np.eye(6) / 1000)
+    np.testing.assert_allclose(estimator.timing(UNKNOWN), (0.024, 0.03, -0.009), atol=5e-4)
+
+
+def test_state_of_a_moving_frame() -> None:
+    rng = np.random.default_rng(2)
+    sums = [RowMoments(rng.normal(size=(3, 6, 6)), rng.normal(size=(2, 6))) for _ in range(2)]
+    frame = MovingFrame(*sums, RowTimes(0.02, 0.03, -0.01), 0.004, *rng.normal(size=(2, 6)), np.eye(6))
+    again = MovingFrame.of(frame.state())
+    assert (again.times, again.lag) == (frame.times, frame.lag)
+    for of in ("depth", "images"):
+        np.testing.assert_array_equal(getattr(again, of).H, getattr(frame, of).H)
+        np.testing.assert_array_equal(getattr(again, of).b, getattr(frame, of).b)
+    for name in ("velocity", "of_references", "reference_covariance"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(frame, name))
 
 
 def test_state_and_restore() -> None:

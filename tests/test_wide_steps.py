@@ -16,6 +16,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.trajectory import align
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.slam import Slam
+from idfslam.slam.front_end import AlignmentToMap
 from idfslam.slam.registered_pose import RegisteredPose
 from idfslam.tracking.tracker import TrackingResult
 
@@ -50,6 +51,16 @@ def test_the_image_decides_between_map_and_tracker() -> None:
     assert registered().refutes(aligned(0.02))
     assert not registered().confirms(aligned(0.02))
     assert registered().refutes(aligned(0.0, Status.LOST))
+
+
+def test_a_registration_that_fits_the_image_much_better_replaces_an_alignment() -> None:
+    """The displacement left at the registered pose is 8 mrad: less than 0.8 times that of the alignment, or more; 0 says nothing."""
+    front_end = Slam(FAST).front_end
+    assert isinstance(front_end, AlignmentToMap)
+    front_end._references = list  # type: ignore[method-assign,assignment]
+    for at_registered, at_aligned, better in ((0.008, 0.011, True), (0.008, 0.0095, False), (0.0, 0.011, False)):
+        front_end.aligner.displacement = lambda *_, value=at_registered: value  # type: ignore[method-assign,assignment]
+        assert front_end._fits_better(keyframe(1, 0.0), registered(), replace(aligned(0.02), displacement=at_aligned)) is better
 
 
 @pytest.mark.parametrize("weak", [registered(patches=19), registered(status=Status.LOST)])

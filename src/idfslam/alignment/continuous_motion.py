@@ -101,6 +101,7 @@ class ContinuousMotion(Stateful):
         self._covariance: Array = np.zeros((12, 12))  # of its pose and velocity
         self._deviation: Array = np.array(_FIRST_DEVIATION)
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self.smoothed: tuple[Array, Array] | None = None  # velocity (6,) of the frame before the last one, and its covariance (6, 6)
         self.stop()
 
     def state(self) -> State:
@@ -128,15 +129,20 @@ class ContinuousMotion(Stateful):
         if self._last is None:
             return MotionPrior(T_predicted, self.velocity, _inverse(self._covariance))
         dt = self._elapsed(timestamp)
-        F = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
-        density = np.repeat(3 * self._deviation**2 / dt**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
-        Q = np.block([[np.diag(density * dt**3 / 3), np.diag(density * dt**2 / 2)], [np.diag(density * dt**2 / 2), np.diag(density * dt)]])
-        information = _inverse(F @ self._covariance @ F.T + Q)
+        _, covariance = self._transition(dt)
+        information = _inverse(covariance)
         mean = np.concatenate([dt * self.velocity, self.velocity])  # change since the last pose, and velocity
         bounded = information.copy()
         bounded[6:, 6:] += np.diag(np.repeat(np.array(_SPEED) ** -2.0, 3))  # a hand is seldom faster
         mean = np.linalg.solve(bounded, information @ mean)
         return MotionPrior(moved(self._last[1], torch.from_numpy(mean[:6])), mean[6:], bounded)
+
+    def _transition(self, dt: float) -> tuple[Array, Array]:
+        """The transition (12, 12) of pose and velocity over dt [s], and the covariance (12, 12) after it."""
+        F = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
+        density = np.repeat(3 * self._deviation**2 / dt**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
+        Q = np.block([[np.diag(density * dt**3 / 3), np.diag(density * dt**2 / 2)], [np.diag(density * dt**2 / 2), np.diag(density * dt)]])
+        return F, F @ self._covariance @ F.T + Q
 
     def start(self, T_first: Tensor, T_wc: Tensor, elapsed: float) -> None:
         """Takes the velocity from the motion between the poses (4, 4) of the first two frames, `elapsed` [s] apart."""
@@ -154,6 +160,7 @@ class ContinuousMotion(Stateful):
 
     def accept(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array, prior: MotionPrior) -> None:
         """Takes over the pose (4, 4) and the velocity (6,) of the frame at `timestamp` [s], with their covariance (12, 12)."""
+        self.smoothed = self._smoothed(timestamp, T_wc, velocity, covariance)
         if self._last is not None:
             change = change_between(prior.T_wc, T_wc).numpy()
             deviation = np.array([np.sqrt((change[:3] ** 2).mean()), np.sqrt((change[3:] ** 2).mean())])
@@ -163,6 +170,20 @@ class ContinuousMotion(Stateful):
         self.velocity, self._covariance = velocity, covariance
         self._last = (timestamp, T_wc.clone())
 
+    def _smoothed(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array) -> tuple[Array, Array] | None:
+        """The last frame's velocity (6,), which that of the next frame and the way to it improve, and its covariance (6, 6).
+
+        One step of the smoother of Rauch, Tung and Striebel (1965). None: the last frame is not known.
+        """
+        if self._last is None:
+            return None
+        dt = self._elapsed(timestamp)
+        F, predicted = self._transition(dt)
+        gain = self._covariance @ F.T @ _inverse(predicted)
+        change = np.concatenate([change_between(self._last[1], T_wc).numpy() - dt * self.velocity, velocity - self.velocity])
+        smoothed = self._covariance + gain @ (covariance - predicted) @ gain.T
+        return self.velocity + (gain @ change)[6:], smoothed[6:, 6:]
+
     @property
     def velocity_covariance(self) -> Array:
         """(6, 6) of the velocity."""
@@ -170,7 +191,7 @@ class ContinuousMotion(Stateful):
 
     def stop(self) -> None:
         """Forgets the motion, after a frame that is lost or whose pose is no continuation of the one before."""
-        self._last, self.velocity = None, np.zeros(6)
+        self._last, self.velocity, self.smoothed = None, np.zeros(6), None
         self._deviation = np.array(_FIRST_DEVIATION)
         self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *_SPEED]) ** 2, 3))
 

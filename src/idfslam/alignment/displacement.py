@@ -24,9 +24,9 @@ from idfslam.geometry import se3
 _ROWS = 60
 
 
-def level_of(frame: Appearance) -> int:
-    """The level of a frame's pyramid that displacements are measured on."""
-    return min(range(len(frame.levels)), key=lambda level: abs(math.log(frame.levels[level].camera.height / _ROWS)))
+def level_of(frame: Appearance, rows: int = _ROWS) -> int:
+    """The level of a frame's pyramid with about so many rows; default: that on which displacements are measured."""
+    return min(range(len(frame.levels)), key=lambda level: abs(math.log(frame.levels[level].camera.height / rows)))
 
 
 def displacement(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, motion: FrameMotion | None = None) -> tuple[int, float]:

@@ -37,6 +37,10 @@ class RowMoments:
     def __add__(self, other: "RowMoments") -> "RowMoments":
         return RowMoments(self.H + other.H, self.b + other.b)
 
+    def carried(self, change: Array) -> "RowMoments":
+        """The sums about a pose from which theirs is the change (6,) away, to first order."""
+        return RowMoments(self.H, self.b + self.H[: len(self.b)] @ change)
+
     def scaled(self, factor: float) -> "RowMoments":
         """All sums times a factor."""
         return RowMoments(factor * self.H, factor * self.b)

@@ -35,6 +35,10 @@ from idfslam.tracking.tracker import Tracker
 # [1] Least ratio of the score of a later guess to the best score for it to replace the best. More: the predicted motion wins more often
 # where all guesses score about the same. Chosen by hand.
 _BETTER = 1.05
+# [1] Ratio of the image's displacement at a registered pose, whose patches refute the aligned one, to that at the aligned pose, below which
+# the registered one is taken. More: wrong alignments are left sooner, and registrations that are no better are taken. From the passage of
+# fr1/rpy where alignments ran away: 0.5 to 0.6 before, 0.9 where both were about right.
+_DISPLACED = 0.8
 
 
 class _Guess(Enum):
@@ -126,8 +130,8 @@ class AlignmentToMap(FrontEnd):
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
-        if wide and registered is not None and registered.refutes(aligned):
-            return self._registered(view, registered)
+        if registered is not None and registered.refutes(aligned) and (wide or self._fits_better(view, registered, aligned)):
+            return self._registered(view, registered, wide=wide)
         self.compensation.follow(view, aligned)
         if aligned.status is not Status.LOST:
             confirmed = wide and registered is not None and registered.confirms(aligned)
@@ -150,9 +154,14 @@ class AlignmentToMap(FrontEnd):
             return 0.0
         return max(image_motion(T, T_wc, radius) for T in (view.T_wk, self._last_pose(view)))
 
-    def _registered(self, view: Keyframe, registered: RegisteredPose) -> Tracked:
+    def _fits_better(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment) -> bool:
+        """Whether the image is displaced by much less at the registered pose than at the aligned one."""
+        displaced = self.aligner.displacement(view, registered.T_wc, self._references())
+        return 0 < displaced < _DISPLACED * aligned.displacement
+
+    def _registered(self, view: Keyframe, registered: RegisteredPose, *, wide: bool) -> Tracked:
         """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors."""
-        view.registered = True
+        view.registered = wide
         found = self.aligner.evidence(view, registered.T_wc, self._references())
         evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
         return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, found, covariance=registered.covariance)

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
-from idfslam.alignment.continuous_motion import ContinuousMotion, JointEstimate, MotionPrior
+from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.timing_estimation import TimingEstimator
+from idfslam.alignment.timing_estimation import MovingFrame, TimingEstimator
 from idfslam.frame import Frame, Status
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.graph.keyframe import Keyframe
@@ -46,15 +46,20 @@ class MotionCompensation(Stateful):
         self.motion, self.timing = ContinuousMotion(), TimingEstimator()
         self._raw: Frame | None = None  # the present frame as it was taken; None: its sensor is stated to be synchronised
         self._prior: MotionPrior | None = None  # of the present frame's motion
+        self._reference_covariance: Array = np.eye(6)  # of the velocities that the present references were rectified with
+        self._told: MovingFrame | None = None  # what the frame before tells of the times
+        self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
 
     def state(self) -> State:
-        """The times that the last frame stated."""
-        return {"stated": list(vars(self._stated).values())}
+        """The times that the last frame stated, and what it tells of those that it does not."""
+        told = None if self._told is None else self._told.state()
+        return {"stated": list(vars(self._stated).values()), "before": self._before, "told": told}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._stated = SensorTiming(*state["stated"])
+        self._stated, self._before = SensorTiming(*state["stated"]), state["before"]
+        self._told = None if state["told"] is None else MovingFrame.of(state["told"])
 
     def begin(self, view: Keyframe, T_last: Tensor, references: Sequence[Keyframe]) -> MotionPrior | None:
         """Gives a view its predicted velocity and pose. T_last (4, 4): of the frame before, as the graph has it.
@@ -72,13 +77,28 @@ class MotionCompensation(Stateful):
     def begin_again(self, view: Keyframe, references: Sequence[Keyframe]) -> MotionPrior | None:
         """The same with the present view, after the motion has become known."""
         assert self._raw is not None
+        prior, times = self.motion.predict(view.timestamp, view.T_wk), self.times(view)
+        by_times = self._timing_error(prior.velocity, times, references)
         errors = [_velocity_error(k) for k in references if k.velocity is not None]
-        self._prior, times = self.motion.predict(view.timestamp, view.T_wk).against(errors), self.times(view)
+        self._reference_covariance = prior.against(errors).reference_covariance
+        self._prior = prior.against([error + by_times for error in errors])
         if times.synchronised:
             return None
         view.T_wk = self._prior.T_wc
         self._rectify(view, times, self._prior.velocity, view.T_wk)
         return self._prior
+
+    def _timing_error(self, velocity: Array, times: RowTimes, references: Sequence[Keyframe]) -> Array:
+        """(6, 6) second moments, along world axes, of an error of velocity that distorts a frame as the error of the sensor's times does.
+
+        A frame is distorted by its times times its velocity against the references. So a share of the times is a share of that velocity.
+        """
+        share = self.timing.relative_error(self._stated, times)
+        velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
+        if not share or not velocities:
+            return np.zeros((6, 6))
+        since_references = velocity - np.mean(velocities, 0)
+        return share**2 * np.outer(since_references, since_references)
 
     def follow(self, view: Keyframe, alignment: Alignment) -> None:
         """Rectifies a view by the velocity that was estimated with its pose."""
@@ -105,16 +125,19 @@ class MotionCompensation(Stateful):
         assert self._raw is not None
         if tracked.is_lost or not tracked.continues_motion:
             self.motion.stop()
+            self._told, self._before = None, None
             return
         joint = None if tracked.alignment is None else tracked.alignment.joint
         if joint is not None:
             self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
         else:
             self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
+        self._learn_from_before(references)
         self._keep_velocity(view, tracked.T_wc)
+        self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK
         if tells and None in vars(self._raw.timing).values():
-            self._learn_times(view, tracked.T_wc, references, joint)
+            self._told = self._told_by(view, tracked.T_wc, references)
 
     def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:
         """Rectifies the first keyframe by the motion to the second frame, `view`, which was registered with it at `T_wc` (4, 4).
@@ -138,8 +161,7 @@ class MotionCompensation(Stateful):
         return True
 
     def _keep_velocity(self, view: Keyframe, T_wc: Tensor) -> None:
-        view.velocity = along_camera(T_wc, self.motion.velocity)
-        view.velocity_covariance = turned(T_wc[:3, :3].T.numpy(), self.motion.velocity_covariance)
+        _give_velocity(view, T_wc, self.motion.velocity, self.motion.velocity_covariance)
 
     def times(self, keyframe: Keyframe) -> RowTimes:
         """The times of the rows of a keyframe's images, as they were taken: stated, estimated, or zero."""
@@ -149,22 +171,31 @@ class MotionCompensation(Stateful):
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
-    def _learn_times(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe], joint: JointEstimate | None) -> None:
-        """Learns the unknown times from a view, if it moves enough against its references. joint: None if the pose was estimated alone."""
-        assert self._raw is not None and self._prior is not None
+    def _learn_from_before(self, references: Sequence[Keyframe]) -> None:
+        """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
+        told, self._told = self._told, None
+        if self.motion.smoothed is None or self._before is None:
+            return
+        velocity, covariance = self.motion.smoothed
+        for keyframe in references:
+            if keyframe.index == self._before:
+                _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
+        if told is not None:
+            self.timing.add(told, velocity, covariance)
+
+    def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
+        """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
+        assert self._raw is not None
         velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
         if not velocities:
-            return
-        since_references = self.motion.velocity - np.mean(velocities, 0)
-        if displacement(self._raw, since_references, _TYPICAL) < _TELLING:
-            return
+            return None
+        of_references, velocity = np.mean(velocities, 0), self.motion.velocity
+        if displacement(self._raw, velocity - of_references, _TYPICAL) < _TELLING:
+            return None
         times = RowTimes() if view.rectification is None else view.rectification.times
         lag = 0.0 if view.rectification is None else self._raw.depth_lag
-        if joint is None:
-            sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, self.motion.velocity))
-        else:
-            sums = joint.depth, joint.images
-        self.timing.add(*sums, times, lag, since_references, self._prior)
+        sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, velocity))
+        return MovingFrame(*sums, times, lag, velocity, of_references, self._reference_covariance)
 
     def figures(self) -> dict[str, float] | None:
         """The estimates of the unknown times [s] by name, to a tenth of a millisecond, 0 where not significant; None if none is."""
@@ -177,11 +208,15 @@ class MotionCompensation(Stateful):
         return self.timing.estimates(self._stated) or None if self.timing.has_seen_motion else None
 
 
+def _give_velocity(view: Keyframe, T_wc: Tensor, velocity: Array, covariance: Array) -> None:
+    """Gives a view at `T_wc` (4, 4) a velocity (6,) along world axes, with its covariance (6, 6)."""
+    view.velocity = along_camera(T_wc, velocity)
+    view.velocity_covariance = turned(T_wc[:3, :3].T.numpy(), covariance)
+
+
 def _velocity_error(keyframe: Keyframe) -> Array:
     """(6, 6) second moments, along world axes, of the velocity that a keyframe's images are still distorted by."""
     assert keyframe.velocity is not None and keyframe.velocity_covariance is not None
-    error = turned(keyframe.T_wk[:3, :3].numpy(), keyframe.velocity_covariance)
-    if keyframe.rectification is None:
-        left = along_world(keyframe.T_wk, keyframe.velocity)
-        error = error + np.outer(left, left)
-    return error
+    left = keyframe.velocity if keyframe.rectification is None else keyframe.velocity - keyframe.rectification.velocity
+    left = along_world(keyframe.T_wk, left)
+    return np.asarray(turned(keyframe.T_wk[:3, :3].numpy(), keyframe.velocity_covariance) + np.outer(left, left))

@@ -29,9 +29,11 @@ from idfslam.geometry.association import TOLERANCE, associate
 
 log = logging.getLogger(__name__)
 
-# The published calibrations of the three cameras, by the N in "freiburgN". Depth is registered to colour
+# The published calibrations of the three cameras, by the N in "freiburgN". Depth is registered to colour. The read-out times of the first
+# are those that fit the motion capture of freiburg1_rpy best (benchmarks/true_times.py: 26.0 ms of colour, 36.0 of depth); of the others
+# nothing is known. The delay of depth is that of a recording's stamps, and is estimated.
 FREIBURG = {
-    "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "1": Calibration(517.3, 516.5, 318.6, 255.3, 640, 480, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633), readout=0.026, depth_readout=0.036),
     "2": Calibration(520.9, 521.0, 325.1, 249.7, 640, 480, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "3": Calibration(535.4, 539.2, 320.1, 247.6, 640, 480),
 }
