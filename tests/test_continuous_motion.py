@@ -40,11 +40,11 @@ def test_the_next_frame_improves_a_velocity() -> None:
     for i in range(60):
         angle = torch.tensor([0, 0, 0, 0, np.sin(4 * np.pi * i / 30) / 4, 0], dtype=torch.float64)
         before, T = motion.velocity, moved(EYE, angle)
-        motion.accept_pose(i / 30, T, motion.predict(i / 30, EYE))
+        smoothed_velocity = motion.accept_pose(i / 30, T, motion.predict(i / 30, EYE))
         true = np.pi * np.cos(4 * np.pi * (i - 1) / 30)
         if i > 20:
-            assert motion.smoothed is not None
-            errors.append((before[4] - true, motion.smoothed[0][4] - true))
+            assert smoothed_velocity is not None
+            errors.append((before[4] - true, smoothed_velocity[0][4] - true))
     filtered, smoothed = np.sqrt((np.array(errors) ** 2).mean(0))
     assert 0.3 < filtered < 0.6 and smoothed < filtered / 2
 

@@ -23,6 +23,7 @@ from idfslam.sensing.rectification import RowTimes
 from idfslam.storage.state import State, Stateful
 
 Array = NDArray[np.float64]
+Smoothed = tuple[Array, Array]  # a velocity (6,), and its covariance (6, 6)
 
 _INTERVALS = 31  # [frames] whose stamps give the usual interval, by their median: stamps jitter. More: changes are followed more slowly
 # [m], [rad] Least deviation from constant velocity in a frame that is expected. More: velocities of a slow camera are noisier.
@@ -101,7 +102,6 @@ class ContinuousMotion(Stateful):
         self._covariance: Array = np.zeros((12, 12))  # of its pose and velocity
         self._deviation: Array = np.array(_FIRST_DEVIATION)
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
-        self.smoothed: tuple[Array, Array] | None = None  # velocity (6,) of the frame before the last one, and its covariance (6, 6)
         self.stop()
 
     def state(self) -> State:
@@ -149,18 +149,21 @@ class ContinuousMotion(Stateful):
         self.velocity = change_between(T_first, T_wc).numpy() / elapsed
         self._covariance[6:, 6:] = np.diag(np.repeat(2 * (np.array(_POSE_ERROR) / elapsed) ** 2, 3))
 
-    def accept_pose(self, timestamp: float, T_wc: Tensor, prior: MotionPrior) -> None:
-        """Takes over a pose (4, 4) that was estimated without a velocity, of the frame at `timestamp` [s]."""
+    def accept_pose(self, timestamp: float, T_wc: Tensor, prior: MotionPrior) -> Smoothed | None:
+        """Takes over a pose (4, 4) that was estimated without a velocity, of the frame at `timestamp` [s]. Returns what `accept` does."""
         measured = prior.information.copy()
         measured[:6, :6] += np.diag(np.repeat(np.array(_POSE_ERROR) ** -2.0, 3))
         covariance = _inverse(measured)
         change = change_between(prior.T_wc, T_wc).numpy()
         velocity = prior.velocity + (covariance @ np.concatenate([np.repeat(np.array(_POSE_ERROR) ** -2.0, 3) * change, np.zeros(6)]))[6:]
-        self.accept(timestamp, T_wc, velocity, covariance, prior)
+        return self.accept(timestamp, T_wc, velocity, covariance, prior)
 
-    def accept(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array, prior: MotionPrior) -> None:
-        """Takes over the pose (4, 4) and the velocity (6,) of the frame at `timestamp` [s], with their covariance (12, 12)."""
-        self.smoothed = self._smoothed(timestamp, T_wc, velocity, covariance)
+    def accept(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array, prior: MotionPrior) -> Smoothed | None:
+        """Takes over the pose (4, 4) and the velocity (6,) of the frame at `timestamp` [s], with their covariance (12, 12).
+
+        Returns the velocity of the frame before, which they improve; None if that frame is not known.
+        """
+        smoothed = self._smoothed(timestamp, T_wc, velocity, covariance)
         if self._last is not None:
             change = change_between(prior.T_wc, T_wc).numpy()
             deviation = np.array([np.sqrt((change[:3] ** 2).mean()), np.sqrt((change[3:] ** 2).mean())])
@@ -169,8 +172,9 @@ class ContinuousMotion(Stateful):
                 self._intervals.append(timestamp - self._last[0])
         self.velocity, self._covariance = velocity, covariance
         self._last = (timestamp, T_wc.clone())
+        return smoothed
 
-    def _smoothed(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array) -> tuple[Array, Array] | None:
+    def _smoothed(self, timestamp: float, T_wc: Tensor, velocity: Array, covariance: Array) -> Smoothed | None:
         """The last frame's velocity (6,), which that of the next frame and the way to it improve, and its covariance (6, 6).
 
         One step of the smoother of Rauch, Tung and Striebel (1965). None: the last frame is not known.
@@ -191,7 +195,7 @@ class ContinuousMotion(Stateful):
 
     def stop(self) -> None:
         """Forgets the motion, after a frame that is lost or whose pose is no continuation of the one before."""
-        self._last, self.velocity, self.smoothed = None, np.zeros(6), None
+        self._last, self.velocity = None, np.zeros(6)
         self._deviation = np.array(_FIRST_DEVIATION)
         self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *_SPEED]) ** 2, 3))
 

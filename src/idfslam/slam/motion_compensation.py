@@ -13,7 +13,7 @@ from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
-from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior
+from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior, Smoothed
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.timing_estimation import MovingFrame, TimingEstimator
 from idfslam.frame import Frame, Status
@@ -46,7 +46,7 @@ class MotionCompensation(Stateful):
         self.motion, self.timing = ContinuousMotion(), TimingEstimator()
         self._raw: Frame | None = None  # the present frame as it was taken; None: its sensor is stated to be synchronised
         self._prior: MotionPrior | None = None  # of the present frame's motion
-        self._reference_covariance: Array = np.eye(6)  # of the velocities that the present references were rectified with
+        self._reference_covariance: Array | None = None  # (6, 6) of the velocities that the present references were rectified with
         self._told: MovingFrame | None = None  # what the frame before tells of the times
         self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
@@ -110,7 +110,7 @@ class MotionCompensation(Stateful):
         before = self._known()
         if self._raw is not None and self._prior is not None:
             self._accept(view, tracked, references, self._prior)
-        self._raw, self._prior = None, None
+        self._raw, self._prior, self._reference_covariance = None, None, None
         if not self._known() - before:
             return False
         found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in (self.figures() or {}).items())
@@ -129,10 +129,10 @@ class MotionCompensation(Stateful):
             return
         joint = None if tracked.alignment is None else tracked.alignment.joint
         if joint is not None:
-            self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
+            smoothed = self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
         else:
-            self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
-        self._learn_from_before(references)
+            smoothed = self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
+        self._learn_from_before(smoothed, references)
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK
@@ -171,12 +171,12 @@ class MotionCompensation(Stateful):
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
-    def _learn_from_before(self, references: Sequence[Keyframe]) -> None:
+    def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> None:
         """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
         told, self._told = self._told, None
-        if self.motion.smoothed is None or self._before is None:
+        if smoothed is None or self._before is None:
             return
-        velocity, covariance = self.motion.smoothed
+        velocity, covariance = smoothed
         for keyframe in references:
             if keyframe.index == self._before:
                 _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
@@ -185,7 +185,7 @@ class MotionCompensation(Stateful):
 
     def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
         """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
-        assert self._raw is not None
+        assert self._raw is not None and self._reference_covariance is not None
         velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
         if not velocities:
             return None
