@@ -137,20 +137,21 @@ def without_outliers(problem: Problem, off: Array) -> Problem:
 
 def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]:
     """The problem at the least cost, and whether it converged."""
-    damping, cost = _DAMPING[0], _cost(problem)
+    damping, at = _DAMPING[0], problem.linearised()
+    cost = _cost(at, problem)
     for _ in range(steps):
-        at = problem.linearised()
         n = _equations(at, problem)
         while damping <= _DAMPING[2]:
             if perf_counter() > end:
                 return problem, False
             moved = _moved(problem, n, damping)
-            if (new := _cost(moved)) <= cost:
+            there = moved.linearised()
+            if (new := _cost(there, moved)) <= cost:
                 break
             damping *= 10
         else:
             return problem, True
-        decrease, problem, cost = cost - new, moved, new
+        decrease, problem, at, cost = cost - new, moved, there, new
         damping = max(damping / 10, _DAMPING[1])
         if decrease <= _CONVERGED * cost:
             return problem, True
@@ -215,9 +216,9 @@ def robust_weights(off: Array) -> Array:
     return np.where(np.isfinite(size), _HUBER / np.maximum(size, _HUBER), 0.0)[:, [0, 0, 1]]
 
 
-def _cost(problem: Problem) -> float:
+def _cost(at: Linearised, problem: Problem) -> float:
     """Huber's cost of the residuals, and the cost of the camera's deviations and of the relative poses."""
-    size = _sizes(problem.linearised().residuals)
+    size = _sizes(at.residuals)
     capped = np.minimum(size, _HUBER)
     finite = np.where(np.isfinite(size), capped * (2 * size - capped), 1e12)  # a point behind the camera: no step may lead there
     off = 0.0 if problem.edges is None else problem.edges.squared_errors(torch.from_numpy(problem.poses)).sum()

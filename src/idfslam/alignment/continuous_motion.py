@@ -69,12 +69,10 @@ class MotionPrior:
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """A velocity estimated with a pose, the covariance of both, and the sums that both follow from."""
+    """A velocity estimated with a pose, and the covariance of both."""
 
     velocity: Array  # (6,)
     covariance: Array  # (12, 12) of pose and velocity
-    depth: RowMoments  # in units of information, of the last step
-    images: RowMoments  # the same
 
 
 def distorted(H: Array, b: Array) -> tuple[Array, Array]:

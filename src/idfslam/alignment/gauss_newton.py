@@ -97,11 +97,10 @@ class JointSolver:
         return float(np.abs(delta[:6]).max())
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
-        """The velocity, the covariance of pose and velocity, and the sums."""
+        """The velocity, and the covariance of pose and velocity."""
         H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
         covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]
-        sums = depth.sums.scaled(self.scale), images.sums.scaled(self.scale)
-        return JointEstimate(self.velocity, np.asarray(covariance, np.float64), *sums)
+        return JointEstimate(self.velocity, np.asarray(covariance, np.float64))
 
 
 def joint_step(depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array) -> Array:

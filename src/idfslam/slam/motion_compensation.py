@@ -94,10 +94,10 @@ class MotionCompensation(Stateful):
         A frame is distorted by its times times its velocity against the references. So a share of the times is a share of that velocity.
         """
         share = self.timing.relative_error(self._stated, times)
-        velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
-        if not share or not velocities:
+        of_references = _mean_velocity(references)
+        if not share or of_references is None:
             return np.zeros((6, 6))
-        since_references = velocity - np.mean(velocities, 0)
+        since_references = velocity - of_references
         return share**2 * np.outer(since_references, since_references)
 
     def follow(self, view: Keyframe, alignment: Alignment) -> None:
@@ -186,10 +186,9 @@ class MotionCompensation(Stateful):
     def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
         """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
         assert self._raw is not None and self._reference_covariance is not None
-        velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
-        if not velocities:
+        of_references, velocity = _mean_velocity(references), self.motion.velocity
+        if of_references is None:
             return None
-        of_references, velocity = np.mean(velocities, 0), self.motion.velocity
         if displacement(self._raw, velocity - of_references, _TYPICAL) < _TELLING:
             return None
         times = RowTimes() if view.rectification is None else view.rectification.times
@@ -212,6 +211,12 @@ def _give_velocity(view: Keyframe, T_wc: Tensor, velocity: Array, covariance: Ar
     """Gives a view at `T_wc` (4, 4) a velocity (6,) along world axes, with its covariance (6, 6)."""
     view.velocity = along_camera(T_wc, velocity)
     view.velocity_covariance = turned(T_wc[:3, :3].T.numpy(), covariance)
+
+
+def _mean_velocity(references: Sequence[Keyframe]) -> Array | None:
+    """(6,) along world axes, of the keyframes that have one; None if none has."""
+    velocities = [along_world(k.T_wk, k.velocity) for k in references if k.velocity is not None]
+    return np.asarray(np.mean(velocities, 0)) if velocities else None
 
 
 def _velocity_error(keyframe: Keyframe) -> Array:
