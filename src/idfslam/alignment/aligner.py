@@ -138,7 +138,7 @@ class MapAligner(Stateful):
                 depth, _ = self._depth_term(coarse, T, step, None, solver.motion)
             elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
                 depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
-            of_images = self._image_term(appearance, references, T, step, solver.motion, recent)
+            of_images = self._image_term(appearance, references, T, self._level(step), solver.motion, recent)
             T_before = T.clone()
             largest = solver.step(depth, of_images)
             if step >= coarse_steps and largest < self.config.converged:
@@ -152,7 +152,7 @@ class MapAligner(Stateful):
         appearance, surface = self.appearances.of(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
-        images = self._image_term(appearance, references, T, step, None)
+        images = self._image_term(appearance, references, T, self._level(step), None)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
         return self._judged(T, T, displaced, depth, images, 0, None, focal, has_depth=has_depth)
 
@@ -174,6 +174,10 @@ class MapAligner(Stateful):
             return 0
         level = math.ceil(math.log2(max(max_guess_error_px / self.config.level_reach, 1.0)))
         return max(0, levels - 1 - level) * self.config.steps_a_level
+
+    def _level(self, step: int) -> int:
+        """The level of the pyramid for a step, from the coarsest on."""
+        return max(0, self.config.image_levels - 1 - step // self.config.steps_a_level)
 
     def surface(self, images: Images, camera: Camera) -> Surface:
         """About `config.points` points of a depth image: a random pixel of each of equal patches, if it has depth.
@@ -201,7 +205,7 @@ class MapAligner(Stateful):
         """
         scale, finest = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
-        level = (self.config.image_levels - 1 - level_of(appearance, _TIMING_ROWS)) * self.config.steps_a_level
+        level = level_of(appearance, _TIMING_ROWS)
         depth, _ = self._depth_term(surface, T_wc, finest, None, motion)
         images = _at_its_best(T_wc, lambda T: self._image_term(appearance, references, T, level, motion).sums)
         return depth.sums.scaled(scale), images.scaled(scale)
@@ -213,6 +217,10 @@ class MapAligner(Stateful):
     def contradicts_images(self, alignment: Alignment) -> bool:
         """Whether the image is displaced by much more than usual at the pose (`pose_doubt.PoseDoubt`)."""
         return self.doubt.is_doubtful(alignment.displacement)
+
+    def is_clear(self, alignment: Alignment) -> bool:
+        """Whether the image is as alike to those of the keyframes as usual: not blurred, and of the usual brightness."""
+        return not self.usual_error.is_known or alignment.photometric_error <= self.usual_error.doubtful
 
     def displacement(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
         """The displacement of a view's image at a pose (4, 4) [rad], over the references by their landmarks in view; 0: unknown."""
@@ -267,13 +275,12 @@ class MapAligner(Stateful):
         frame: Appearance,
         references: Sequence[Keyframe],
         T: Tensor,
-        step: int,
+        level: int,
         motion: FrameMotion | None,
         recent: tuple[Landmarks, Tensor] | None = None,
     ) -> ImageTerm:
-        """The brightness of each reference's landmarks, on the level of the pyramid for this step. motion: as for `_depth_term`."""
-        level, moments = max(0, self.config.image_levels - 1 - step // self.config.steps_a_level), motion is not None
-        noise, widest = self.config.colour_noise, self.config.colour_robust
+        """The brightness of each reference's landmarks, on a level of the pyramid. motion: as for `_depth_term`."""
+        moments, noise, widest = motion is not None, self.config.colour_noise, self.config.colour_robust
         posed = [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
         terms = [
             photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)

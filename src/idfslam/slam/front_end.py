@@ -133,17 +133,24 @@ class AlignmentToMap(FrontEnd):
         if registered is not None and registered.refutes(aligned) and (wide or self._fits_better(view, registered, aligned)):
             return self._registered(view, registered, wide=wide)
         self.compensation.follow(view, aligned)
-        if aligned.status is not Status.LOST:
-            confirmed = wide and registered is not None and registered.confirms(aligned)
-            view.registered = confirmed
-            doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
-            clear = confirmed or not self.aligner.usual_error.is_known or aligned.photometric_error <= self.aligner.usual_error.doubtful
-            tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
-            return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
+        if aligned.status is Status.LOST:
+            return self._unmatched(view, registered)
+        return self._aligned(view, aligned, confirmed=wide and registered is not None and registered.confirms(aligned))
+
+    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool) -> Tracked:
+        """The aligned pose, and whether it is in doubt. confirmed: a registration in a wide step says that it is right."""
+        view.registered = confirmed
+        doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
+        clear = confirmed or self.aligner.is_clear(aligned)
+        tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
+        return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
+
+    def _unmatched(self, view: Keyframe, registered: RegisteredPose | None) -> Tracked:
+        """The result for a view that matches the map nowhere: the registered pose, of which nobody is sure, or none."""
         evidence = replace(self.evidence, least_information=0.0)
-        if registered is not None:  # the tracker has a pose, but the view does not match the map there
-            return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, confident=False, covariance=registered.covariance)
-        return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
+        if registered is None:
+            return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
+        return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, confident=False, covariance=registered.covariance)
 
     def _step(self, view: Keyframe, T_wc: Tensor, radius: float) -> float:
         """Motion of the image [rad] since the frame before, or since its prediction if that is more. radius: the scene's distance [m].
