@@ -3,15 +3,18 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.point_problem import CAMERA, values
 from idfslam.adjustment.camera_findings import doubts, findings
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.self_calibration import Estimate, confirmed, fitting
+from idfslam.adjustment.sensor_times import SensorTime
 from idfslam.cli.command_line import main
 from idfslam.config import FAST
 from idfslam.datasets import open_recording
@@ -20,7 +23,20 @@ from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.datasets.provenance import Provenance
 from idfslam.datasets.recalibrated import Recalibrated
 from idfslam.errors import ConfigError, RecordingError
-from idfslam.runs.calibration import Keyframes, calibrate_from, calibrated, camera_values, in_a_row, write_camera
+from idfslam.frame import FPS, Frame
+from idfslam.geometry.sensor_timing import SensorTiming
+from idfslam.geometry.trajectory import Trajectory
+from idfslam.runs.calibration import (
+    Keyframes,
+    calibrate_from,
+    calibrated,
+    camera_values,
+    in_a_row,
+    rectified_keyframe,
+    row_times,
+    stretch_around,
+    write_camera,
+)
 from idfslam.runs.run_config import RecordingSource
 from idfslam.sensing.depth_deformation import DepthDeformation
 
@@ -162,6 +178,48 @@ def test_a_dataset_of_any_kind_is_read_with_the_file(box_recording: Path, tmp_pa
     assert len(read) == len(plain)
 
 
+# Keyframes of a finished run
+
+
+def test_rows_have_the_times_that_are_stated_or_found_for_sure() -> None:
+    """The read-out of colour is stated, that of depth is found, the delay may be zero; depth's stamp is 4 ms later."""
+    black = np.zeros((240, 320), np.float32)
+    frame = Frame(0, 1.0, np.stack([black] * 3, 2), black, CAMERA, 1.004, SensorTiming(0.02, None, None))
+    found = {"depth_readout": SensorTime(0.03, 0.001), "depth_delay": SensorTime(0.001, 0.001)}
+    times = row_times(frame, found)
+    assert (times.readout, times.depth_readout) == (0.02, 0.03)
+    assert times.depth_delay == pytest.approx(0.004)
+
+
+def test_a_stretch_ends_where_a_frame_is_not_trusted() -> None:
+    trusted = np.array([True, False, True, True, True, True, False, True])
+    assert stretch_around(trusted, 3, 15) == slice(2, 6)
+    assert stretch_around(trusted, 3, 1) == slice(2, 5)
+    assert stretch_around(trusted, 0, 2) == slice(0, 1)
+    assert stretch_around(trusted, 7, 2) == slice(7, 8)
+    assert stretch_around(trusted, 6, 2) == slice(6, 6)
+
+
+def test_images_of_a_finished_run_are_rectified_by_its_poses() -> None:
+    """Turned at 1 rad/s about its vertical axis, the first row of a read-out of 40 ms shows all 20 mrad, 5.8 px, to the right."""
+    seconds = np.arange(11) / FPS
+    poses = np.tile(np.eye(4), (11, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(seconds[:, None] * [0, 1.0, 0]).as_matrix()
+    run = SimpleNamespace(trusted=np.full(11, True), trajectory=Trajectory(seconds, poses))
+    x = np.arange(320, dtype=np.float32)
+    stripes = np.tile((0.5 + 0.4 * np.sin(x / 8))[None, :, None], (240, 1, 3)).astype(np.float32)
+    wall = np.full((240, 320), 2.0, np.float32)
+    frame = Frame(5, float(seconds[5]), stripes, wall, CAMERA, None, SensorTiming(0.04, 0.0, 0.0))
+    view, motion = rectified_keyframe(run, frame, {})  # type: ignore[arg-type]
+    np.testing.assert_allclose(motion.velocity, [0, 0, 0, 0, 1, 0], atol=1e-6)
+    assert motion.rectification is not None and motion.rectification.times.readout == 0.04
+    shown = 0.5 + 0.4 * np.sin((x[100:200] + 5.8) / 8)
+    np.testing.assert_allclose(view.grey[1, 100:200] / 255, shown, atol=0.04)
+    still, unmoved = rectified_keyframe(run, replace(frame, timing=SensorTiming()), {})  # type: ignore[arg-type]
+    np.testing.assert_allclose(still.grey[1, 100:200] / 255, stripes[1, 100:200, 0], atol=0.01)
+    assert unmoved.synchronised
+
+
 # The command
 
 
@@ -201,7 +259,7 @@ def test_the_command_finds_a_wrong_focal_length(tmp_path: Path, capsys: pytest.C
 
 def test_recordings_of_different_cameras_are_refused(box_recording: Path) -> None:
     cameras = open_recording(box_recording, report=False), open_recording(box_recording, camera={"fx": 200.0}, report=False)
-    empty = [Keyframes(recording, np.zeros(0, np.int64), [], np.zeros((0, 4, 4))) for recording in cameras]
+    empty = [Keyframes(recording, np.zeros(0, np.int64), [], np.zeros((0, 4, 4)), []) for recording in cameras]
     with pytest.raises(ConfigError, match="stated differently"):
         calibrate_from(empty, truth=False)
 

@@ -11,9 +11,12 @@ import torch
 from idfslam.config import FAST
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.sensing.rectification import RowTimes
 from idfslam.slam.camera_check import CameraCheck
+from idfslam.slam.keyframe_motion import KeyframeMotions
 
 LOOKS = r"the focal length looks (3\.9|4\.[012]) % too long"
 EVERY = 15  # frames between two keyframes
@@ -30,7 +33,7 @@ def frames() -> list[tuple[Frame, torch.Tensor]]:
 def checked(frames: list[tuple[Frame, torch.Tensor]], focal: float) -> CameraCheck:
     """The check after a run over frames whose stated focal length is `focal` times the true one."""
     graph = KeyframeGraph(replace(FAST.keyframes, cull=1.0))
-    check = CameraCheck(graph)
+    check = CameraCheck(graph, KeyframeMotions(FramePoses(graph), lambda keyframe: RowTimes()))
     for frame, T_wk in frames:
         c = frame.camera
         frame = replace(frame, camera=replace(c, fx=c.fx * focal, fy=c.fy * focal))

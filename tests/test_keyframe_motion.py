@@ -46,13 +46,13 @@ def test_without_frames_around_it_moves_as_it_was_tracked() -> None:
     frames = wall_frames(places=(0.0,))
     first = frames.graph.keyframes[0]
     motions = KeyframeMotions(frames, lambda keyframe: RowTimes())
-    assert motions.synchronised(first)
+    assert motions.of(first).synchronised
     assert not motions.of(first).velocity.any()
     assert motions.of(first).covariance[3, 3] == pytest.approx(1.5**2)  # nothing is known
     first.velocity, first.velocity_covariance = np.full(6, 0.1), 0.01 * np.eye(6)
     assert motions.of(first).velocity is first.velocity
     assert motions.of(first).covariance[3, 3] == pytest.approx(0.01 + 0.05**2)
-    assert not KeyframeMotions(frames, lambda keyframe: TIMES).synchronised(first)
+    assert not KeyframeMotions(frames, lambda keyframe: TIMES).of(first).synchronised
 
 
 def test_frames_are_around_until_one_is_not_tracked() -> None:

@@ -7,12 +7,18 @@ import pytest
 
 from idfslam.adjustment.camera_model import NAMES
 from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.adjustment.self_calibration import Estimate, Footage, of_size, self_calibrate, with_scale
+from idfslam.datasets.generated.faults import Faults
+from idfslam.datasets.generated.handheld import handheld_room
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.geometry.camera import Camera
+from idfslam.sensing.rectification import Rectification, RowTimes, rectified
+from idfslam.slam.keyframe_motion import motion_around
 
 FRAMES = range(0, 200, 20)
 ASKED = ("focal", "cx", "cy")
+STILL = KeyframeMotion(RowTimes(), np.zeros(6), np.eye(6), np.zeros(6), None)
 
 
 @pytest.fixture(scope="module")
@@ -20,14 +26,18 @@ def footage() -> Footage:
     """Ten keyframes of a generated room with the noise of a Kinect, at true poses."""
     room = SyntheticRoom(seed=0, frames=600, width=320, height=240, noise=True)
     start = np.linalg.inv(room.ground_truth[0])
-    return Footage([View.of(room[i]) for i in FRAMES], np.array([start @ room.ground_truth[i] for i in FRAMES]))
+    return Footage([View.of(room[i]) for i in FRAMES], np.array([start @ room.ground_truth[i] for i in FRAMES]), [STILL] * len(FRAMES))
 
 
 def stated(footage: Footage, *, focal: float = 1.0, shift: float = 0.0) -> Footage:
     """The same with another stated camera."""
     c = footage.views[0].camera
     camera = Camera(c.width, c.height, c.fx * focal, c.fy * focal, c.cx + shift, c.cy)
-    return Footage([replace(view, camera=camera) for view in footage.views], footage.poses)
+    return replace(footage, views=[replace(view, camera=camera) for view in footage.views])
+
+
+def first_of(footage: Footage, count: int) -> Footage:
+    return Footage(footage.views[:count], footage.poses[:count], footage.motions[:count])
 
 
 def of(estimate: Estimate, name: str) -> tuple[float, float]:
@@ -66,7 +76,7 @@ def test_an_estimate_may_be_gone_on_from(footage: Footage) -> None:
 
 def test_true_poses_tell_the_scale_of_depth(footage: Footage) -> None:
     """Depth is 2 % too long."""
-    longer = Footage([replace(view, depth=view.depth * np.float32(1.02)) for view in footage.views], footage.poses)
+    longer = replace(footage, views=[replace(view, depth=view.depth * np.float32(1.02)) for view in footage.views])
     estimate = self_calibrate([longer])
     assert estimate is not None
     assert not estimate.determined("depth_scale")
@@ -78,20 +88,50 @@ def test_true_poses_tell_the_scale_of_depth(footage: Footage) -> None:
 
 
 def test_two_keyframes_are_too_few(footage: Footage) -> None:
-    assert self_calibrate([Footage(footage.views[:2], footage.poses[:2])]) is None
+    assert self_calibrate([first_of(footage, 2)]) is None
 
 
 def test_a_camera_that_stands_still_tells_nothing_of_itself(footage: Footage) -> None:
-    still = Footage([footage.views[0]] * 4, np.tile(np.eye(4), (4, 1, 1)))
+    still = Footage([footage.views[0]] * 4, np.tile(np.eye(4), (4, 1, 1)), [STILL] * 4)
     estimate = self_calibrate([still])
     assert estimate is None or not any(estimate.determined(name) for name in ("focal", "cx", "cy", "k1"))
 
 
 def test_values_are_of_any_size(footage: Footage) -> None:
     """Deviations of the centre are shares of the width."""
-    estimate = self_calibrate([Footage(footage.views[:5], footage.poses[:5])])
+    estimate = self_calibrate([first_of(footage, 5)])
     assert estimate is not None
     full = of_size(estimate.model, footage.views[0].camera.resized(640, 480)).camera
     half = full.resized(320, 240)
     assert half.cx == pytest.approx(estimate.model.camera.cx, abs=1e-9)
     assert half.fx == pytest.approx(estimate.model.camera.fx, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def shaken() -> Footage:
+    """Ten keyframes of a shaken camera with rolling shutters, at true poses, rectified with velocities that are off."""
+    room = handheld_room(Faults.named("shutter=1.5"), 1, 150, 320, 240)
+    rng, start, timing = np.random.default_rng(0), np.linalg.inv(room.ground_truth[0]), room.true_timing
+    times = RowTimes(timing.readout or 0.0, timing.depth_readout or 0.0, 0.0)
+    views, motions, chosen = list[View](), list[KeyframeMotion](), range(5, 125, 12)
+    for i in chosen:
+        given = Rectification(times, room.velocity(i) + rng.standard_normal(6) * ([0.05] * 3 + [0.1] * 3))
+        views.append(View.of(rectified(room[i], given)))
+        near = slice(i - 5, i + 6)
+        found = motion_around(room.timestamps[i], room.timestamps[near], room.ground_truth[near], times)
+        assert found is not None
+        motions.append(replace(found, rectification=given))
+    return Footage(views, start @ room.ground_truth[chosen], motions)
+
+
+def test_a_right_camera_with_rolling_shutters_stays(shaken: Footage) -> None:
+    """What an unknown velocity bends is not the lens's."""
+    known, blind = self_calibrate([shaken], rounds=1), self_calibrate([replace(shaken, motions=[STILL] * 10)], rounds=1)
+    assert known is not None and blind is not None
+    assert known.noise == pytest.approx(0.136, abs=0.03)
+    for name in ASKED:
+        value, sigma = of(known, name)
+        assert abs(value) < min(3 * sigma, 0.004)
+    assert blind.noise > 0.25
+    assert abs(of(blind, "focal")[0]) > 0.008
+    assert abs(of(blind, "cy")[0]) > 0.008  # 2.6 px

@@ -83,7 +83,9 @@ class Adjusted:
 
 
 def in_motion(problem: Problem, motions: Sequence[KeyframeMotion]) -> Problem:
-    """A problem whose K keyframes moved so while their images were taken."""
+    """A problem whose K keyframes moved so while their images were taken: the problem itself if all rows are of one moment."""
+    if all(motion.synchronised for motion in motions):
+        return problem
     seen, z = problem.seen, camera_points(problem.poses, problem.points, problem.seen)[:, 2:]
     points = problem.model.rays(seen.uv) * z
     rows = row_motion(points, seen.keyframe, motions, problem.model.camera)

@@ -88,6 +88,11 @@ class KeyframeMotion:
     acceleration: Array  # (6,) [m/s^2], [rad/s^2]
     rectification: Rectification | None  # what its images were rectified with
 
+    @property
+    def synchronised(self) -> bool:
+        """Whether its images show all landmarks where a synchronised global shutter would, whatever the velocity."""
+        return self.rectification is None and self.times.synchronised
+
     def rows(self, points: Array, camera: Camera) -> RowMotion:
         """Of sightings of points (N, 3) in the keyframe's frame."""
         then = RowTimes() if self.rectification is None else self.rectification.times

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust
+from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.landmark_tracks import View, find_tracks
 from idfslam.adjustment.residuals import Array, Observations, tracks
+from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import align
 
@@ -52,10 +53,11 @@ recordings have 0.15 to 0.2. Shaken blurred ones with a right camera have 0.4, a
 
 @dataclass(frozen=True)
 class Footage:
-    """K keyframes of one recording, with roughly right poses T_wk (K, 4, 4)."""
+    """K keyframes of one recording, with roughly right poses T_wk (K, 4, 4), and how each moved while its images were taken."""
 
     views: Sequence[View]
     poses: Array
+    motions: Sequence[KeyframeMotion]
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,7 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, start: E
     views = [view for part in footage for view in part.views]
     if len(views) < _LEAST_KEYFRAMES:
         return None
+    motions = [motion for part in footage for motion in part.motions]
     poses = np.concatenate([part.poses for part in footage] if start is None else start.poses)
     starts = np.cumsum([0, *(len(part.views) for part in footage)])
     of = np.repeat(np.arange(len(footage)), np.diff(starts))
@@ -104,7 +107,7 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, start: E
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
-        adjusted, estimated = _determined(Problem(model, poses, points, seen, fixed, estimated))
+        adjusted, estimated = _determined(in_motion(Problem(model, poses, points, seen, fixed, estimated), motions))
         model, poses, covariance = adjusted.problem.model, adjusted.problem.poses, adjusted.values_covariance()
         sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
         if i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all():

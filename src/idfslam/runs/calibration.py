@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from idfslam.adjustment.camera_findings import findings
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.adjustment.self_calibration import EXPLAINED, Estimate, Footage, confirmed, of_size, self_calibrate, with_scale
 from idfslam.adjustment.sensor_times import SensorTime, mean_times
 from idfslam.config import Config
@@ -24,6 +25,7 @@ from idfslam.datasets.cameras.calibration import TIMES
 from idfslam.datasets.cameras.camera_json import DEFORMATION
 from idfslam.datasets.provenance import Provenance, is_guessed, provenance
 from idfslam.errors import ConfigError, RecordingError
+from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.live import is_live
@@ -34,7 +36,9 @@ from idfslam.runs.progress import ProgressBar
 from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.source import open_source, read_frames
 from idfslam.sensing.depth_deformation import DepthDeformation
+from idfslam.sensing.rectification import Rectification, RowTimes, rectified
 from idfslam.slam import Slam
+from idfslam.slam.keyframe_motion import STAMPS, KeyframeMotions, motion_around, unknown_motion
 from idfslam.storage import atomic_files
 
 log = logging.getLogger(__name__)
@@ -45,17 +49,19 @@ _GRID = 12  # points a side at which the distortion of two lenses in a row is fi
 
 @dataclass(frozen=True)
 class Keyframes:
-    """Keyframes of one map: their indices in the recording (K,), views and poses T_wk (K, 4, 4)."""
+    """Keyframes of one map: their indices in the recording (K,), views, poses T_wk (K, 4, 4), and how they moved (K)."""
 
     recording: Dataset
     indices: NDArray[np.int64]
     views: Sequence[View]
     poses: NDArray[np.float64]
+    motions: Sequence[KeyframeMotion]
     times: Mapping[str, SensorTime] = field(default_factory=dict)  # of the sensor, as the run over the recording found them
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> "Keyframes":
-        views = [view for view, kept in zip(self.views, chosen) if kept]
-        return replace(self, indices=self.indices[chosen], views=views, poses=self.poses[chosen])
+        kept = np.flatnonzero(chosen).tolist()
+        views, motions = [self.views[i] for i in kept], [self.motions[i] for i in kept]
+        return replace(self, indices=self.indices[chosen], views=views, poses=self.poses[chosen], motions=motions)
 
 
 class Calibrated(NamedTuple):
@@ -90,7 +96,7 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
     if console is not None:
         count = sum(len(found.views) for found in maps)
         console.print(f"adjusting {count} keyframes, their landmarks and the camera together", highlight=False)
-    estimate = self_calibrate([Footage(found.views, found.poses) for found in maps])
+    estimate = self_calibrate([Footage(found.views, found.poses, found.motions) for found in maps])
     if estimate is None:
         found = f"{sum(len(found.views) for found in maps)} keyframes with too few landmarks in common"
         raise RecordingError(f"{first.name}: {found}, expected several views of one place: record a textured room from many sides")
@@ -156,7 +162,38 @@ def keyframes_of(source: RecordingSource, recording: Dataset, config: Config, co
         return keyframes_by_slam(recording, config, console, source)
     indices, poses = run.keyframes.indices, run.keyframes.poses
     times = _times(read_metrics(run.folder)) if (run.folder / result_folder.METRICS).is_file() else {}
-    return [Keyframes(recording, indices, [View.of(recording[int(i)]) for i in indices], poses, times)]
+    seen = [rectified_keyframe(run, recording[int(i)], times) for i in indices]
+    return [Keyframes(recording, indices, [view for view, _ in seen], poses, [motion for _, motion in seen], times)]
+
+
+def rectified_keyframe(run: FinishedRun, frame: Frame, times: Mapping[str, SensorTime]) -> tuple[View, KeyframeMotion]:
+    """A frame of a run as a synchronised global shutter would have seen it, and how the camera moved, by the poses and times of the run."""
+    rows = row_times(frame, times)
+    if rows.synchronised:
+        return View.of(frame), unknown_motion(rows)
+    around = stretch_around(run.trusted, frame.index, STAMPS)
+    stamps, poses = run.trajectory.timestamps, run.trajectory.poses
+    found = motion_around(stamps[frame.index], stamps[around], poses[around], rows)
+    if found is None:
+        return View.of(frame), unknown_motion(rows)
+    rectification = Rectification(rows, found.velocity)
+    return View.of(rectified(frame, rectification)), replace(found, rectification=rectification)
+
+
+def row_times(frame: Frame, found: Mapping[str, SensorTime]) -> RowTimes:
+    """The times of a frame's rows: those that it states, those that were found for sure, or zero."""
+    sure = {name: time.value for name, time in found.items() if time.is_sure}
+    known = {name: sure.get(name, 0.0) if stated is None else stated for name, stated in vars(frame.timing).items()}
+    return RowTimes(known["readout"], known["depth_readout"], known["depth_delay"] + frame.depth_lag)
+
+
+def stretch_around(chosen: NDArray[np.bool_], i: int, reach: int) -> slice:
+    """The stretch of chosen places (N,) around the i-th, at most `reach` before and after it; empty if that is not chosen."""
+    ends = np.flatnonzero(~np.concatenate([[False], chosen, [False]])) - 1  # the places that are not, and those before and after all
+    if not chosen[i]:
+        return slice(i, i)
+    k = int(np.searchsorted(ends, i))
+    return slice(max(int(ends[k - 1]) + 1, i - reach), min(int(ends[k]), i + reach + 1))
 
 
 def keyframes_by_slam(
@@ -175,13 +212,13 @@ def keyframes_by_slam(
     if not stored:
         raise RecordingError(f"{recording.name}: none of {done} frames has depth, so there is nothing to calibrate")
     groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in sorted({k.submap for k in stored})]
-    times = _times(slam.figures())
-    return [replace(_views(recording, group), times=times) for group in groups]
+    times, motions = _times(slam.figures()), KeyframeMotions(slam.frames, slam.front_end.row_times)
+    return [_keyframes(recording, group, motions, times) for group in groups]
 
 
-def _views(recording: Dataset, keyframes: Sequence[Keyframe]) -> Keyframes:
-    indices, poses = np.array([k.index for k in keyframes]), np.array([k.T_wk.numpy() for k in keyframes])
-    return Keyframes(recording, indices, [View.of(k.frame) for k in keyframes], poses)
+def _keyframes(recording: Dataset, group: Sequence[Keyframe], motions: KeyframeMotions, times: Mapping[str, SensorTime]) -> Keyframes:
+    indices, poses = np.array([k.index for k in group]), np.array([k.T_wk.numpy() for k in group])
+    return Keyframes(recording, indices, [View.of(k.frame) for k in group], poses, [motions.of(k) for k in group], times)
 
 
 def _times(figures: Mapping[str, Any]) -> dict[str, SensorTime]:

@@ -18,6 +18,7 @@ from idfslam.adjustment.self_calibration import Estimate, Footage, self_calibrat
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.keyframe_motion import KeyframeMotions
 
 log = logging.getLogger(__name__)
 Found = TypeVar("Found")
@@ -30,8 +31,8 @@ _STRETCHES = 2  # such stretches at the end of a run, one of them its last keyfr
 class CameraCheck(KeyframeHook):
     """Says whether the camera fits the views. See `figures` for what it found at the end."""
 
-    def __init__(self, graph: KeyframeGraph) -> None:
-        self.graph = graph
+    def __init__(self, graph: KeyframeGraph, motions: KeyframeMotions) -> None:
+        self.graph, self.motions = graph, motions
         self._early: Future[bool] | None = None  # the early check; True: it told doubts
         self._final: Future[Estimate | None] | None = None  # that at the end of the run
         self._estimate: Estimate | None = None  # of the latter
@@ -39,7 +40,7 @@ class CameraCheck(KeyframeHook):
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
         """Starts the early check."""
         if len(self.graph.keyframes) == _EARLY and keyframe.host == _EARLY - 1 and self._early is None:
-            self._early = _beside(_told, _footage([self.graph.keyframes]))
+            self._early = _beside(_told, self._footage(self.graph.keyframes))
         return Moved()
 
     def on_finish(self) -> None:
@@ -48,7 +49,13 @@ class CameraCheck(KeyframeHook):
         keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == largest]
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
-        self._final = _beside(_estimated, _footage([[keyframes[i] for i in chosen]]))
+        self._final = _beside(_estimated, self._footage([keyframes[i] for i in chosen]))
+
+    def _footage(self, keyframes: Sequence[Keyframe]) -> Footage:
+        """The views of keyframes with depth, at their present poses."""
+        kept = [keyframe for keyframe in keyframes if keyframe.has_depth]
+        poses = np.array([keyframe.T_wk.numpy() for keyframe in kept])
+        return Footage([View.of(keyframe.frame) for keyframe in kept], poses, [self.motions.of(keyframe) for keyframe in kept])
 
     def settle(self) -> None:
         """Tells doubts that the early check did not tell yet."""
@@ -66,7 +73,7 @@ class CameraCheck(KeyframeHook):
         return {"camera_doubts": doubts(e), "camera_deviations": deviations}
 
 
-def _beside(check: Callable[[Sequence[Footage]], Found], footage: Sequence[Footage]) -> "Future[Found]":
+def _beside(check: Callable[[Footage], Found], footage: Footage) -> "Future[Found]":
     """Runs a check in a thread of its own."""
     pool = ThreadPoolExecutor(1, "camera-check")
     running = pool.submit(check, footage)
@@ -74,21 +81,15 @@ def _beside(check: Callable[[Sequence[Footage]], Found], footage: Sequence[Foota
     return running
 
 
-def _footage(parts: Sequence[Sequence[Keyframe]]) -> list[Footage]:
-    """The views of keyframes with depth, at their present poses."""
-    kept = [[keyframe for keyframe in part if keyframe.has_depth] for part in parts]
-    return [Footage([View.of(k.frame) for k in part], np.array([k.T_wk.numpy() for k in part])) for part in kept if part]
-
-
-def _estimated(footage: Sequence[Footage]) -> Estimate | None:
+def _estimated(footage: Footage) -> Estimate | None:
     """The camera that fits; None if none is to be believed. Only a camera in doubt is searched for more exactly."""
-    estimate = self_calibrate(footage, rounds=1)
+    estimate = self_calibrate([footage], rounds=1)
     if estimate is not None and estimate.explains_images and doubts(estimate):
-        estimate = self_calibrate(footage, rounds=1, start=estimate)
+        estimate = self_calibrate([footage], rounds=1, start=estimate)
     return estimate if estimate is not None and estimate.explains_images else None
 
 
-def _told(footage: Sequence[Footage]) -> bool:
+def _told(footage: Footage) -> bool:
     """Checks the camera, and says whether doubts were told."""
     estimate = _estimated(footage)
     return estimate is not None and _tell(estimate)

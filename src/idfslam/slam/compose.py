@@ -207,7 +207,7 @@ class System:
             hooks.append(LoopCloser(c, self.relocaliser, self.graph))
             hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
         if self.config.calibrate != "off":
-            hooks.append(CameraCheck(self.graph))
+            hooks.append(CameraCheck(self.graph, self.motions))
         return hooks
 
     @cached_property

@@ -116,9 +116,7 @@ class GlobalAdjustment(KeyframeAdjustment):
         fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in keyframes])
         edges = RelativePoses.of(links(self.graph, EDGES))
         problem = Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
-        if self.motions is None or all(self.motions.synchronised(keyframe) for keyframe in keyframes):
-            return problem
-        return in_motion(problem, [self.motions.of(keyframe) for keyframe in keyframes])
+        return problem if self.motions is None else in_motion(problem, [self.motions.of(keyframe) for keyframe in keyframes])
 
     def covariances(self) -> dict[int, Array]:
         if self._adjusted is None:

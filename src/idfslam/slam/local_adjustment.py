@@ -120,10 +120,9 @@ class LocalAdjustment(KeyframeHook):
         none = np.zeros(len(NAMES), bool)
         between = RelativePoses.of(relative) if relative else None
         problem = Problem(model, poses[numbers], points, seen, ~window[numbers] | begins, none, between)
-        chosen = [keyframes[i] for i in numbers]
-        if self.motions is None or all(self.motions.synchronised(keyframe) for keyframe in chosen):
-            return problem, numbers
-        return in_motion(problem, [self.motions.of(keyframe) for keyframe in chosen]), numbers
+        if self.motions is not None:
+            problem = in_motion(problem, [self.motions.of(keyframes[i]) for i in numbers])
+        return problem, numbers
 
     def _move(self, numbers: NDArray[np.int64], poses: Array) -> Moved:
         moved = list[Keyframe]()
