@@ -13,6 +13,6 @@ ENOUGH = 16  # [1] readings a voxel, on average over a block, after which the bl
 FREE = 0.1  # [1] weight of a reading that says that a voxel is free, over that of one at the surface: a coarse image looks past thin
 # things that others show. More: thin things vanish; less: what was wrongly read stays. Chosen by hand
 LEAST_SLANT = 0.2  # [1] cosine of ray and normal below which a reading counts as this slanted. More: grazing readings count more
-# [px] Edge of the tiles of a depth image whose farthest readings rule out what lies behind. More: closer blocks are ruled out too, by the
-# readings of larger tiles. Chosen by hand
+# [px] Edge of the tiles of a depth image whose farthest readings rule out what lies behind. More: fewer tiles are looked at, and fewer
+# blocks are ruled out. Chosen by hand
 TILE = 8

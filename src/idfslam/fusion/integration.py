@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.compute.backend import pick
-from idfslam.fusion.constants import BLOCK, EDGE_SHARE, ENOUGH, FREE, NEAREST
+from idfslam.fusion.constants import BLOCK, EDGE_SHARE, ENOUGH, FREE, NEAREST, TILE
 from idfslam.fusion.prepared_depth import PreparedDepth
 from idfslam.geometry.projection import intrinsics_of
 
@@ -53,14 +53,16 @@ def integrate(voxels: Voxels, view: PreparedDepth) -> None:
 
 def compiled_integrate(voxels: Voxels, view: PreparedDepth) -> None:
     """`integrate`, compiled by Numba."""
+    from idfslam.fusion.kernels.numba_integration import fill_deepest
     from idfslam.fusion.kernels.numba_integration import integrate as add
 
     T_cw = np.linalg.inv(view.T_wc)[:3].astype(np.float32)
     intrinsics = tuple(np.float32(value) for value in intrinsics_of(view.camera))
     origins = (voxels.blocks * (BLOCK * voxels.voxel)).astype(np.float32)
-    images = view.depth, view.slope, view.information, view.farthest
-    sizes = np.float32(voxels.voxel), np.float32(voxels.truncation)
-    add(origins, *sizes, T_cw, intrinsics, *images, voxels.distance, voxels.weight, voxels.scatter, voxels.readings)
+    images, sizes = (view.depth, view.slope, view.information), (np.float32(voxels.voxel), np.float32(voxels.truncation))
+    deepest = np.zeros([-(-size // TILE) for size in view.depth.shape], np.float32)
+    fill_deepest(*images, sizes[1], deepest)
+    add(origins, *sizes, T_cw, intrinsics, *images, deepest, voxels.distance, voxels.weight, voxels.scatter, voxels.readings)
 
 
 def plain_integrate(voxels: Voxels, view: PreparedDepth) -> None:

@@ -6,13 +6,12 @@ regression of inverse depths.
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from idfslam.compute.backend import pick
-from idfslam.fusion.constants import LEAST_SLANT, TILE
+from idfslam.fusion.constants import LEAST_SLANT
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView
 from idfslam.geometry.projection import intrinsics_of
@@ -35,7 +34,6 @@ class PreparedDepth:
     depth: Floats  # (H, W) [m], 0: no reading
     slope: Floats  # (H, W) distance to the surface's plane over the difference of depth along a ray: ray . normal, where the ray has z = 1
     information: Floats  # (H, W) [1/m^2] of the distance to the plane
-    farthest: Floats  # (h, w) [m] the farthest reading of each tile of TILE x TILE pixels and of the tiles around it
     camera: Camera
     T_wc: NDArray[np.float64]  # (4, 4)
 
@@ -43,7 +41,7 @@ class PreparedDepth:
 def prepared(view: DepthView) -> PreparedDepth:
     """The view with slants and information."""
     slope, information = planes(view.depth, view.camera, *inverse_depth_slopes(view.depth))
-    return PreparedDepth(view.depth, slope, information, _farthest(view.depth), view.camera, view.T_wc)
+    return PreparedDepth(view.depth, slope, information, view.camera, view.T_wc)
 
 
 def planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats, count: NDArray[np.int32]) -> tuple[Floats, Floats]:
@@ -80,14 +78,6 @@ def plain_planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats
     inner = (count / np.float32((2 * REACH + 1) ** 2)) ** _EDGE_POWER
     information = np.where(read, (cosine / sigma) ** 2 * inner, 0).astype(np.float32)
     return slope, information
-
-
-def _farthest(depth: Floats) -> Floats:
-    """The farthest reading (h, w) [m] of each tile and of those around it."""
-    rows, columns = (-(-size // TILE) for size in depth.shape)
-    padded = np.zeros((rows * TILE, columns * TILE), np.float32)
-    padded[: depth.shape[0], : depth.shape[1]] = depth
-    return np.asarray(cv2.dilate(padded.reshape(rows, TILE, columns, TILE).max((1, 3)), np.ones((3, 3), np.uint8)))
 
 
 def inverse_depth_slopes(depth: Floats) -> tuple[Floats, Floats, NDArray[np.int32]]:
