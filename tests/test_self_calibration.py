@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from idfslam.adjustment import self_calibration
 from idfslam.adjustment.camera_model import NAMES
 from idfslam.adjustment.landmark_tracks import View
 from idfslam.adjustment.row_motion import KeyframeMotion
@@ -52,6 +53,11 @@ def test_a_camera_that_is_right_stays(footage: Footage) -> None:
         value, sigma = of(estimate, name)
         assert abs(value) < 3 * sigma
         assert sigma < 0.002
+
+
+def test_no_camera_where_none_explains_the_images(footage: Footage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_calibration, "EXPLAINED", 0.05)
+    assert self_calibrate([footage], rounds=1, explained=True) is None
 
 
 def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: Footage) -> None:

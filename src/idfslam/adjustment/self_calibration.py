@@ -86,10 +86,13 @@ class Estimate:
         return bool(self.sigmas[NAMES.index(name)] > 0)
 
 
-def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, start: Estimate | None = None) -> Estimate | None:
+def self_calibrate(
+    footage: Sequence[Footage], *, rounds: int = ROUNDS, start: Estimate | None = None, explained: bool = False
+) -> Estimate | None:
     """The camera of recordings with one and the same camera; None if they show too little.
 
-    rounds: most times that tracks are searched. start: an estimate from the same footage to go on from.
+    rounds: most times that tracks are searched. start: an estimate from the same footage to go on from. explained: None too where the
+    camera does not explain the images, which the first adjustment tells: it has the most freedom to fit them.
     """
     views = [view for part in footage for view in part.views]
     if len(views) < _LEAST_KEYFRAMES:
@@ -107,7 +110,11 @@ def self_calibrate(footage: Sequence[Footage], *, rounds: int = ROUNDS, start: E
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
-        adjusted, estimated = _determined(in_motion(Problem(model, poses, points, seen, fixed, estimated), motions))
+        problem = in_motion(Problem(model, poses, points, seen, fixed, estimated), motions)
+        adjusted = adjust(problem)
+        if explained and noise_of(adjusted.problem.seen, views[0].camera.width) > EXPLAINED:
+            return None
+        adjusted, estimated = _determined(problem, adjusted)
         model, poses, covariance = adjusted.problem.model, adjusted.problem.poses, adjusted.values_covariance()
         sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
         if i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all():
@@ -150,17 +157,17 @@ def _with_differences(covariance: Array, difference: Array) -> Array:
     return covariance * np.outer(factors, factors)
 
 
-def _determined(problem: Problem) -> tuple[Adjusted, NDArray[np.bool_]]:
-    """The adjustment in which only values are estimated that it determines, and which these are."""
+def _determined(problem: Problem, adjusted: Adjusted) -> tuple[Adjusted, NDArray[np.bool_]]:
+    """The adjustment in which only values are estimated that it determines, and which these are. adjusted: the first one."""
     prior = np.array(list(PRIORS.values()))
     while True:
-        adjusted = adjust(problem)
         sigmas = np.sqrt(np.diag(adjusted.values_covariance()).clip(min=0))
         weak = problem.estimated & (sigmas > _DETERMINED * prior)
         if not weak.any():
             return adjusted, problem.estimated
         values = np.where(weak, 0.0, problem.model.values)
         problem = replace(problem, estimated=problem.estimated & ~weak, model=replace(problem.model, values=values))
+        adjusted = adjust(problem)
 
 
 def fitting(estimate: Estimate) -> list[str]:

@@ -83,9 +83,9 @@ def _beside(check: Callable[[Footage], Found], footage: Footage) -> "Future[Foun
 
 def _estimated(footage: Footage) -> Estimate | None:
     """The camera that fits; None if none is to be believed. Only a camera in doubt is searched for more exactly."""
-    estimate = self_calibrate([footage], rounds=1)
+    estimate = self_calibrate([footage], rounds=1, explained=True)
     if estimate is not None and estimate.explains_images and doubts(estimate):
-        estimate = self_calibrate([footage], rounds=1, start=estimate)
+        estimate = self_calibrate([footage], rounds=1, start=estimate, explained=True)
     return estimate if estimate is not None and estimate.explains_images else None
 
 
