@@ -198,3 +198,20 @@ def test_who_walks_through_does_not_draw_the_pose_away() -> None:
     assert max(off) < 0.02
     assert max(shares[:50]) == 0.0
     assert 0.15 < np.mean(shares[62:70]) < 0.35
+
+
+@pytest.mark.slow
+def test_in_hindsight_the_first_images_show_that_she_has_left() -> None:
+    """While she stands there nothing tells her from the room."""
+    recording = SyntheticRoom(1, 100, 320, 240, noise=True, movers="people")
+    slam = Slam(FAST)
+    for i in range(len(recording)):
+        slam.process(recording[i])
+    slam.finish()
+    archive = slam.archive()
+    assert archive is not None
+    found = [i for i, view in enumerate(archive.views) if 10 < view.index < 50]
+    hidden = np.stack([archive.moving(i) for i in found])
+    truth = np.stack([recording.moving(archive.views[i].index) for i in found])
+    assert (hidden & truth).sum() > 0.7 * (hidden | truth).sum()
+    assert any(keyframe.index < 50 and keyframe.moving is not None for keyframe in slam.graph.keyframes)

@@ -13,7 +13,7 @@ from idfslam.graph.archive import Archive
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, RowTimes
-from idfslam.views.encoded_view import encode
+from idfslam.views.encoded_view import MOVING, decode_depth, encode
 from idfslam.views.image_archive import archive_of
 from idfslam.views.view_selection import ViewSelection
 
@@ -118,3 +118,15 @@ def test_motion_of_the_image() -> None:
     np.testing.assert_allclose(
         apparent_motions(at(0.0), np.stack([at(0.5), at(0.0, 0.0, 0.1), at(0.2, 0.0, 0.1)])), [0.25, 0.1, 0.2], atol=1e-6
     )
+
+
+def test_what_moved_is_hidden_later() -> None:
+    selection = filmed([0.0] * 5)
+    before = decode_depth(selection.views[1].depth)
+    cells = np.zeros((before.shape[0] // 2, before.shape[1] // 2), np.bool_)
+    cells[3:5, 7] = True
+    selection.hide(1, cells)
+    after = decode_depth(selection.views[1].depth)
+    assert (after[6:10, 14:16] == MOVING).all()
+    assert (after == MOVING).sum() == 8
+    np.testing.assert_array_equal(after[after != MOVING], before[after != MOVING])

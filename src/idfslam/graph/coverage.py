@@ -6,6 +6,7 @@ Alignments are restricted to it too (`observed_space`).
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from idfslam.storage.state import State, Stateful
 # Both were chosen by hand.
 _ROWS = 120  # [px] of a view's reduced depth image. More: finer outlines of the observed surface, more memory (77 kB a view at 120 x 160)
 _SAME_POSE = 1e-9  # [m], [rad] of a view in its host, below which it is the host itself. More: a view beside it passes for it
+EARLIER = -1  # index of a view of the map that a run started in: a fact of the state's format
 _MOST = 1000  # views, beyond which every other one is dropped. More: more memory, and more time for a mesh
 
 
@@ -30,8 +32,29 @@ class _Seen:
     """A view that the map learnt from."""
 
     host: int  # keyframe
-    view: DepthView  # reduced, at its pose T_kc in the host
-    packed: PackedDepth  # more of its depth, for fusion
+    index: int  # of the frame; EARLIER: of another run
+    view: DepthView  # reduced, at its pose T_kc in the host, without what moves
+    packed: PackedDepth  # more of its depth, with what moves
+    hidden: NDArray[np.bool_] | None  # pixels of that which show what moves; None: none
+
+    @classmethod
+    def of(cls, view: Keyframe, host: int, T_kc: NDArray[np.float64]) -> "_Seen":
+        """What a view shows at a pose T_kc (4, 4) in its host."""
+        packed, camera = pack_depth(view.unmasked.frame.depth, view.camera), view.camera
+        hidden = None if view.moving is None else _resized(view.moving, packed.counts.shape)
+        return cls(host, view.index, reduced_view(T_kc, view.frame.depth, camera, _ROWS), packed, hidden)
+
+    def without(self, moving: NDArray[np.bool_]) -> "_Seen":
+        """The same view with more pixels of its finer depth that show what moves."""
+        coarser = _resized(moving, self.view.depth.shape)
+        view = replace(self.view, depth=np.where(coarser, np.float32(0), self.view.depth))
+        return replace(self, view=view, hidden=moving if self.hidden is None else moving | self.hidden)
+
+    def fused(self) -> PackedDepth:
+        """The finer depth without what moves."""
+        if self.hidden is None:
+            return self.packed
+        return replace(self.packed, counts=np.where(self.hidden, np.uint16(0), self.packed.counts))
 
 
 class Coverage(Stateful):
@@ -48,12 +71,14 @@ class Coverage(Stateful):
             "views": [
                 {
                     "keyframe": seen.host,
+                    "index": seen.index,
                     "T_kc": torch.from_numpy(seen.view.T_wc),
                     "depth": torch.from_numpy(seen.view.depth),
                     "camera": asdict(seen.view.camera),
                     "packed": torch.from_numpy(seen.packed.counts.view(np.int16)),
                     "unit": seen.packed.unit,
                     "packed_camera": asdict(seen.packed.camera),
+                    "hidden": None if seen.hidden is None else torch.from_numpy(np.packbits(seen.hidden)),
                 }
                 for seen in self._views
             ]
@@ -61,29 +86,25 @@ class Coverage(Stateful):
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._views = [
-            _Seen(
-                kept["keyframe"],
-                DepthView(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"])),
-                PackedDepth(kept["packed"].numpy().view(np.uint16), kept["unit"], Camera(**kept["packed_camera"])),
-            )
-            for kept in state["views"]
-        ]
+        self._views = [_revived(kept) for kept in state["views"]]
 
     def add(self, view: Keyframe) -> None:
         """Adds a view that the map learns from, relative to the host of the last keyframe."""
         host, T_kc = self.graph.relative_to_host(view.T_wk)
-        depth, camera = view.frame.depth, view.frame.camera
-        self._append(_Seen(host, reduced_view(T_kc.numpy(), depth, camera, _ROWS), pack_depth(depth, camera)))
+        self._append(_Seen.of(view, host, T_kc.numpy()))
         if len(self._views) > _MOST:
             del self._views[1::2]  # the views left are still spread over the whole run
 
     def replace(self, keyframe: Keyframe) -> None:
         """Replaces the view of a stored keyframe, whose depth has changed."""
-        depth, camera = keyframe.frame.depth, keyframe.camera
         for i, seen in enumerate(self._views):
             if seen.host == keyframe.host and np.allclose(seen.view.T_wc, np.eye(4), atol=_SAME_POSE):
-                self._views[i] = _Seen(seen.host, reduced_view(seen.view.T_wc, depth, camera, _ROWS), pack_depth(depth, camera))
+                self._views[i] = _Seen.of(keyframe, seen.host, seen.view.T_wc)
+
+    def hide(self, moving: Sequence[NDArray[np.bool_]]) -> None:
+        """Takes the depth of what moves out of the views: these pixels (h, w) of the depth of each of `packed`."""
+        hidden = {seen: pixels for seen, pixels in zip(self._of_first_submap(), moving) if pixels.any()}
+        self._views = [seen.without(hidden[seen]) if seen in hidden else seen for seen in self._views]
 
     def load(self, views: Sequence[DepthView]) -> None:
         """Adds the views of an earlier run, each relative to the nearest stored keyframe."""
@@ -91,7 +112,7 @@ class Coverage(Stateful):
         for view in views:
             k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
             T_kc = se3.inverse(self.graph.keyframes[k].T_wk).numpy() @ view.T_wc
-            self._append(_Seen(k, DepthView(T_kc, view.depth, view.camera), pack_depth(view.depth, view.camera)))
+            self._append(_Seen(k, EARLIER, DepthView(T_kc, view.depth, view.camera), pack_depth(view.depth, view.camera), None))
 
     def follow(self, keyframes: Sequence[Keyframe]) -> None:
         """Adds the new places of what the views of these keyframes, which have moved, observed."""
@@ -115,6 +136,29 @@ class Coverage(Stateful):
         """All views of the first submap, at the present poses of their host keyframes."""
         return [self._posed(seen) for seen in self._of_first_submap()]
 
+    def indices(self) -> list[int]:
+        """The frames of the same views; EARLIER for those of another run."""
+        return [seen.index for seen in self._of_first_submap()]
+
     def packed(self) -> list[tuple[NDArray[np.float64], PackedDepth]]:
-        """The same views in more rows: pose T_wc (4, 4) and depth."""
+        """The same views in more rows: pose T_wc (4, 4) and depth, without what moves."""
+        return [(self._posed(seen).T_wc, seen.fused()) for seen in self._of_first_submap()]
+
+    def unmasked(self) -> list[tuple[NDArray[np.float64], PackedDepth]]:
+        """The same with what moves."""
         return [(self._posed(seen).T_wc, seen.packed) for seen in self._of_first_submap()]
+
+
+def _revived(kept: State) -> _Seen:
+    """The view that a state was made from."""
+    packed = PackedDepth(kept["packed"].numpy().view(np.uint16), kept["unit"], Camera(**kept["packed_camera"]))
+    shape, bits = packed.counts.shape, kept["hidden"]
+    hidden = None if bits is None else np.unpackbits(bits.numpy(), count=packed.counts.size).reshape(shape).astype(np.bool_)
+    return _Seen(
+        kept["keyframe"], kept["index"], DepthView(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"])), packed, hidden
+    )
+
+
+def _resized(pixels: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(h, w) whether any of the pixels (H, W) that a pixel covers is set."""
+    return np.asarray(cv2.resize(pixels.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA) > 0)

@@ -138,10 +138,15 @@ def seen_at(view: CoarseView, camera: Camera, T_oc: Array) -> tuple[Cells, NDArr
     v, u = np.mgrid[: view.camera.height, : view.camera.width]
     z = view.depth.astype(np.float64)
     rays = np.stack([(u - view.camera.cx) / view.camera.fx, (v - view.camera.cy) / view.camera.fy, np.ones_like(z)], -1)
-    p = (rays * z[..., None]) @ T_oc[:3, :3].T + T_oc[:3, 3]
+    inside, row, column, r = projected((rays * z[..., None]) @ T_oc[:3, :3].T + T_oc[:3, 3], camera)
+    return inside & (z > 0), row, column, r
+
+
+def projected(p: Array, camera: Camera) -> tuple[Cells, NDArray[np.int64], NDArray[np.int64], Array]:
+    """Whether a camera has points p (..., 3) [m] of its frame in view, their rows and columns (0 elsewhere), and their depths [m]."""
     ahead = np.maximum(p[..., 2], 1e-6)
     x, y = p[..., 0] / ahead * camera.fx + camera.cx, p[..., 1] / ahead * camera.fy + camera.cy
-    inside = (z > 0) & (p[..., 2] > NEAREST_SEEN) & (x >= -0.5) & (y >= -0.5) & (x < camera.width - 0.5) & (y < camera.height - 0.5)
+    inside = (p[..., 2] > NEAREST_SEEN) & (x >= -0.5) & (y >= -0.5) & (x < camera.width - 0.5) & (y < camera.height - 0.5)
     column, row = (np.floor(np.where(inside, place, 0) + 0.5).astype(np.int64) for place in (x, y))
     return inside, row, column, p[..., 2]
 

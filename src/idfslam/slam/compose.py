@@ -34,6 +34,7 @@ from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
 from idfslam.slam.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
+from idfslam.slam.hindsight import Hindsight, NoHindsight, StoredViews
 from idfslam.slam.inverse_rendering import InverseRendering
 from idfslam.slam.joint_mapping import JointMapping
 from idfslam.slam.keyframe_features import KeyframeFeatures
@@ -163,6 +164,12 @@ class System:
             return NoSegmentation()
         references = lambda: self.graph.references(self.config.alignment.references)  # noqa: E731
         return FreeSpaceSegmentation(self.graph, self.timer, self._learn_masked, references)
+
+    @cached_property
+    def hindsight(self) -> Hindsight:
+        if not isinstance(self.segmentation, FreeSpaceSegmentation):
+            return NoHindsight()
+        return StoredViews(self.segmentation, self.frames, self.coverage, self.views, self.timer)
 
     def _learn_masked(self, keyframe: Keyframe) -> None:
         """Has all parts take up the changed mask of a stored keyframe."""

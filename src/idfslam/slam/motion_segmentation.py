@@ -100,17 +100,19 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self._next_wait = _WAITS  # and after the next trial that does not help
         self._found_once = False  # whether the last frame told that its nearest layer moves
         self._passed_over = 0  # frames since one was segmented
+        self.found = False  # whether anything has moved so far
 
     def state(self) -> State:
-        """The remembered views, the usual photometric error, and the frames before the next trial and since the last segmentation."""
+        """The remembered views, the usual photometric error, what was found, and the frames before the next trial and since the last."""
         counts = {"waits": [self._waits, self._next_wait], "found_once": self._found_once, "passed_over": self._passed_over}
-        return {"memory": self.memory.state(), "usual_error": self._usual_error.state(), **counts}
+        return {"memory": self.memory.state(), "usual_error": self._usual_error.state(), "found": self.found, **counts}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self.memory.restore(state["memory"])
         self._usual_error.restore(state["usual_error"])
         (self._waits, self._next_wait), self._found_once, self._passed_over = state["waits"], state["found_once"], state["passed_over"]
+        self.found = state["found"]
 
     def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
         """Leaves the nearest layer out, on trial, of a view whose image fits worse than usual: does the rest then fit better?"""
@@ -186,11 +188,17 @@ class FreeSpaceSegmentation(MotionSegmentation):
             if cells is None:
                 cells = self.memory.segment(_coarse(view), T_wc)
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
+            self.found |= bool(cells.any())
             self.memory.look_back_at_recent()
             for keyframe in self._references():
                 if (shown := self.memory.look_back(keyframe.host)) is not None:
                     self._mask(keyframe, shown)
             return crowded(view, tracked)
+
+    def hide(self, keyframe: Keyframe, pixels: NDArray[np.bool_]) -> None:
+        """Hides more pixels (H, W) of a stored keyframe."""
+        keyframe.hide(pixels if keyframe.moving is None else pixels | keyframe.moving)
+        self._masked(keyframe)
 
     def _mask(self, keyframe: Keyframe, cells: NDArray[np.bool_]) -> None:
         keyframe.hide(in_pixels(cells, keyframe.camera))

@@ -62,7 +62,7 @@ class Slam:
         self.config, self.device, self.timer = config, system.device, system.timer
         self.graph, self.frames, self.coverage, self.motion = system.graph, system.frames, system.coverage, system.motion
         self.front_end, self.recovery, self.back_end = system.front_end, system.recovery, system.back_end
-        self.segmentation = system.segmentation
+        self.segmentation, self.hindsight = system.segmentation, system.hindsight
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.map, system.replay
         self.views, self.adjustment, self.surface_fusion = system.views, system.adjustment, system.surface_fusion
         self.history = History(system.frames)
@@ -151,8 +151,9 @@ class Slam:
             )
         if self.config.refine and self._pending is not None:
             self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
-        self.back_end.finish()
         self.views.finish()
+        self.hindsight.run()
+        self.back_end.finish()
         archive = self.archive()
         with self.timer.stage("fuse"):
             self._volume = self.surface_fusion.volume([] if archive is None else archive.depths)

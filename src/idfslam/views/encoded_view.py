@@ -1,6 +1,6 @@
 """An image of the recording as the archive keeps it: colour as JPEG, depth in fewer rows as PNG of millimetres."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -41,6 +41,15 @@ def encode(frame: Frame, sharpness: float, moving: NDArray[np.bool_] | None = No
     small = reduced_view(np.eye(4), read, frame.camera, DEPTH_ROWS).depth
     depth = np.clip(small * _MILLIMETRES + 0.5, 0, _FARTHEST).astype(np.uint16)
     return EncodedView(frame.index, jpeg, cv2.imencode(".png", depth)[1].tobytes(), sharpness)
+
+
+def without(view: EncodedView, moving: NDArray[np.bool_]) -> EncodedView:
+    """A view in which what moves is hidden, too: cells (h, w), of the pixels of its depth or coarser ones."""
+    depth = decode_depth(view.depth)
+    assert depth is not None
+    hidden = cv2.resize(moving.astype(np.uint8), depth.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+    counts = np.where(hidden | (depth == MOVING), _FARTHEST, depth * _MILLIMETRES + 0.5).astype(np.uint16)
+    return replace(view, depth=cv2.imencode(".png", counts)[1].tobytes())
 
 
 def decode_colour(data: bytes) -> NDArray[np.uint8] | None:

@@ -18,7 +18,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, rectified
 from idfslam.sensing.sharpness import sharpness
 from idfslam.storage.state import State, Stateful
-from idfslam.views.encoded_view import EncodedView, encode
+from idfslam.views.encoded_view import EncodedView, encode, without
 from idfslam.views.image_archive import ImageArchive
 
 # [rad] Motion of the image over a stretch of frames of which the sharpest is kept. More: fewer images, farther from one another. It is a
@@ -104,6 +104,10 @@ class ViewSelection(Stateful):
         if self._begun_at is None or float(apparent_motions(self._begun_at, T_wc[None])[0]) > _STRETCH:
             self._keep()
             self._begun_at = T_wc
+
+    def hide(self, number: int, moving: NDArray[np.bool_]) -> None:
+        """Hides what moves in the `number`-th of `views`: cells (h, w), of the pixels of its depth or coarser ones."""
+        self.views[number] = without(self.views[number], moving)
 
     def finish(self) -> None:
         """Ends the last stretch."""

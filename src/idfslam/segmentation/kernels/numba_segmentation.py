@@ -114,6 +114,31 @@ def vote(depth, brightness, depth_b, near, far, brightness_b, dark, bright, movi
 
 
 @_compiled
+def look(means, depth, near, far, camera, T, number, through, seen, free, first, last) -> None:  # type: ignore[no-untyped-def]
+    """`occupancy_history.plain_look`. camera: fx, fy, cx, cy; T (4, 4) from the world to it."""
+    rows, columns = depth.shape
+    for i in range(len(means)):
+        x, y, z = means[i]
+        r = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if r <= NEAREST_SEEN:
+            continue
+        u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / r * camera[0] + camera[2]
+        v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / r * camera[1] + camera[3]
+        if not (u >= -0.5 and v >= -0.5 and u < columns - 0.5 and v < rows - 0.5):
+            continue
+        row, column, margin = int(v + 0.5), int(u + 0.5), SLACK + 2 * SIGMAS * _sigma(r)
+        nearest = float(near[row, column])
+        if np.isfinite(nearest) and r < nearest - margin:
+            through[i] += 1
+            free[i] = max(free[i], number)
+            continue
+        nearest = nearest if np.isfinite(nearest) else float(depth[row, column])
+        if depth[row, column] > 0 and r > nearest - margin and r < far[row, column] + margin:
+            seen[i] += 1
+            first[i], last[i] = min(first[i], number), max(last[i], number)
+
+
+@_compiled
 def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
     """`memory.carried`: a cell covers the 3 x 3 cells around the one that its point is seen in."""
     for i in range(depth.shape[0]):
