@@ -3,11 +3,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView
+from idfslam.geometry.ray_casting import RayCaster
 from idfslam.mapping import meshing
 from idfslam.mapping.meshing import extract_mesh, observed, touched_blocks
 
@@ -131,3 +133,54 @@ def test_memory_is_bounded_by_blocks_near_readings() -> None:
 
     extract_mesh(watched, None, [look(ball, (1.5, 0, 0))], resolution=0.01, truncation=TR)
     assert 0 < largest <= 1 << 18
+
+
+def test_finer_values_make_finer_cells_where_the_surface_is_not_flat() -> None:
+    """A box whose distance is 1 cm off in the lattice of whole cells. Its edges are cut half as much, and its sides have whole cells."""
+
+    def rough(points: Tensor) -> Tensor:
+        return box(points) + 0.01 / TR
+
+    views = [look(box, p) for p in AROUND]
+    fine = extract_mesh(rough, None, views, resolution=0.02, truncation=TR, refine=lambda points, _: box(points))
+    coarse, halved = (extract_mesh(box, None, views, resolution=cells, truncation=TR) for cells in (0.02, 0.01))
+    assert fine.is_watertight and fine.body_count == 1
+    assert len(fine.faces) < 0.45 * len(halved.faces) and len(fine.faces) < 1.8 * len(coarse.faces)
+    assert mean_gap(fine) < 0.6 * mean_gap(coarse)
+    np.testing.assert_allclose(fine.bounds[1], np.array([0.55, 0.45, 0.35]) + 0.0037, atol=5e-4)
+
+
+def mean_gap(mesh: trimesh.Trimesh) -> float:
+    """How far [m] the edges of the box lie before the mesh, seen along the bisector of their sides: the mean."""
+    half, points, inwards = np.array([0.55, 0.45, 0.35]) + 0.0037, [], []
+    for axis in range(3):
+        for sides in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            corner = np.insert(np.array(sides, float), axis, 0)
+            for along in np.linspace(-0.3, 0.3, 23):
+                points.append(half * corner + along * np.eye(3)[axis])
+                inwards.append(-corner / np.sqrt(2))
+    hits = RayCaster(mesh).cast((np.array(points) - inwards).astype(np.float32), np.array(inwards, np.float32))
+    return float(np.abs(hits.distance - 1).mean())
+
+
+def test_between_the_points_of_a_coarse_lattice_values_are_interpolated() -> None:
+    """`refine` gets `sdf` as it is where it is linear, and is asked for every point of a lattice of half cells."""
+    plane = torch.tensor([0.3, -0.5, 0.81])
+    seen = []
+
+    def watched(points: Tensor, values: Tensor) -> Tensor:
+        torch.testing.assert_close(values, points @ plane, atol=1e-5, rtol=0)
+        seen.append(torch.unique((points / 0.01).round() % 2))
+        return values
+
+    mesh = extract_mesh(lambda p: p @ plane, None, [look(ball, (0, 0, 1.5))], resolution=0.02, truncation=TR, refine=watched)
+    assert seen and torch.equal(seen[0], torch.tensor([0.0, 1.0]))
+    assert np.abs(mesh.vertices @ plane.numpy()).max(initial=0) < 1e-4
+
+
+def test_finer_views_tell_what_was_observed() -> None:
+    """Without any reading in them nothing was."""
+    view = look(ball, (1.5, 0, 0))
+    without = DepthView(view.T_wc, np.zeros_like(view.depth), view.camera)
+    assert len(extract_mesh(ball, None, [view], resolution=0.02, truncation=TR, finer=iter([view])).faces) > 1000
+    assert not len(extract_mesh(ball, None, [view], resolution=0.02, truncation=TR, finer=iter([without])).faces)

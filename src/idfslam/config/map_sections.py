@@ -228,4 +228,5 @@ class MeshConfig:
     """Extraction of the mesh from the map."""
 
     resolution: UserOption[Positive] = 0.02
-    """Cell edge of marching cubes [m]. Half the value gives about four times the triangles."""
+    """Cell edge of marching cubes [m]. Where fused depth shows what is not flat, it is halved. Half the value gives about four times the
+    triangles."""

@@ -16,3 +16,6 @@ LEAST_SLANT = 0.2  # [1] cosine of ray and normal below which a reading counts a
 # [px] Edge of the tiles of a depth image whose farthest readings rule out what lies behind. More: fewer tiles are looked at, and fewer
 # blocks are ruled out. Chosen by hand
 TILE = 8
+# [1] Part of a voxel in a point below which the voxel is left out: points of a lattice lie at voxels, up to rounding. More: distances jump
+# by as much of a voxel where one enters. Chosen by hand
+LEAST_PART = 1e-4

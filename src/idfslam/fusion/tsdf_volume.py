@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.compute.backend import pick
-from idfslam.fusion.constants import BLOCK
+from idfslam.fusion.constants import BLOCK, LEAST_PART
 from idfslam.geometry.blocks import pack
 
 Floats = NDArray[np.float32]
@@ -30,7 +30,7 @@ class TsdfVolume:
     def blend(self, points: Floats, otherwise: Floats) -> Floats:
         """The signed distance (N,) [m] at points (N, 3) [m]: the fused one by its trust, and `otherwise` (N,) [m] for the rest.
 
-        It is continuous: distance and trust are interpolated between voxels, and where there is no voxel the trust is 0.
+        It is continuous up to `LEAST_PART`: distance and trust are interpolated between voxels, and where there is no voxel the trust is 0.
         """
         form = pick(torch.empty(0), compiled=compiled_blend, plain=plain_blend)
         return form(self, points, otherwise)
@@ -79,6 +79,7 @@ def plain_blend(volume: TsdfVolume, points: Floats, otherwise: Floats) -> Floats
     for corner in np.ndindex(2, 2, 2):
         voxel = low + corner
         part = np.where(corner, share, 1 - share).prod(1)
+        part[part < LEAST_PART] = 0
         key = pack(voxel // BLOCK)
         found = order[np.minimum(np.searchsorted(keys, key, sorter=order), len(keys) - 1)]
         at = (found, *(voxel % BLOCK).T)

@@ -3,7 +3,7 @@
 Alignments are restricted to it too (`observed_space`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import cv2
@@ -147,6 +147,10 @@ class Coverage(Stateful):
     def unmasked(self) -> list[tuple[NDArray[np.float64], PackedDepth]]:
         """The same with what moves."""
         return [(self._posed(seen).T_wc, seen.packed) for seen in self._of_first_submap()]
+
+    def finer_views(self) -> Iterator[DepthView]:
+        """The same, unpacked one at a time."""
+        return (depth.view(T_wc) for T_wc, depth in self.packed())
 
 
 def _revived(kept: State) -> _Seen:

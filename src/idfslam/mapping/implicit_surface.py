@@ -27,7 +27,15 @@ class ImplicitSurface:
     @torch.no_grad()
     def sdf(self, points: Tensor) -> Tensor:
         """Signed distance (N,) [tr] at points (N, 3) [m], positive in front of the surface; without gradients."""
-        of_field = fused.sdf_function(self.field)(points)
+        return self.blended(points, self.of_field(points))
+
+    @torch.no_grad()
+    def of_field(self, points: Tensor) -> Tensor:
+        """The field's own signed distance (N,) [tr] at points (N, 3) [m]."""
+        return fused.sdf_function(self.field)(points)
+
+    def blended(self, points: Tensor, of_field: Tensor) -> Tensor:
+        """The signed distance (N,) [tr] at points (N, 3) [m], where the field's own is `of_field` (N,) [tr]."""
         if self.volume is None:
             return of_field
         distance = (of_field * self.truncation).float().cpu().numpy()

@@ -1,11 +1,13 @@
 """The surface of the map: marching cubes over the observed space, block by block, without unobserved surface.
 
-The lattice lies at integer multiples of the resolution in the world. So neighbouring blocks evaluate the same points on their common face,
-and their triangles meet exactly.
+The lattice lies at integer multiples of the cells in the world. So neighbouring blocks evaluate the same points on their common face, and
+their triangles meet exactly. Where fused depth images tell finer shape than the network, cells are halved: the network is interpolated
+between the points of the lattice of whole cells, and what is flat is put together again (`vertex_clustering`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -17,6 +19,10 @@ from torch import Tensor
 
 from idfslam.geometry.blocks import pack, touched_blocks
 from idfslam.geometry.depth_view import DepthView
+from idfslam.mapping.vertex_clustering import clustered
+
+Refinement: TypeAlias = Callable[[Tensor, Tensor], Tensor]  # points (N, 3) [m], values there (N,) [tr] -> finer values (N,) [tr]
+_Lattice: TypeAlias = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 CELLS = 16  # cells along a block's edge. More: more points are evaluated away from the surface. Chosen by hand
 _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more memory. Chosen by hand
@@ -34,20 +40,28 @@ def extract_mesh(
     truncation: float,
     device: torch.device | str = "cpu",
     stride: int = 4,
+    refine: Refinement | None = None,
+    finer: Iterable[DepthView] | None = None,
 ) -> trimesh.Trimesh:
     """The zero level of `sdf` where the views observed it, in metres, with vertex colours. Triangles face free space.
 
     sdf: points (N, 3) [m] on `device` -> (N,) [tr], positive in front of the surface. colour: points (N, 3) -> (N, 3) in [0, 1].
+    refine: points (N, 3) [m] and `sdf` there (N,) -> finer values (N,) [tr], in cells of half the resolution. finer: the same views in more
+    rows, if there are such, by which what was not observed is told.
+
     Vertices farther than 1.5 cells plus 0.3 tr from the views' readings are removed (`observed`). Only blocks near a reading are evaluated,
     and for that test readings of every `stride`-th row and column are used. Memory: the triangles, and the lattice of 64 blocks at a time,
     whatever the size of the scene.
     """
-    tolerance = _CELLS_OFF * resolution + _TRUNCATIONS_OFF * truncation
-    reach = _SLANT * tolerance
-    blocks = touched_blocks(views, CELLS * resolution, reach, stride=stride)
-    vertices, faces, keys = _concatenate(_march(sdf, blocks, resolution, device))
+    cells = resolution if refine is None else resolution / 2
+    tolerance = _CELLS_OFF * cells + _TRUNCATIONS_OFF * truncation
+    blocks = touched_blocks(views, CELLS * cells, _SLANT * tolerance, stride=stride)
+    lattices = _lattices(sdf, blocks, cells, device) if refine is None else _refined(sdf, refine, blocks, cells, device)
+    vertices, faces, keys = _concatenate(_march(lattices, cells))
     faces = weld(faces, keys)
-    keep = observed(vertices, views, tolerance)
+    if refine is not None:
+        vertices, faces = clustered(vertices, faces, resolution)
+    keep = observed(vertices, views if finer is None else finer, tolerance)
     faces = faces[keep[faces].all(1)]
     used = np.zeros(len(vertices), bool)
     used[faces] = True
@@ -67,20 +81,52 @@ class _Piece:
     keys: NDArray[np.int64]  # (N,) key of the lattice edge of a vertex on the block's faces; -1 for all others
 
 
-def _march(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], resolution: float, device: torch.device | str) -> Iterator[_Piece]:
-    """Marching cubes in each block that the surface passes through."""
-    steps = np.arange(CELLS + 1)
-    lattice = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+def _lattices(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], cells: float, device: torch.device | str) -> Iterator[_Lattice]:
+    """The first points (B, 3) [cells] of some blocks at a time, and `sdf` (B, CELLS + 1, CELLS + 1, CELLS + 1) in them."""
     for first in range(0, len(blocks), _BATCH):
         origins = blocks[first : first + _BATCH] * CELLS
-        points = (origins[:, None] + lattice).reshape(-1, 3) * resolution
-        volumes = _evaluate(sdf, points, device).reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
+        values = _evaluate(sdf, _points(origins, CELLS + 1, 1) * cells, device)
+        yield origins, values.reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
+
+
+def _refined(
+    sdf: Callable[[Tensor], Tensor], refine: Refinement, blocks: NDArray[np.int64], cells: float, device: torch.device | str
+) -> Iterator[_Lattice]:
+    """`_lattices` with `sdf` at every second point, interpolated between these, and refined."""
+    side = CELLS // 2 + 1
+    for first in range(0, len(blocks), _BATCH):
+        origins = blocks[first : first + _BATCH] * CELLS
+        values = _evaluate(sdf, _points(origins, side, 2) * cells, device).reshape(-1, side, side, side)
+        for axis in (1, 2, 3):
+            values = _halved(values, axis)
+        points = torch.from_numpy((_points(origins, CELLS + 1, 1) * cells).astype(np.float32)).to(device)
+        finer = refine(points, torch.from_numpy(values.reshape(-1)).to(device))
+        yield origins, finer.float().cpu().numpy().reshape(values.shape)
+
+
+def _points(origins: NDArray[np.int64], side: int, step: int) -> NDArray[np.int64]:
+    """The points (B * side^3, 3) of lattices of `side` points along each edge, `step` apart."""
+    steps = np.arange(side) * step
+    return (origins[:, None] + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)).reshape(-1, 3)
+
+
+def _halved(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Values with the means of neighbours along an axis put between them."""
+    values = np.moveaxis(values, axis, -1)
+    fine = np.empty((*values.shape[:-1], 2 * values.shape[-1] - 1), np.float32)
+    fine[..., ::2], fine[..., 1::2] = values, (values[..., 1:] + values[..., :-1]) / 2
+    return np.ascontiguousarray(np.moveaxis(fine, -1, axis))
+
+
+def _march(lattices: Iterator[_Lattice], cells: float) -> Iterator[_Piece]:
+    """Marching cubes in each block that the surface passes through."""
+    for origins, values in lattices:
         # A value of exactly zero would put the vertices of several edges onto one lattice point. So values stay 1e-4 away from zero.
-        volumes = np.where(np.abs(volumes) < 1e-4, np.where(volumes < 0, -1e-4, 1e-4), volumes).astype(np.float32)
+        volumes = np.where(np.abs(values) < 1e-4, np.where(values < 0, -1e-4, 1e-4), values).astype(np.float32)
         crossed = (volumes.min((1, 2, 3)) < 0) & (volumes.max((1, 2, 3)) > 0)
         for i in np.flatnonzero(crossed):
             local, faces, _, _ = marching_cubes(volumes[i], 0.0, gradient_direction="descent", allow_degenerate=True)
-            yield _Piece((local.astype(np.float64) + origins[i]) * resolution, faces.astype(np.int64), _seam_keys(local, origins[i]))
+            yield _Piece((local.astype(np.float64) + origins[i]) * cells, faces.astype(np.int64), _seam_keys(local, origins[i]))
 
 
 def _seam_keys(local: NDArray, origin: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -122,7 +168,7 @@ def _evaluate(function: Callable[[Tensor], Tensor], points: NDArray, device: tor
     return torch.cat([function(batch.to(device)).float().cpu() for batch in batches]).numpy()
 
 
-def observed(vertices: NDArray[np.float64], views: Sequence[DepthView], tolerance: float) -> NDArray[np.bool_]:
+def observed(vertices: NDArray[np.float64], views: Iterable[DepthView], tolerance: float) -> NDArray[np.bool_]:
     """Which vertices (N, 3) [m] the views observed: at least one view has a reading within `tolerance` [m] of the vertex's depth.
 
     The reading may be at any of the four pixels around the projection, so surface at a grazing angle counts. A view looked through the

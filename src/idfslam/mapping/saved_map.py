@@ -1,7 +1,7 @@
 """A map in one file: the field's weights, the fused volume, and the depth of views, which restricts meshes to observed surface."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -81,17 +81,32 @@ def _reach(views: Sequence[DepthView], T_wc: NDArray[np.float64]) -> float:
     return max(float(view.depth.max()) * _SLANT + float(np.linalg.norm(view.T_wc[:3, 3] - T_wc[:3, 3])) for view in views)
 
 
-def mesh_of(surface: ImplicitSurface, views: Sequence[DepthView], resolution: float) -> trimesh.Trimesh:
-    """The surface where the views observed it. Colour that depends on the view direction is that of a head-on view."""
-    field = surface.field
+def mesh_of(
+    surface: ImplicitSurface, views: Sequence[DepthView], resolution: float, *, finer: Iterable[DepthView] | None = None
+) -> trimesh.Trimesh:
+    """The surface where the views observed it. Colour that depends on the view direction is that of a head-on view.
+
+    finer: the same views in more rows, if there are such. Where voxels are smaller than `resolution` [m], so are cells that are not flat.
+    """
+    field, volume = surface.field, surface.volume
     device = next(field.parameters()).device
 
     def colour(points: Tensor) -> Tensor:
         towards = -field.distance(points)[1] if field.direction_encoding is not None else None
         return field(points, towards)[1]
 
+    refine = surface.blended if volume is not None and volume.voxel < resolution else None
     with torch.no_grad():
-        return extract_mesh(surface.sdf, colour, views, resolution=resolution, truncation=surface.truncation, device=device)
+        return extract_mesh(
+            surface.sdf if refine is None else surface.of_field,
+            colour,
+            views,
+            resolution=resolution,
+            truncation=surface.truncation,
+            device=device,
+            refine=refine,
+            finer=finer,
+        )
 
 
 def save_map(path: Path, field: SurfaceField, views: Sequence[DepthView], volume: TsdfVolume | None = None) -> None:

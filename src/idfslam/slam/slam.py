@@ -170,8 +170,8 @@ class Slam:
         if not 0 < cells < np.inf:
             raise ConfigError(f"resolution is {resolution}, expected metres above 0, such as {self.config.mesh.resolution}")
         self._check_mapped()
-        surface = ImplicitSurface(self.mapper.learnt(), self._volume)
-        mesh, archive = mesh_of(surface, self.coverage.views(), cells), self.archive() if self._finished else None
+        surface, finer = ImplicitSurface(self.mapper.learnt(), self._volume), self.coverage.finer_views() if self._finished else None
+        mesh, archive = mesh_of(surface, self.coverage.views(), cells, finer=finer), self.archive() if self._finished else None
         return mesh if archive is None or not len(mesh.vertices) else recoloured(mesh, archive)
 
     def save_map(self, path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit, prange
 
-from idfslam.fusion.constants import BLOCK
+from idfslam.fusion.constants import BLOCK, LEAST_PART
 from idfslam.geometry.blocks import OFFSET
 
 _MIX = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio (Knuth): a fact of multiplicative hashing
@@ -43,13 +43,15 @@ def blend_at(x, y, z, otherwise, keys, rows, distance, trust, voxel, step):  # t
     blended = otherwise
     row, p, q, r = np.int64(-1), np.int64(OFFSET), np.int64(OFFSET), np.int64(OFFSET)  # of the last corner's block; none yet
     for corner in range(8):
+        part = (u if corner & 1 else 1 - u) * (v if corner & 2 else 1 - v) * (w if corner & 4 else 1 - w)
+        if part < LEAST_PART:
+            continue
         a, b, c = i + (corner & 1), j + ((corner >> 1) & 1), k + (corner >> 2)
         if a // BLOCK != p or b // BLOCK != q or c // BLOCK != r:
             p, q, r = a // BLOCK, b // BLOCK, c // BLOCK
             row = find(p, q, r, keys, rows)
         if row < 0:
             continue
-        part = (u if corner & 1 else 1 - u) * (v if corner & 2 else 1 - v) * (w if corner & 4 else 1 - w)
         l, m, n = a - p * BLOCK, b - q * BLOCK, c - r * BLOCK
         blended += part * (trust[row, l, m, n] / 255) * (distance[row, l, m, n] * step - otherwise)
     return blended
