@@ -43,6 +43,13 @@ def test_slopes_are_those_of_the_plain_form_and_of_a_plane() -> None:
     np.testing.assert_allclose(slanted.slope, 2 / plane, rtol=1e-3)  # the plane is 2 m from the camera
 
 
+def test_information_falls_towards_an_edge_as_the_readings_of_the_surface_do() -> None:
+    depth = np.full((CAMERA.height, CAMERA.width), 1.0, np.float32)
+    depth[:, 80:] = 2.0
+    along_row = prepared(DepthView(np.eye(4), depth, CAMERA)).information[60, 70:80]
+    np.testing.assert_allclose(along_row[-3:] / along_row[0], [1, 4 / 5, 3 / 5], rtol=0.01)  # windows of five columns
+
+
 def test_integration_is_that_of_the_plain_form() -> None:
     views = [view(-0.2, 0.1, 0.01), view(0.3, -0.4, 0.01, 1)]
     blocks = touched_blocks(views, BLOCK * VOXEL, TRUNCATION)

@@ -141,13 +141,21 @@ def test_finer_values_make_finer_cells_where_the_surface_is_not_flat() -> None:
     def rough(points: Tensor) -> Tensor:
         return box(points) + 0.01 / TR
 
+    def exact(origins: NDArray[np.int64], cells: float, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return box(torch.from_numpy(lattice(origins, values) * cells)).float().numpy()
+
     views = [look(box, p) for p in AROUND]
-    fine = extract_mesh(rough, None, views, resolution=0.02, truncation=TR, refine=lambda points, _: box(points))
+    fine = extract_mesh(rough, None, views, resolution=0.02, truncation=TR, refine=exact)
     coarse, halved = (extract_mesh(box, None, views, resolution=cells, truncation=TR) for cells in (0.02, 0.01))
     assert fine.is_watertight and fine.body_count == 1
     assert len(fine.faces) < 0.45 * len(halved.faces) and len(fine.faces) < 1.8 * len(coarse.faces)
     assert mean_gap(fine) < 0.6 * mean_gap(coarse)
     np.testing.assert_allclose(fine.bounds[1], np.array([0.55, 0.45, 0.35]) + 0.0037, atol=5e-4)
+
+
+def lattice(origins: NDArray[np.int64], values: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The points (B, S, S, S, 3) [cells] of values (B, S, S, S)."""
+    return origins[:, None, None, None] + np.moveaxis(np.indices(values.shape[1:]), 0, -1)
 
 
 def mean_gap(mesh: trimesh.Trimesh) -> float:
@@ -165,16 +173,15 @@ def mean_gap(mesh: trimesh.Trimesh) -> float:
 
 def test_between_the_points_of_a_coarse_lattice_values_are_interpolated() -> None:
     """`refine` gets `sdf` as it is where it is linear, and is asked for every point of a lattice of half cells."""
-    plane = torch.tensor([0.3, -0.5, 0.81])
-    seen = []
+    plane, seen = torch.tensor([0.3, -0.5, 0.81]), []
 
-    def watched(points: Tensor, values: Tensor) -> Tensor:
-        torch.testing.assert_close(values, points @ plane, atol=1e-5, rtol=0)
-        seen.append(torch.unique((points / 0.01).round() % 2))
+    def watched(origins: NDArray[np.int64], cells: float, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        np.testing.assert_allclose(values, lattice(origins, values) * cells @ plane.numpy(), atol=1e-5)
+        seen.append((cells, values.shape[1:]))
         return values
 
     mesh = extract_mesh(lambda p: p @ plane, None, [look(ball, (0, 0, 1.5))], resolution=0.02, truncation=TR, refine=watched)
-    assert seen and torch.equal(seen[0], torch.tensor([0.0, 1.0]))
+    assert set(seen) == {(0.01, (17, 17, 17))}
     assert np.abs(mesh.vertices @ plane.numpy()).max(initial=0) < 1e-4
 
 

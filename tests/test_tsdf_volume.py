@@ -6,7 +6,14 @@ import torch
 
 from helpers.plane_volume import plane_volume
 from idfslam.fusion.constants import BLOCK
-from idfslam.fusion.tsdf_volume import TsdfVolume, compiled_blend, no_volume, plain_blend
+from idfslam.fusion.tsdf_volume import (
+    TsdfVolume,
+    compiled_blend,
+    compiled_blend_lattices,
+    no_volume,
+    plain_blend,
+    plain_blend_lattices,
+)
 from idfslam.fusion.volume_codec import tensors_of, volume_of
 
 
@@ -24,6 +31,17 @@ def test_blending_is_that_of_the_plain_form() -> None:
     found = compiled_blend(volume, points, otherwise)
     np.testing.assert_allclose(found, plain_blend(volume, points, otherwise), atol=1e-6)
     assert 0.1 < (found != otherwise).mean() < 0.9
+
+
+@pytest.mark.parametrize("cells", [0.02, 0.013])  # the volume's voxels, and others
+def test_lattices_are_blended_as_points_are(cells: float) -> None:
+    volume, rng = random_volume(), np.random.default_rng(1)
+    origins, otherwise = rng.integers(-30, 30, (40, 3)), rng.normal(0, 0.1, (40, 5, 5, 5)).astype(np.float32)
+    points = (origins[:, None] + np.stack(np.meshgrid(*[np.arange(5)] * 3, indexing="ij"), -1).reshape(-1, 3)) * cells
+    expected = volume.blend(points.reshape(-1, 3).astype(np.float32), otherwise.reshape(-1)).reshape(otherwise.shape)
+    for form in (compiled_blend_lattices, plain_blend_lattices):
+        np.testing.assert_allclose(form(volume, origins, cells, otherwise), expected, atol=2e-5)
+    assert 0.1 < (expected != otherwise).mean() < 0.9
 
 
 @pytest.mark.parametrize("form", [compiled_blend, plain_blend])

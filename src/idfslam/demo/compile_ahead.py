@@ -57,7 +57,7 @@ def main() -> None:
     print("ready", flush=True)
     mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
     mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
-    saved, archive = SavedMap(slam.mapper.learnt(), slam.coverage.views(), slam.surface_fusion.volume([])), slam.archive()
+    saved, archive = SavedMap(slam.mapper.learnt(), slam.coverage.views(), slam.surface_fusion.volume()), slam.archive()
     (saved if archive is None else MapViews(saved, archive)).render(poses[0], camera)
 
 

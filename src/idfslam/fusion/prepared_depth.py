@@ -22,9 +22,6 @@ Floats = NDArray[np.float32]
 
 REACH = 2  # [px] rows and columns around a reading that its plane is fitted to. More: smoother slants, less detail. Chosen by hand
 _LEAST_READINGS = 6  # readings that a plane needs; fewer: the surface counts as slanted as can be. More: edges count less. Chosen by hand
-# [1] Power of the share of the readings around that lie on the same surface, by which information falls towards edges: there a pixel may
-# show either side. More: what is fused keeps farther from edges. Chosen by hand
-_EDGE_POWER = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +53,7 @@ def compiled_planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Flo
 
     slope, information = np.zeros_like(depth), np.zeros_like(depth)
     intrinsics = tuple(np.float32(value) for value in intrinsics_of(camera))
-    readings = _LEAST_READINGS, (2 * REACH + 1) ** 2, _EDGE_POWER
+    readings = _LEAST_READINGS, (2 * REACH + 1) ** 2
     fill(np.ascontiguousarray(depth), intrinsics, along_u, along_v, count, readings, slope, information)
     return slope, information
 
@@ -75,7 +72,7 @@ def plain_planes(depth: Floats, camera: Camera, along_u: Floats, along_v: Floats
     cosine = np.where(count >= _LEAST_READINGS, np.maximum(cosine, LEAST_SLANT), LEAST_SLANT).astype(np.float32)
     slope = np.where(read, cosine * length, 0).astype(np.float32)
     sigma = BEST * noise_ratio(torch.from_numpy(depth)).numpy() * length
-    inner = (count / np.float32((2 * REACH + 1) ** 2)) ** _EDGE_POWER
+    inner = count / np.float32((2 * REACH + 1) ** 2)  # towards an edge it falls: there a pixel may show either side
     information = np.where(read, (cosine / sigma) ** 2 * inner, 0).astype(np.float32)
     return slope, information
 

@@ -18,8 +18,9 @@ _ROUGHNESS = 0.0005  # [m] by which a surface that looks smooth may still bend. 
 
 def denoised(blocks: NDArray[np.int64], values: Floats, variance: Floats, seen: NDArray[np.bool_]) -> Floats:
     """Distances (M, B, B, B) [m] of which noise of a variance (M, B, B, B) [m^2] is taken out."""
-    off = around(blocks, values, seen) - values
-    of_shape = np.maximum(around(blocks, off * off, seen) - variance, 0) + np.float32(_ROUGHNESS**2)
+    number = _sum_around(blocks, seen.astype(np.float32))
+    off = _mean_around(blocks, values, seen, number) - values
+    of_shape = np.maximum(_mean_around(blocks, off * off, seen, number) - variance, 0) + np.float32(_ROUGHNESS**2)
     return np.asarray(values + variance / (variance + of_shape) * off)
 
 
@@ -28,12 +29,21 @@ def around(blocks: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_]) -
 
     Information is no weight here: it falls on both sides of a surface, and not alike, which would move the surface.
     """
-    total = seen.astype(np.float32)
-    sums = total * values
+    return _mean_around(blocks, values, seen, _sum_around(blocks, seen.astype(np.float32)))
+
+
+def _mean_around(blocks: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_], number: Floats) -> Floats:
+    """`around`, where the weighted number (M, B, B, B) of voxels that were seen is known."""
+    total = _sum_around(blocks, np.where(seen, values, np.float32(0)))
+    return np.divide(total, number, out=np.zeros_like(total), where=number > 0)
+
+
+def _sum_around(blocks: NDArray[np.int64], array: Floats) -> Floats:
+    """The weighted sum (M, B, B, B) of each voxel and those around it."""
     for axis in range(3):
         before, after = (_neighbours(blocks, axis, step) for step in (-1, 1))
-        total, sums = (_binomial(array, axis + 1, before, after) for array in (total, sums))
-    return np.divide(sums, total, out=np.zeros_like(sums), where=total > 0)
+        array = _binomial(array, axis + 1, before, after)
+    return array
 
 
 def _neighbours(blocks: NDArray[np.int64], axis: int, step: int) -> NDArray[np.int64]:

@@ -35,6 +35,11 @@ class TsdfVolume:
         form = pick(torch.empty(0), compiled=compiled_blend, plain=plain_blend)
         return form(self, points, otherwise)
 
+    def blend_lattices(self, origins: NDArray[np.int64], cells: float, otherwise: Floats) -> Floats:
+        """`blend` (B, S, S, S) [m] at the points (origins + (i, j, k)) * cells [m] of B lattices; otherwise (B, S, S, S) [m]."""
+        form = pick(torch.empty(0), compiled=compiled_blend_lattices, plain=plain_blend_lattices)
+        return form(self, origins, cells, otherwise)
+
     @cached_property
     def table(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """The hash table for kernels: keys (T,), -1 for none, and the block of each key (T,). T is a power of two."""
@@ -86,3 +91,18 @@ def plain_blend(volume: TsdfVolume, points: Floats, otherwise: Floats) -> Floats
         trust = np.where(keys[found] == key, volume.trust[at] / 255, 0)
         blended += part * trust * (volume.distance[at] * (volume.truncation / STEPS) - otherwise)
     return blended.astype(np.float32)
+
+
+def compiled_blend_lattices(volume: TsdfVolume, origins: NDArray[np.int64], cells: float, otherwise: Floats) -> Floats:
+    """`TsdfVolume.blend_lattices`, compiled by Numba."""
+    from idfslam.fusion.kernels.numba_volume import blend_lattices
+
+    blended = np.empty_like(otherwise)
+    blend_lattices(origins, cells, np.ascontiguousarray(otherwise), *volume.arrays, blended)
+    return blended
+
+
+def plain_blend_lattices(volume: TsdfVolume, origins: NDArray[np.int64], cells: float, otherwise: Floats) -> Floats:
+    """`TsdfVolume.blend_lattices` in numpy."""
+    points = (origins[:, None, None, None] + np.moveaxis(np.indices(otherwise.shape[1:]), 0, -1)) * cells
+    return plain_blend(volume, points.reshape(-1, 3).astype(np.float32), otherwise.reshape(-1)).reshape(otherwise.shape)

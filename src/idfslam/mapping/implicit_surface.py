@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.fusion.tsdf_volume import TsdfVolume
@@ -27,19 +29,23 @@ class ImplicitSurface:
     @torch.no_grad()
     def sdf(self, points: Tensor) -> Tensor:
         """Signed distance (N,) [tr] at points (N, 3) [m], positive in front of the surface; without gradients."""
-        return self.blended(points, self.of_field(points))
+        of_field = self.of_field(points)
+        if self.volume is None:
+            return of_field
+        distance = (of_field * self.truncation).float().cpu().numpy()
+        return torch.from_numpy(self.volume.blend(points.float().cpu().numpy(), distance)).to(points.device) / self.truncation
 
     @torch.no_grad()
     def of_field(self, points: Tensor) -> Tensor:
         """The field's own signed distance (N,) [tr] at points (N, 3) [m]."""
         return fused.sdf_function(self.field)(points)
 
-    def blended(self, points: Tensor, of_field: Tensor) -> Tensor:
-        """The signed distance (N,) [tr] at points (N, 3) [m], where the field's own is `of_field` (N,) [tr]."""
+    def refined(self, origins: NDArray[np.int64], cells: float, of_field: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The signed distance (B, S, S, S) [tr] at the points (origins + (i, j, k)) * cells [m] of B lattices, from the field's own."""
         if self.volume is None:
             return of_field
-        distance = (of_field * self.truncation).float().cpu().numpy()
-        return torch.from_numpy(self.volume.blend(points.float().cpu().numpy(), distance)).to(points.device) / self.truncation
+        tr = np.float32(self.truncation)
+        return self.volume.blend_lattices(origins, cells, of_field * tr) / tr
 
     def tracer(self) -> Trace:
         """`sphere_tracing.trace` through this surface, compiled if possible."""

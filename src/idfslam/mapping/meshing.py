@@ -21,7 +21,8 @@ from idfslam.geometry.blocks import pack, touched_blocks
 from idfslam.geometry.depth_view import DepthView
 from idfslam.mapping.vertex_clustering import clustered
 
-Refinement: TypeAlias = Callable[[Tensor, Tensor], Tensor]  # points (N, 3) [m], values there (N,) [tr] -> finer values (N,) [tr]
+# First points (B, 3) [cells] of lattices, edge of the cells [m], values there (B, S, S, S) [tr] -> finer values (B, S, S, S) [tr]
+Refinement: TypeAlias = Callable[[NDArray[np.int64], float, NDArray[np.float32]], NDArray[np.float32]]
 _Lattice: TypeAlias = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 CELLS = 16  # cells along a block's edge. More: more points are evaluated away from the surface. Chosen by hand
@@ -46,8 +47,8 @@ def extract_mesh(
     """The zero level of `sdf` where the views observed it, in metres, with vertex colours. Triangles face free space.
 
     sdf: points (N, 3) [m] on `device` -> (N,) [tr], positive in front of the surface. colour: points (N, 3) -> (N, 3) in [0, 1].
-    refine: points (N, 3) [m] and `sdf` there (N,) -> finer values (N,) [tr], in cells of half the resolution. finer: the same views in more
-    rows, if there are such, by which what was not observed is told.
+    refine: makes values of `sdf`, interpolated in lattices of half the resolution, finer ones. finer: the same views in more rows, if there
+    are such, by which what was not observed is told.
 
     Vertices farther than 1.5 cells plus 0.3 tr from the views' readings are removed (`observed`). Only blocks near a reading are evaluated,
     and for that test readings of every `stride`-th row and column are used. Memory: the triangles, and the lattice of 64 blocks at a time,
@@ -99,9 +100,7 @@ def _refined(
         values = _evaluate(sdf, _points(origins, side, 2) * cells, device).reshape(-1, side, side, side)
         for axis in (1, 2, 3):
             values = _halved(values, axis)
-        points = torch.from_numpy((_points(origins, CELLS + 1, 1) * cells).astype(np.float32)).to(device)
-        finer = refine(points, torch.from_numpy(values.reshape(-1)).to(device))
-        yield origins, finer.float().cpu().numpy().reshape(values.shape)
+        yield origins, refine(origins, cells, values)
 
 
 def _points(origins: NDArray[np.int64], side: int, step: int) -> NDArray[np.int64]:

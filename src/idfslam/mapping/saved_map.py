@@ -95,7 +95,7 @@ def mesh_of(
         towards = -field.distance(points)[1] if field.direction_encoding is not None else None
         return field(points, towards)[1]
 
-    refine = surface.blended if volume is not None and volume.voxel < resolution else None
+    refine = surface.refined if volume is not None and volume.voxel < resolution else None
     with torch.no_grad():
         return extract_mesh(
             surface.sdf if refine is None else surface.of_field,

@@ -154,9 +154,8 @@ class Slam:
         self.views.finish()
         self.hindsight.run()
         self.back_end.finish()
-        archive = self.archive()
         with self.timer.stage("fuse"):
-            self._volume = self.surface_fusion.volume([] if archive is None else archive.depths)
+            self._volume = self.surface_fusion.volume()
         self.back_end.settle()
 
     def mesh(self, resolution: float | None = None) -> trimesh.Trimesh:

@@ -1,7 +1,7 @@
-"""The crisp surface at the end of a run: mapped views, keyframes and archived images, at their final poses, fused into one volume."""
+"""The crisp surface at the end of a run: keyframes and mapped views, at their final poses, fused into one volume."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from idfslam.config import FusionConfig
 from idfslam.fusion.fuse import fuse, in_random_order
@@ -15,31 +15,30 @@ class SurfaceFusion(ABC):
     """Makes the volume that is blended with the map's network."""
 
     @abstractmethod
-    def volume(self, archived: Sequence[DepthView]) -> TsdfVolume | None:
-        """The volume at the present poses, with the depth of archived images; None: the surface is the network's alone."""
+    def volume(self) -> TsdfVolume | None:
+        """The volume at the present poses; None: the surface is the network's alone."""
 
 
 class NoFusion(SurfaceFusion):
     """No volume, as in the paper."""
 
-    def volume(self, archived: Sequence[DepthView]) -> TsdfVolume | None:
+    def volume(self) -> TsdfVolume | None:
         return None
 
 
 class ViewFusion(SurfaceFusion):
-    """Fuses the views of the coverage, the keyframes with all of their rows, and archived images. What moves is in none of them."""
+    """Fuses the keyframes with all of their rows, and the views of the coverage. What moves is in none of them."""
 
     def __init__(self, config: FusionConfig, graph: KeyframeGraph, coverage: Coverage) -> None:
         self.config, self.graph, self.coverage = config, graph, coverage
 
-    def volume(self, archived: Sequence[DepthView]) -> TsdfVolume | None:
-        return fuse(self.coverage.views(), self.config.voxel, self.config.blocks, readings=self._readings(archived))
+    def volume(self) -> TsdfVolume | None:
+        return fuse(self.coverage.views(), self.config.voxel, self.config.blocks, readings=self._readings())
 
-    def _readings(self, archived: Sequence[DepthView]) -> Iterator[DepthView]:
-        """Keyframes, views and archived images, finest first, one at a time."""
+    def _readings(self) -> Iterator[DepthView]:
+        """Keyframes and views, finest first, one at a time."""
         for keyframe in self.graph.keyframes:
             if keyframe.submap == 0:
                 yield DepthView(keyframe.T_wk.numpy(), keyframe.frame.depth, keyframe.camera)
         for T_wc, depth in in_random_order(self.coverage.packed()):
             yield depth.view(T_wc)
-        yield from archived

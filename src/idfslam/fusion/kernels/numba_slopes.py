@@ -49,10 +49,10 @@ def slopes(depth, reach, edge, edge_share, along_u, along_v, count):  # type: ig
 def planes(depth, intrinsics, along_u, along_v, count, readings, slope, information):  # type: ignore[no-untyped-def]
     """Fills slope and information (H, W) of readings: `prepared_depth.plain_planes`.
 
-    readings: number that a plane needs, largest number, and the power of their share by which information falls towards edges.
+    readings: number that a plane needs, and largest number.
     """
     fx, fy, cx, cy = intrinsics
-    least, most, power = readings
+    least, most = readings
     height, width = depth.shape
     for row in prange(height):
         ray_y = (np.float32(row) - cy) / fy
@@ -71,4 +71,4 @@ def planes(depth, intrinsics, along_u, along_v, count, readings, slope, informat
             sharpness = cosine / (_BEST * (_ONE + _GROWTH * beyond * beyond) * length)
             share = np.float32(count[row, column]) / np.float32(most)
             slope[row, column] = cosine * length
-            information[row, column] = sharpness * sharpness * share**power
+            information[row, column] = sharpness * sharpness * share

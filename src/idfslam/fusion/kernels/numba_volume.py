@@ -63,3 +63,17 @@ def blend(points, otherwise, keys, rows, distance, trust, voxel, step, blended):
     for n in prange(len(points)):
         x, y, z = points[n]
         blended[n] = blend_at(x, y, z, otherwise[n], keys, rows, distance, trust, voxel, step)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+def blend_lattices(origins, cells, otherwise, keys, rows, distance, trust, voxel, step, blended):  # type: ignore[no-untyped-def]
+    """Fills the blended distances (B, S, S, S) [m] of lattices with first points at `origins` (B, 3) [cells of `cells` m]."""
+    side = otherwise.shape[1]
+    for m in prange(len(origins)):
+        for i in range(side):
+            x = (origins[m, 0] + i) * cells
+            for j in range(side):
+                y = (origins[m, 1] + j) * cells
+                for k in range(side):
+                    z = (origins[m, 2] + k) * cells
+                    blended[m, i, j, k] = blend_at(x, y, z, otherwise[m, i, j, k], keys, rows, distance, trust, voxel, step)
