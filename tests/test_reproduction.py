@@ -18,7 +18,8 @@ from idfslam.benchmark.reproduction.suite import ABLATIONS, SMALL, Job, Scene, S
 from idfslam.cli import command_line
 from idfslam.config import PRESETS, preset
 from idfslam.errors import ConfigError, ResultError
-from idfslam.report.reproduction_page import markdown, reproduction_page, tables_of, write_reproduction
+from idfslam.report.reproduction_page import reproduction_page, write_reproduction
+from idfslam.report.reproduction_tables import markdown, tables_of
 from idfslam.storage.ledger import Ledger
 
 METHODS = list(PRESETS)

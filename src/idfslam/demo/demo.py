@@ -12,6 +12,7 @@ from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.demo.compile_ahead import compiling_ahead
 from idfslam.evaluation.evaluation import Evaluation
+from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.image_files import View, draw_views
 from idfslam.pictures.overview import draw_overview
@@ -72,7 +73,7 @@ def demo(
     if report:
         write_report(folder, recording=recording)
         return done, evaluation, [folder / OVERVIEW, folder / result_folder.PICTURES]
-    chosen = np.unique(np.linspace(0, len(poses) - 1, _VIEWS).round().astype(int)).tolist()
+    chosen = evenly_spread(len(poses), _VIEWS).tolist()
     with Ledger(folder).replacing(VIEWS) as part:
         draw_views(part, [_view(recording, poses, renderer, i, _SMALL) for i in chosen])
     return done, evaluation, [folder / OVERVIEW, folder / VIEWS]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.recording import Dataset
 from idfslam.errors import FrameError
+from idfslam.geometry.even_spacing import evenly_spread
 
 _FRAMES = 20  # that are read, spread evenly over the recording; raised, the range is more exact and takes longer. Chosen by hand
 _OUTLIERS = 1e-3  # [1] share of readings left out at either end (reflections, mixed pixels); raised, the range shrinks. Chosen by hand
@@ -35,7 +36,7 @@ def depth_range(recording: Dataset) -> DepthRange | None:
 
 
 def _readings(recording: Dataset) -> Iterator[NDArray[np.float32]]:
-    for i in np.unique(np.linspace(0, len(recording) - 1, _FRAMES).round().astype(int)).tolist():
+    for i in evenly_spread(len(recording), _FRAMES).tolist():
         try:
             depth = recording[i].depth
         except FrameError:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idfslam.export.formats import Up
 from idfslam.export.run_surface import mesh_of_run
-from idfslam.geometry.level import level
+from idfslam.geometry.level import Level, level
 from idfslam.runs.finished_run import FinishedRun
 
 log = logging.getLogger(__name__)
@@ -33,10 +33,15 @@ class Axes:
         """Found from the mesh and the trajectory of the run."""
         if up == "camera":
             return Axes(up, np.eye(4), True)
-        found = level(mesh_of_run(run), run.trajectory.poses)
-        T_ew = np.eye(4)
-        T_ew[:3, :3] = found.R_lw
-        return Axes(up, T_ew if up == "z" else _Y_UP @ T_ew, found.by_gravity)
+        upright = Axes.upright(level(mesh_of_run(run), run.trajectory.poses))
+        return upright if up == "z" else Axes(up, _Y_UP @ upright.T_ew, upright.by_gravity)
+
+    @staticmethod
+    def upright(found: Level) -> "Axes":
+        """Those of level coordinates: z up."""
+        T_lw = np.eye(4)
+        T_lw[:3, :3] = found.R_lw
+        return Axes("z", T_lw, found.by_gravity)
 
     @property
     def gltf(self) -> "Axes":

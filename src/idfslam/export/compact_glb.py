@@ -10,12 +10,11 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam import __version__
-from idfslam.export.mesh_files import linear
+from idfslam.export.mesh_files import ATLAS_SAMPLER, MATTE, linear
 
 _QUALITY = 85  # [1] of 100, of the texture. More: a larger file. Chosen by hand
 _BYTE, _UNSIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT, _FLOAT = 5120, 5121, 5123, 5125, 5126  # component types: a fact of glTF 2.0
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # kinds of chunks: a fact of glTF 2.0
-_ATLAS = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}  # linear, without mip levels and repetition
 
 
 class _Buffer:
@@ -55,7 +54,7 @@ def compact_glb(mesh: trimesh.Trimesh) -> bytes:
         "NORMAL": buffer.attribute(normals, _BYTE, "VEC3"),
     }
     primitive: dict[str, Any] = {"attributes": attributes, "material": 0}
-    surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+    surface: dict[str, Any] = dict(MATTE)
     tree: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"idf-slam {__version__}"},
         "extensionsUsed": ["KHR_mesh_quantization"], "extensionsRequired": ["KHR_mesh_quantization"],
@@ -69,7 +68,7 @@ def compact_glb(mesh: trimesh.Trimesh) -> bytes:
         jpeg = io.BytesIO()
         image.baseColorTexture.save(jpeg, "JPEG", quality=_QUALITY, subsampling=0)  # halved colours would mix neighbouring patches
         surface["baseColorTexture"] = {"index": 0}
-        tree |= {"images": [{"bufferView": buffer.view(jpeg.getvalue()), "mimeType": "image/jpeg"}], "samplers": [_ATLAS]}
+        tree |= {"images": [{"bufferView": buffer.view(jpeg.getvalue()), "mimeType": "image/jpeg"}], "samplers": [ATLAS_SAMPLER]}
         tree["textures"] = [{"source": 0, "sampler": 0}]
     else:
         colours: Any = visual

@@ -1,22 +1,22 @@
 """Exports a finished run to the formats of other programs, one method for each format."""
 
-import itertools
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
-import torch
 import trimesh
 from numpy.typing import NDArray
 
 from idfslam.datasets import Dataset
-from idfslam.errors import ConfigError, FrameError, IdfSlamError, RecordingError, ResultError
+from idfslam.errors import ConfigError, IdfSlamError, ResultError
 from idfslam.export import colmap, memory_need, nerfstudio, tsdf_grid
 from idfslam.export.axes import Axes
+from idfslam.export.axes_file import RECORD, note_axes
+from idfslam.export.exported_frames import posed_images
 from idfslam.export.formats import Format, Lost, Texture, Up
 from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
 from idfslam.export.lost_frames import LOST, remarked, write_lost
@@ -24,20 +24,16 @@ from idfslam.export.masks import write_masks
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
 from idfslam.export.page import page_of
 from idfslam.export.point_cloud import PointCloud, fuse
-from idfslam.export.record import RECORD, note_axes
 from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
+from idfslam.export.run_texture import with_texture
 from idfslam.export.splats import write_splats
 from idfslam.export.surface import turned
-from idfslam.export.texture import textured
 from idfslam.geometry.kitti import save_kitti
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.runs.prior_map import earlier_keyframes
 from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
-from idfslam.views.blending import Floats
-from idfslam.views.surface_colour import Shade, as_exposed, from_images, of_archive, of_frames
 
 log = logging.getLogger(__name__)
 
@@ -211,35 +207,9 @@ class Exporter:
         return [self.out / "blocks.npz"]
 
     def _posed_images(self) -> Iterator[PosedImage]:
-        """The images of `_images` in the axes of the exports; with --lost keep those whose pose is not trusted as well."""
-        return (replace(image, T_wc=self._axes.T_ew @ image.T_wc) for image in self._images(guessed=self.lost == "keep"))
-
-    def _images(self, *, guessed: bool = False) -> Iterator[PosedImage]:
-        """The exported frames: the keyframes of the map that the run started in, then frames of the run's own recording.
-
-        guessed: with those whose pose was not measured or is in doubt. An unreadable frame is reported and left out.
-        Raises RecordingError if none is left.
-        """
-        found = False
-        for image in itertools.chain(self._earlier_images(), self._own_images(guessed)):
-            found = True
-            yield image
-        if not found:
-            raise RecordingError(f"{self.run.folder}: none of the frames to export can be read")
-
-    def _earlier_images(self) -> Iterator[PosedImage]:
-        if self.images is None:
-            for i, keyframe in enumerate(earlier_keyframes(self.run.keyframes.earlier)):
-                yield PosedImage(f"earlier_{i:06d}.png", keyframe.T_wk.numpy(), keyframe.frame)
-
-    def _own_images(self, guessed: bool) -> Iterator[PosedImage]:
-        if self.images is None and self.run.keyframes.earlier and not len(self.run.keyframes.indices):
-            return  # the map that the run started in needed no keyframe of it
-        for i in map(int, self.run.frames_to_show(self.images, guessed=guessed)):
-            try:
-                yield PosedImage(f"{i:06d}.png", self.run.trajectory.poses[i], self.run.recording[i], self.run.statuses[i])
-            except FrameError as error:
-                log.warning("%s; the frame is left out", error)
+        """The exported images in the axes of the exports; with --lost keep those whose pose is not trusted as well."""
+        images = posed_images(self.run, self.images, guessed=self.lost == "keep")
+        return (replace(image, T_wc=self._axes.T_ew @ image.T_wc) for image in images)
 
     def _cloud(self, images: Iterable[PosedImage]) -> PointCloud:
         """The points of the images whose pose is trusted, in the axes of the images' poses."""
@@ -255,24 +225,8 @@ class Exporter:
         """The mesh, with a texture if one is chosen."""
         if self.texture is None:
             return self._mesh
-        if self.texture == "map":
-            return textured(self._mesh, self._map_colour)
-        if self.images is not None or self.run.archive is None:
-            return textured(
-                self._mesh, from_images(lambda: of_frames((image.frame, image.T_wc) for image in self._images()), self._map_colour)
-            )
-        archive = self.run.archive
-        exposed: Shade = lambda points, normals: as_exposed(archive, self._map_colour(points, normals))  # noqa: E731
-        return textured(self._mesh, from_images(lambda: of_archive(archive), exposed))
-
-    @torch.no_grad()
-    def _map_colour(self, points: Floats, normals: Floats) -> Floats:
-        """The map's colour of points, seen along their normals."""
-        field = self.run.map.field
-        device = next(field.parameters()).device
-        chunks = (torch.from_numpy(np.ascontiguousarray(array)).to(device).split(1 << 18) for array in (points, -normals))
-        directed = field.direction_encoding is not None
-        return torch.cat([field(p, d if directed else None)[1].cpu() for p, d in zip(*chunks)]).numpy()
+        of_recording = self.images is not None or self.run.archive is None
+        return with_texture(self._mesh, self.run, self.texture, partial(posed_images, self.run, self.images) if of_recording else None)
 
 
 def _existing(folder: Path, names: Iterable[str]) -> list[str]:

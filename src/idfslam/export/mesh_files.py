@@ -15,9 +15,9 @@ from trimesh.exchange.ply import export_ply
 from idfslam import __version__
 from idfslam.storage import atomic_files
 
-_MATTE = {"metallicFactor": 0.0, "roughnessFactor": 1.0}  # glTF takes a mesh that does not say so for metal
+MATTE = {"metallicFactor": 0.0, "roughnessFactor": 1.0}  # glTF takes a mesh that does not say so for metal
 # Linear, without mip levels, whose texels would mix neighbours in the atlas that are none in the room; no repetition
-_UNFILTERED = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
+ATLAS_SAMPLER = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
 _MATTE_MTL = "newmtl {name}\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nNs 0\nillum 1\n"  # the colours as they are: no highlights
 
 
@@ -64,10 +64,10 @@ def _complete(tree: dict[str, Any]) -> None:
     """Adds to the JSON of a glTF file the program that wrote it, a sampler for a texture, and a material where there is none."""
     tree["asset"]["generator"] = f"idf-slam {__version__}"
     for texture in tree.get("textures", ()):
-        tree["samplers"] = [_UNFILTERED]
+        tree["samplers"] = [ATLAS_SAMPLER]
         texture["sampler"] = 0
     if "materials" not in tree:
-        tree["materials"] = [{"name": "surface", "pbrMetallicRoughness": _MATTE, "doubleSided": True}]
+        tree["materials"] = [{"name": "surface", "pbrMetallicRoughness": MATTE, "doubleSided": True}]
         for mesh in tree["meshes"]:
             for primitive in mesh["primitives"]:
                 primitive["material"] = 0

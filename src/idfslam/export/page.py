@@ -5,7 +5,6 @@ It holds the mesh with a texture from the archive of images, the camera's path, 
 """
 
 import base64
-import io
 import json
 from dataclasses import replace
 from importlib.resources import files
@@ -16,7 +15,6 @@ import numpy as np
 import trimesh
 from markupsafe import Markup
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -27,8 +25,10 @@ from idfslam.export.decimation import decimated
 from idfslam.export.surface import cleaned, turned
 from idfslam.export.texture import texel_size, textured
 from idfslam.frame import Status
+from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.pictures.direction import best_direction
 from idfslam.pictures.scraps import without_scraps
+from idfslam.pictures.web_picture import data_address
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.views.image_archive import ImageArchive
 from idfslam.views.surface_colour import of_archive, seen_colours
@@ -106,7 +106,7 @@ def _page_mesh(run: FinishedRun, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _some(archive: ImageArchive) -> ImageArchive:
     """At most _IMAGES of an archive."""
-    chosen = np.unique(np.linspace(0, len(archive.views) - 1, _IMAGES).round().astype(int))
+    chosen = evenly_spread(len(archive.views), _IMAGES)
     return replace(archive, views=[archive.views[i] for i in chosen], T_wc=archive.T_wc[chosen], exposures=archive.exposures[chosen])
 
 
@@ -124,7 +124,7 @@ def _content(run: FinishedRun, mesh: trimesh.Trimesh, T_ew: Floats, recording: D
     seconds = float(stamps[-1] - stamps[0])
     low, high = _extent(mesh, T_ew @ run.trajectory.poses)
     keyframes, camera = run.keyframes, run.keyframes.camera
-    pictured = set(keyframes.indices[np.unique(np.linspace(0, len(keyframes.indices) - 1, _PICTURES).round().astype(int))].tolist())
+    pictured = set(keyframes.indices[evenly_spread(len(keyframes.indices), _PICTURES)].tolist())
     return {
         "path": _poses(run.trajectory.poses[first], T_ew),
         "frames": first.tolist(),
@@ -166,9 +166,4 @@ def _picture(run: FinishedRun, recording: Dataset | None, index: int) -> str | N
     if colour is None and run.archive is not None:
         kept = [k for k, view in enumerate(run.archive.views) if view.index == index]
         colour = run.archive.colour(kept[0]) if kept else None
-    if colour is None:
-        return None
-    image, data = Image.fromarray(colour), io.BytesIO()
-    image.thumbnail((_WIDTH, _WIDTH))
-    image.save(data, "WEBP", quality=_QUALITY)
-    return f"data:image/webp;base64,{base64.b64encode(data.getvalue()).decode()}"
+    return None if colour is None else data_address(colour, _QUALITY, largest=_WIDTH)

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from idfslam import __version__
+from idfslam.export.binary_ply import binary_ply
 from idfslam.frame import Frame
+from idfslam.geometry.blocks import pack
 
 _EDGE = 0.03  # [1] relative difference in depth to a neighbour beyond which a reading is dropped, since depth cameras measure false depths
 #    at edges; raised, fewer are. Chosen by hand
-_OFFSET = 1 << 20  # added to voxel coordinates, which are packed into 21 bits each: larger ones do not fit
 _REACH = 2  # [px] to the neighbours that give a reading's normal. More: less noise, rounder edges. Chosen by hand
 
 Floats = NDArray[np.float64]
-_REALS, _BYTES = ("x", "y", "z", "nx", "ny", "nz"), ("red", "green", "blue")  # of a point in PLY
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +28,10 @@ class PointCloud:
 
     def save(self, path: Path) -> None:
         """As binary PLY."""
-        rows = np.zeros(len(self.points), [(name, "<f4") for name in _REALS] + [(name, "u1") for name in _BYTES])
-        for name, column in zip((*_REALS, *_BYTES), (*self.points.T, *self.normals.T, *np.round(self.colours.T * 255))):
-            rows[name] = column
-        properties = "".join([f"property float {name}\n" for name in _REALS] + [f"property uchar {name}\n" for name in _BYTES])
-        head = f"ply\nformat binary_little_endian 1.0\ncomment idf-slam {__version__}\nelement vertex {len(rows)}\n{properties}end_header\n"
-        path.write_bytes(head.encode() + rows.tobytes())
+        reals = zip(("x", "y", "z", "nx", "ny", "nz"), (*self.points.T, *self.normals.T))
+        colours = zip(("red", "green", "blue"), np.round(self.colours.T * 255))
+        properties = {name: ("<f4", values) for name, values in reals} | {name: ("u1", values) for name, values in colours}
+        path.write_bytes(binary_ply(properties))
 
 
 def fuse(frames: Iterable[tuple[Frame, Floats]], spacing: float) -> PointCloud:
@@ -42,8 +39,7 @@ def fuse(frames: Iterable[tuple[Frame, Floats]], spacing: float) -> PointCloud:
     keys, sums = np.empty(0, np.int64), np.empty((0, 10))
     for frame, T_wc in frames:
         rows = _readings(frame, T_wc)
-        x, y, z = (np.floor(rows[:, :3] / spacing).astype(np.int64) + _OFFSET).T
-        keys = np.concatenate([keys, (x << 42) | (y << 21) | z])
+        keys = np.concatenate([keys, pack(np.floor(rows[:, :3] / spacing))])
         keys, voxel = np.unique(keys, return_inverse=True)
         gathered = np.zeros((len(keys), 10))
         np.add.at(gathered, voxel, np.concatenate([sums, rows]))

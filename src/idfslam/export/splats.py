@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from idfslam import __version__
+from idfslam.export.binary_ply import binary_ply
 
 HARMONIC = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant spherical harmonic: a fact
 _WIDTH = 0.6  # [cells] standard deviation of a disc. More: smoother, softer. Less: gaps between discs. Chosen by hand
@@ -30,10 +30,8 @@ def write_splats(path: Path, mesh: trimesh.Trimesh, resolution: float) -> list[P
     colours = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255  # type: ignore[union-attr]
     scales = np.log(_WIDTH * resolution * np.array([1, 1, _FLATNESS]))
     columns = [mesh.vertices, normals, (colours - 0.5) / HARMONIC, np.full((count, 1), np.log(_OPACITY / (1 - _OPACITY)))]
-    data = np.concatenate([*columns, np.tile(scales, (count, 1)), _facing(normals)], 1).astype("<f4")
-    head = "".join(f"property float {name}\n" for name in PROPERTIES)
-    text = f"ply\nformat binary_little_endian 1.0\ncomment idf-slam {__version__}\nelement vertex {count}\n{head}end_header\n"
-    path.write_bytes(text.encode() + data.tobytes())
+    values = np.concatenate([*columns, np.tile(scales, (count, 1)), _facing(normals)], 1)
+    path.write_bytes(binary_ply({name: ("<f4", column) for name, column in zip(PROPERTIES, values.T, strict=True)}))
     return [path]
 
 

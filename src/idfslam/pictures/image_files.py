@@ -48,7 +48,7 @@ def write_colour(path: Path, colour: Image) -> None:
     _write(path, to_bytes(colour[..., ::-1]))
 
 
-def to_bytes(colour: Image) -> NDArray[np.uint8]:
+def to_bytes(colour: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Colour (H, W, 3) in [0, 1] as bytes; values outside are clipped."""
     return (np.clip(colour, 0, 1) * 255).round().astype(np.uint8)
 

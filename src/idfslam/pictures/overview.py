@@ -8,6 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.geometry.level import up_direction
 from idfslam.pictures.direction import best_direction
 from idfslam.pictures.image_files import View, to_bytes
@@ -39,8 +40,7 @@ def draw_overview(path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: N
     T_wo = pose_outside(mesh, up, best_direction(mesh, poses[:, :3, 3], up), _OUTSIDE)
     shown = picture.draw(T_wo, _OUTSIDE, Shading(background=_UNSEEN))
     depth = picture.depth(T_wo, _OUTSIDE)
-    chosen = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, _FRUSTA).round().astype(int))] if len(keyframes) else keyframes
-    for T_wk in poses[chosen]:
+    for T_wk in poses[keyframes[evenly_spread(len(keyframes), _FRUSTA)]]:
         for line in frustum(T_wk, camera):
             _draw_line(shown, depth, T_wo, line, _KEYFRAME, 1)
     _draw_line(shown, depth, T_wo, poses[:, :3, 3], _PATH, 2)

@@ -18,8 +18,8 @@ PAGE = "bench.html"
 
 def write_comparison(folder: Path, results: Mapping[str, Any]) -> Path:
     """Writes the page of a benchmark with peers into its folder. Raises ResultError if another's file is in its place."""
-    with output_folder.locked(folder), Ledger(folder).replacing(PAGE) as part:
-        part.write_text(comparison_page(results), encoding="utf-8")
+    with output_folder.locked(folder):
+        Ledger(folder).write_text(PAGE, comparison_page(results))
     return folder / PAGE
 
 

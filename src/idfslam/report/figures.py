@@ -18,7 +18,7 @@ _SLICE_WIDTH = 4.2  # [inch]: three slices fit next to each other
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class CameraPath:
     """The camera's path in level coordinates (z up)."""
 
     estimate: Floats  # (N, 3) [m]
@@ -34,7 +34,7 @@ class Plan:
     extent: tuple[float, float, float, float]  # left, right, bottom, top [m]
 
 
-def trajectory_chart(path: Path, axes: tuple[int, int], plan: Plan | None = None) -> Chart:
+def trajectory_chart(path: CameraPath, axes: tuple[int, int], plan: Plan | None = None) -> Chart:
     """The path along two axes of level coordinates, over the room's plan."""
     a, b = axes
 
@@ -146,7 +146,7 @@ def losses_chart(log: FrameLog) -> Chart | None:
     return chart("losses", 2.9, draw)
 
 
-def slice_chart(name: str, plan: Plan, path: Path, reach: float) -> Chart:
+def slice_chart(name: str, plan: Plan, path: CameraPath, reach: float) -> Chart:
     """The signed distance on a horizontal plane [m], NaN where nothing was observed. reach: end of the colour scale [m]."""
 
     def draw(figure: Figure) -> None:

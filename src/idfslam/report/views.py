@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import matplotlib as mpl
@@ -15,11 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from idfslam.datasets import Dataset
 from idfslam.errors import FrameError
+from idfslam.evaluation.view_error import psnr
 from idfslam.export.tsdf_grid import observed_space
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.geometry.level import from_above
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.direction import best_direction, shown
+from idfslam.pictures.image_files import to_bytes
 from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
 from idfslam.pictures.scraps import without_scraps
 from idfslam.report.figures import Plan
@@ -71,7 +73,7 @@ class Room:
     def inside(self) -> list[Image]:
         """Wide-angle pictures (H, W, 4) from four places on the path."""
         lit = Shading(occlusion=0)  # occlusion would take most of the report's time: here every pixel shows surface
-        return self._seen([self._poses[i] for i in evenly_spread(len(self._poses), 4)], _INSIDE, lit)
+        return self._seen([self._poses[i] for i in _between_ends(len(self._poses), 4)], _INSIDE, lit)
 
     def _seen(self, poses: Sequence[Floats], camera: Camera, shading: Shading) -> list[Image]:
         """Draws in parallel threads: ray casting and arithmetic on whole images release the interpreter."""
@@ -117,20 +119,19 @@ def moving_strip(archive: ImageArchive) -> list[tuple[str, Image]]:
     """Captions and pictures (h, w, 3) of images of the archive in which something moves, spread over the run, with that in red."""
     shares = np.array([(view.depth < 0).mean() for view in archive.depths])
     found = [i for i in np.argsort([view.index for view in archive.views], kind="stable") if shares[i] >= _LEAST_MOVING]
-    chosen = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, min(_MOVING_FRAMES, len(found))).round().astype(int))]
     strip = []
-    for i in chosen:
+    for i in (found[k] for k in evenly_spread(len(found), _MOVING_FRAMES)):
         colour, moving = archive.colour(i).astype(np.float32), archive.moving(i)[..., None]
         shown = np.where(moving, (1 - _COVER) * colour + _COVER * np.array(_MOVING, np.float32), colour)
         size = (_WIDTH, round(_WIDTH * archive.camera.height / archive.camera.width))
         picture = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
         index = archive.views[i].index
         name = "Image of the earlier run" if index == EARLIER else f"Frame {index}"
-        strip.append((f"{name}: {shares[i]:.0%} moves", _bytes(picture / 255)))
+        strip.append((f"{name}: {shares[i]:.0%} moves", to_bytes(picture / 255)))
     return strip
 
 
-def evenly_spread(count: int, wanted: int) -> list[int]:
+def _between_ends(count: int, wanted: int) -> list[int]:
     """`wanted` indices evenly spread over `count`, without the two ends."""
     return sorted({round(float(i)) for i in np.linspace(0, count - 1, wanted + 2)[1:-1]})
 
@@ -139,7 +140,7 @@ def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequen
     """Comparisons of frames spread over the run, rendered without their own images. Unreadable frames are left out."""
     own = recording.camera
     small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
-    for i in evenly_spread(len(poses), _FRAMES):
+    for i in _between_ends(len(poses), _FRAMES):
         try:
             frame = recording[i]
         except FrameError:
@@ -151,23 +152,20 @@ def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequen
         both = (measured > 0) & (depth > 0)
         error = np.where(both, np.abs(depth - measured), np.nan)
         far = float(np.percentile(measured[measured > 0], 99)) if (measured > 0).any() else 1.0
-        shown = matched_exposure(colour, seen, depth > 0)
-        mse = float(((shown - seen)[depth > 0] ** 2).mean()) if (depth > 0).any() else 1.0
+        surface = depth > 0
+        shown = matched_exposure(colour, seen, surface)
         pictures = {
-            "colour, recorded": _bytes(seen),
-            "colour, map": _bytes(shown),
+            "colour, recorded": to_bytes(seen),
+            "colour, map": to_bytes(shown),
             "depth, recorded": _painted(np.where(measured > 0, measured, np.nan) / far, "viridis"),
             "depth, map": _painted(np.where(depth > 0, depth, np.nan) / far, "viridis"),
             "depth error": _painted(error / _MAX_ERROR, "magma"),
         }
-        yield Comparison(i, pictures, -10 * float(np.log10(max(mse, 1e-10))), float(np.nanmedian(error)) if both.any() else float("nan"))
-
-
-def _bytes(colour: NDArray[Any]) -> Image:
-    return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8)
+        quality = psnr(shown[surface], seen[surface]) if surface.any() else 0.0
+        yield Comparison(i, pictures, quality, float(np.nanmedian(error)) if both.any() else float("nan"))
 
 
 def _painted(values: NDArray[np.floating], colours: str) -> Image:
     """Values (H, W) in [0, 1] in the colours of a colour map; NaN is grey."""
     rgb = np.asarray(mpl.colormaps[colours](np.clip(np.nan_to_num(values), 0, 1)))[..., :3]
-    return _bytes(np.where(np.isnan(values)[..., None], 0.5, rgb))
+    return to_bytes(np.where(np.isnan(values)[..., None], 0.5, rgb))

@@ -12,6 +12,7 @@ from idfslam.datasets.opening import is_there
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.evaluation.doubt import ReportedFrames
 from idfslam.frame import Status
+from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.geometry.trajectory import Trajectory, load_tum
 from idfslam.mapping.saved_map import SavedMap, load_map
 from idfslam.runs import result_folder
@@ -131,8 +132,7 @@ class FinishedRun:
             raise ConfigError(f"--images {count}, expected at least 1")
         else:
             found = np.flatnonzero(wanted)
-            places = np.linspace(0, len(found) - 1, count).round().astype(int)
-            chosen = found[np.unique(places)] if len(found) else found
+            chosen = found[evenly_spread(len(found), count)]
         if not len(chosen):
             raise ResultError(
                 f"{self.folder}: the run has no {'keyframe' if count is None else 'frame'} whose pose was measured and is not in doubt"

@@ -8,6 +8,7 @@ import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
+from typing import Any
 
 from idfslam.errors import ResultError
 from idfslam.storage import atomic_files
@@ -66,6 +67,16 @@ class Ledger:
         with atomic_files.replacing(self.folder / name) as part:
             yield part
         self.record([name])
+
+    def write_text(self, name: str, text: str) -> None:
+        """Replaces the file `name` by a text. Raises as `replacing` does."""
+        with self.replacing(name) as part:
+            part.write_text(text, encoding="utf-8")
+
+    def write_json(self, name: str, values: Any) -> None:
+        """Replaces the file `name` by values as JSON. Raises as `replacing` does."""
+        with self.replacing(name) as part:
+            atomic_files.write_json(part, values)
 
 
 def _read(path: Path) -> dict[str, str] | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from idfslam.benchmark.peers.peer import PeerError
 from idfslam.datasets import Dataset
 from idfslam.errors import FrameError
+from idfslam.geometry.even_spacing import evenly_spread
 
 Bits = NDArray[np.float32]  # (M, 256) of -1 and 1: the Hamming distance is (256 - a . b) / 2
 
@@ -39,7 +40,7 @@ def recorded_descriptors(recording: Dataset) -> list[NDArray[np.uint8]]:
     """ORB descriptors (M, 32) of frames spread over the recording. Raises PeerError if they have next to none."""
     detector = cv2.ORB_create(_FEATURES)  # type: ignore[attr-defined] # its type stubs lack the detectors
     found = []
-    for i in np.unique(np.linspace(0, len(recording) - 1, _IMAGES).round().astype(int)).tolist():
+    for i in evenly_spread(len(recording), _IMAGES).tolist():
         try:
             colour = recording[i].colour
         except FrameError:
