@@ -17,8 +17,10 @@ from idfslam.errors import ConfigError, FrameError, IdfSlamError, ResultError
 from idfslam.evaluation.culling import Visibility, free_positions, in_any_view, subdivided, virtual_views
 from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
-from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError, icp, mesh_error
+from idfslam.evaluation.icp import icp
+from idfslam.evaluation.mesh_error import MeshError, mesh_error
 from idfslam.evaluation.point_triangle import nearest_triangle
+from idfslam.evaluation.protocols import PROTOCOLS
 from idfslam.evaluation.table import table
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera

@@ -16,7 +16,8 @@ from safetensors import safe_open
 
 from helpers.small_config import small
 from idfslam.datasets import open_recording
-from idfslam.evaluation.mesh_error import PROTOCOLS, MeshError
+from idfslam.evaluation.mesh_error import MeshError
+from idfslam.evaluation.protocols import PROTOCOLS
 from idfslam.evaluation.view_error import ViewError, summary
 from idfslam.frame import Status
 from idfslam.geometry.camera import Camera

@@ -5,7 +5,7 @@ from collections import defaultdict
 
 from idfslam.benchmark.published import published_figures, published_for, sequence_of
 from idfslam.downloads.catalogue import catalogue
-from idfslam.evaluation.mesh_error import PROTOCOLS
+from idfslam.evaluation.protocols import PROTOCOLS
 
 
 def test_each_figure_has_a_source_and_a_known_sequence() -> None:

@@ -14,7 +14,7 @@ from idfslam.errors import IdfSlamError
 from idfslam.evaluation.evaluate import evaluate
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error
 from idfslam.evaluation.truth_file import has_assumed_stamps, read_truth
-from idfslam.evaluation.truth_plausibility import doubt
+from idfslam.evaluation.truth_plausibility import wrong_convention
 from idfslam.geometry.trajectory import Trajectory, save_tum
 
 POSES = np.stack([pose(i) for i in range(6)])
@@ -121,5 +121,5 @@ def test_a_truth_in_another_convention_is_told(change: Callable[[np.ndarray], np
     estimate = np.linalg.inv(walk()[0]) @ walk()
     estimate[:, :3, 3] += np.random.default_rng(0).normal(0, 0.01, (len(estimate), 3))
     truth = change(walk())
-    found = doubt(estimate, truth, absolute_trajectory_error(estimate, truth))
+    found = wrong_convention(estimate, truth, absolute_trajectory_error(estimate, truth))
     assert found is None if message is None else message in str(found)

@@ -15,8 +15,9 @@ from idfslam.evaluation.depth_range import DepthRange
 from idfslam.evaluation.doubt import ReportedFrames, doubt_rates
 from idfslam.evaluation.evaluation import Evaluation, PoseErrors
 from idfslam.evaluation.files import ERROR_PICTURE, EVALUATION, FILES, TRAJECTORY_PICTURE
-from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, MeshError, find_protocol, mesh_error
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, MeshError, mesh_error
 from idfslam.evaluation.plots import plot_error, plot_trajectory
+from idfslam.evaluation.protocols import find_protocol
 from idfslam.evaluation.trajectory_error import (
     AbsoluteTrajectoryError,
     RelativePoseError,
@@ -26,7 +27,7 @@ from idfslam.evaluation.trajectory_error import (
     pose_alignment,
     relative_pose_error,
 )
-from idfslam.evaluation.truth_plausibility import doubt
+from idfslam.evaluation.truth_plausibility import wrong_convention
 from idfslam.geometry.association import TOLERANCE
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import Trajectory, load_tum
@@ -76,8 +77,8 @@ def evaluate(
     if reported is not None:
         live = Trajectory(reported.timestamps, reported.T_wc)
         result = replace(result, doubt=doubt_rates(reported, matched_ground_truth(live, gt_trajectory, tolerance=tolerance)))
-    if what := doubt(estimate.poses, truth, ate):
-        log.warning("%s: %s", folder, what)
+    if problem := wrong_convention(estimate.poses, truth, ate):
+        log.warning("%s: %s", folder, problem)
     if gt_mesh is not None:
         T_gt_est = (first_pose_alignment if rules.first_pose else pose_alignment)(estimate.poses, truth)
         measure = partial(mesh_error, poses=truth, T_gt_est=T_gt_est, sensor_range=sensor_range, samples=samples, views=views, seed=seed)

@@ -16,7 +16,7 @@ _TURNED = 20.0  # [degrees] between orientations, in the median; raised, other a
 _BETTER = 0.3  # [1] ATE with inverted poses over ATE; raised, chance decides. Chosen by hand
 
 
-def doubt(estimate: NDArray[np.float64], truth: NDArray[np.float64], ate: AbsoluteTrajectoryError) -> str | None:
+def wrong_convention(estimate: NDArray[np.float64], truth: NDArray[np.float64], ate: AbsoluteTrajectoryError) -> str | None:
     """What seems wrong with true poses (N, 4, 4), NaN where there are none, beside estimated ones (N, 4, 4); None: nothing.
 
     ate: the error of the one against the other.

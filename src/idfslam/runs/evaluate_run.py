@@ -11,7 +11,8 @@ from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.depth_range import DepthRange, depth_range
 from idfslam.evaluation.evaluate import evaluate, load_mesh
 from idfslam.evaluation.evaluation import Evaluation
-from idfslam.evaluation.mesh_error import SAMPLES, VIEWS, find_protocol
+from idfslam.evaluation.mesh_error import SAMPLES, VIEWS
+from idfslam.evaluation.protocols import find_protocol
 from idfslam.evaluation.truth_file import read_truth
 from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import is_live, replayed_path
