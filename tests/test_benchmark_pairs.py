@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from idfslam.benchmark import pairs as module
+from idfslam.benchmark import registration_methods
 from idfslam.benchmark.icp import icp_installed
 from idfslam.benchmark.keypoints import KeypointDetector
-from idfslam.benchmark.pairs import Tally, baselines, bench_pairs, learned, sample
+from idfslam.benchmark.pair_sample import sample
+from idfslam.benchmark.pairs import Tally, bench_pairs
+from idfslam.benchmark.registration_methods import baselines, learned
 from idfslam.cli.command_line import main
 from idfslam.config import FAST, TrackerConfig
 from idfslam.datasets import open_recording
@@ -112,7 +114,7 @@ def test_the_command(box_recording: Path, tmp_path: Path, capsys: pytest.Capture
 
 def test_rows_for_icp_are_left_out_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(module, "icp_installed", lambda: False)
+    monkeypatch.setattr(registration_methods, "icp_installed", lambda: False)
     chosen = baselines(TrackerConfig(), torch.rand(1, 3, 24, 32), said.append)
     assert "GICP" not in chosen
     assert said == [f"no rows for ICP and GICP: small_gicp is not installed: {pip_install('small_gicp')}"]

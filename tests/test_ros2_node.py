@@ -16,7 +16,8 @@ from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import FrameResult, Status
 from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.geometry.trajectory import load_tum
-from idfslam.ros2.node import Parameters, SlamNode, colour_of, depth_of, frame_of, load_ros, main, pose_in_map, timing_of
+from idfslam.ros2.messages import colour_of, depth_of, frame_of, pose_in_map
+from idfslam.ros2.node import Parameters, SlamNode, load_ros, main, timing_of
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 

@@ -6,15 +6,12 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-import yaml
-
 from idfslam.batch.batch_file import BatchJob
 from idfslam.batch.executor import INTERRUPTED, Executor
-from idfslam.config import Config, dump
+from idfslam.config import Config, as_yaml
 from idfslam.errors import ResultError
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.runs.run_folder import open_for_runs
-from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
 
 REPORT, VALUES = "batch.json", "values.yaml"
@@ -60,8 +57,7 @@ def batch(
 
 def _run_all(jobs: Sequence[BatchJob], config: Config, ledger: Ledger, executor: Executor, report: Callable[[str], None]) -> list[Row]:
     folder = ledger.folder
-    with ledger.replacing(VALUES) as part:
-        part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
+    ledger.write_text(VALUES, as_yaml(config))
     rows = {job.name: Row(job.name, job.path, INTERRUPTED, INTERRUPTED, attempts=0) for job in jobs}
     lock = threading.Lock()
 
@@ -69,8 +65,7 @@ def _run_all(jobs: Sequence[BatchJob], config: Config, ledger: Ledger, executor:
         row = _run(executor, job, folder.absolute())
         with lock:
             rows[job.name] = row
-            with ledger.replacing(REPORT) as part:
-                atomic_files.write_json(part, [asdict(r) for r in rows.values() if r.attempts])
+            ledger.write_json(REPORT, [asdict(r) for r in rows.values() if r.attempts])
         return row
 
     try:

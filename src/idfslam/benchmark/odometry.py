@@ -81,10 +81,8 @@ def bench_odometry(
         results["rows"].append(row)
         report(" ".join(_cells(row)[:4]) + ": " + ", ".join(_result_text(run) for run in runs))
         if folder is not None:
-            with Ledger(folder).replacing(REPORT) as part:
-                atomic_files.write_json(part, results)
-            with Ledger(folder).replacing(TABLE) as part:
-                part.write_text(markdown(results), encoding="utf-8")
+            Ledger(folder).write_json(REPORT, results)
+            Ledger(folder).write_text(TABLE, markdown(results))
     return results
 
 

@@ -1,110 +1,38 @@
 """The benchmark of pairs: relative poses of frames a few frames apart, by learned features and by classic methods.
 
-All methods get the same pairs, and all matches go through the same robust Procrustes. The true poses serve only for comparison.
+All methods get the same pairs. The true poses serve only for comparison.
 """
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from idfslam.batch.recordings import parse_recordings
-from idfslam.benchmark.icp import Cloud, IterativeClosestPoints, Variant, icp_installed
-from idfslam.benchmark.keypoints import KeypointDetector, Keypoints, Kind
 from idfslam.benchmark.machine import machine
 from idfslam.benchmark.match_figure import MatchPicture, draw_matches
+from idfslam.benchmark.pair_sample import PairSample, sample
+from idfslam.benchmark.registration_methods import Estimate, Method, baselines, learned
 from idfslam.benchmark.table import markdown_table
-from idfslam.config import PAPER, Config, FinetuneConfig, TrackerConfig
+from idfslam.config import Config
 from idfslam.datasets import Dataset, open_recording
-from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
+from idfslam.errors import ConfigError
 from idfslam.frame import Frame
 from idfslam.pretraining.validation import pose_error
 from idfslam.storage import atomic_files
 from idfslam.storage.ledger import Ledger
-from idfslam.tracking.correspondences import Correspondences, estimate_pose, is_valid
-from idfslam.tracking.features import FeatureExtractor, untrained_extractor
-from idfslam.tracking.frame_features import FrameFeatures, reduced
-from idfslam.tracking.procrustes import Registration
-from idfslam.tracking.tracker import Tracker
+from idfslam.tracking.frame_features import reduced
 
 REPORT, TABLE = "pairs.json", "pairs.md"
 ROTATIONS = (5, 10)  # [degrees]
 TRANSLATIONS = (5, 10, 25)  # [cm]
 _WRONG = (5, 15)  # [degrees, cm] an accepted pose with a larger error counts as wrong
 _RIGHT = (5, 10)  # [degrees, cm] a pose with smaller errors counts as right
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The pose of a frame in its keyframe, whether the method accepts it, and its inliers."""
-
-    T_kc: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
-    believed: bool = False
-    inliers: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))  # (M, 4) pixels in frame and keyframe
-
-
-def _estimate(found: Correspondences, pose: Registration, believed: bool) -> Estimate:
-    pixels = torch.cat([found.frame_uv, found.keyframe_uv], -1)[pose.inliers]
-    return Estimate(pose.T_ab.numpy(), believed, pixels.double().numpy())
-
-
-class Method(Protocol):
-    """A method to register two frames. Its two steps are timed separately: one per frame, one per pair."""
-
-    def describe(self, frame: Frame) -> Any: ...
-
-    def register(self, frame: Any, keyframe: Any) -> Estimate: ...
-
-
-class LearnedFeatures:
-    """The neural tracker."""
-
-    def __init__(self, config: TrackerConfig, extractor: FeatureExtractor | None = None) -> None:
-        self._tracker = Tracker(config, FinetuneConfig(enabled=False), extractor=extractor)
-
-    def describe(self, frame: Frame) -> FrameFeatures:
-        return self._tracker.extract_features(frame)
-
-    def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> Estimate:
-        found, pose = self._tracker.register(frame, keyframe)
-        return Estimate() if pose is None else _estimate(found, pose, self._tracker.is_consistent(pose, found, frame, keyframe))
-
-
-class KeypointFeatures:
-    """SIFT or ORB on the whole image with mutual matches. A pose is accepted by the paper's thresholds, without depth images."""
-
-    def __init__(self, kind: Kind, config: TrackerConfig) -> None:
-        self._detector, self._config, self._generator = KeypointDetector(kind), config, torch.Generator().manual_seed(0)
-
-    def describe(self, frame: Frame) -> Keypoints:
-        return self._detector.detect(frame)
-
-    def register(self, frame: Keypoints, keyframe: Keypoints) -> Estimate:
-        indices, weight = self._detector.match(frame, keyframe, self._config.matches)
-        i, j = indices.T
-        pixels = torch.from_numpy(frame.uv[i]), torch.from_numpy(keyframe.uv[j])
-        points = torch.from_numpy(frame.points[i]), torch.from_numpy(keyframe.points[j])
-        found = Correspondences(*pixels, *points, torch.from_numpy(weight))
-        pose = estimate_pose(found, self._config, self._generator)
-        return Estimate() if pose is None else _estimate(found, pose, is_valid(pose, found, PAPER.tracker))
-
-
-class DepthAlone:
-    """ICP that starts at the identity."""
-
-    def __init__(self, variant: Variant) -> None:
-        self._icp = IterativeClosestPoints(variant)
-
-    def describe(self, frame: Frame) -> Cloud:
-        return self._icp.cloud(frame)
-
-    def register(self, frame: Cloud, keyframe: Cloud) -> Estimate:
-        return Estimate(*self._icp.align(frame, keyframe))
 
 
 @dataclass
@@ -142,61 +70,6 @@ class Tally:
 def _share(those: NDArray[np.bool_]) -> float | None:
     """The share of true values; None for an empty array."""
     return float(those.mean()) if len(those) else None
-
-
-@dataclass(frozen=True)
-class PairSample:
-    """Pairs of frames of a recording, `gap` apart, both with true poses. Pairs that are unreadable or without depth are skipped."""
-
-    recording: Dataset
-    gap: int
-    starts: tuple[int, ...]
-
-    def __iter__(self) -> Any:
-        """(keyframe, frame, true T_kc) of each."""
-        truth = self.recording.ground_truth
-        assert truth is not None
-        for i in self.starts:
-            try:
-                keyframe, frame = self.recording[i], self.recording[i + self.gap]
-            except FrameError:
-                continue
-            if not (keyframe.depth.any() and frame.depth.any()):
-                continue
-            yield keyframe, frame, np.linalg.inv(truth[i]) @ truth[i + self.gap]
-
-
-def sample(recording: Dataset, gap: int, pairs: int) -> PairSample:
-    """`pairs` pairs evenly spread over the recording. Raises RecordingError if it has no poses or is too short."""
-    truth = recording.ground_truth
-    if truth is None:
-        raise RecordingError(f"{recording.name}: has no ground truth, expected poses to compare with; choose a recording that has them")
-    if len(recording) <= gap:
-        raise RecordingError(f"{recording.name}: has {len(recording)} frames, expected more than --gap {gap}")
-    known = np.asarray(np.isfinite(truth).all((1, 2)))
-    starts = np.flatnonzero(known[:-gap] & known[gap:])
-    if not len(starts):
-        raise RecordingError(f"{recording.name}: no two frames {gap} apart have poses; choose another --gap")
-    chosen = starts[np.unique(np.linspace(0, len(starts) - 1, pairs).astype(int))]
-    return PairSample(recording, gap, tuple(int(i) for i in chosen))
-
-
-def learned(config: TrackerConfig, weights: Sequence[Path]) -> dict[str, Method]:
-    """The features of the config and those in `weights`, by name."""
-    return {"ours": LearnedFeatures(config), **{path.stem: LearnedFeatures(replace(config, weights=path)) for path in weights}}
-
-
-def baselines(config: TrackerConfig, images: torch.Tensor, report: Callable[[str], None]) -> dict[str, Method]:
-    """Untrained features fitted to `images` (B, 3, h, w), SIFT, ORB, and ICP if it is installed, by name."""
-    found: dict[str, Method] = {
-        "untrained": LearnedFeatures(config, untrained_extractor(images)),
-        "SIFT": KeypointFeatures("SIFT", config),
-        "ORB": KeypointFeatures("ORB", config),
-    }
-    if icp_installed():
-        return found | {"ICP": DepthAlone("PLANE_ICP"), "GICP": DepthAlone("GICP")}
-    report(f"no rows for ICP and GICP: small_gicp is not installed: {pip_install('small_gicp')}")
-    return found
 
 
 def bench_pairs(
@@ -237,10 +110,8 @@ def bench_pairs(
                 draw_matches(part, picture)
     found = {"machine": machine(), "preset": config.preset, "rows": rows}
     if folder is not None:
-        with Ledger(folder).replacing(REPORT) as part:
-            atomic_files.write_json(part, found)
-        with Ledger(folder).replacing(TABLE) as part:
-            part.write_text(markdown(found), encoding="utf-8")
+        Ledger(folder).write_json(REPORT, found)
+        Ledger(folder).write_text(TABLE, markdown(found))
     return found
 
 

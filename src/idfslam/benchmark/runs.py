@@ -9,8 +9,6 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from idfslam.batch.executor import Executor
 from idfslam.batch.local_executor import LocalExecutor
 from idfslam.batch.recordings import RecordingSpec, parse_recordings
@@ -20,13 +18,12 @@ from idfslam.benchmark.peer_runs import PeerRuns
 from idfslam.benchmark.processes import BenchError, frames_flag, run_module
 from idfslam.benchmark.published import published_for
 from idfslam.benchmark.table import SURFACE, Column, MeanStd, markdown_table
-from idfslam.config import Config, dump
+from idfslam.config import Config, as_yaml
 from idfslam.errors import ConfigError, ResultError
 from idfslam.runs import result_folder
 from idfslam.runs.meter import BLOCK
 from idfslam.runs.metrics import ate_rmse, headline, read_metrics
 from idfslam.runs.run_folder import open_for_runs
-from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
 
 REPORT, TABLE, VALUES, PAGE = "bench.json", "bench.md", "values.yaml", "bench.html"
@@ -78,8 +75,7 @@ def bench(
     chosen = range(config.seed, config.seed + seeds)
     names = [name for spec in specs for seed in chosen for name in (f"{spec.name}-{seed}", *peers.folders(spec, seed))]
     with open_for_runs(folder, names, [VALUES, REPORT, TABLE, PAGE], overwrite=overwrite) as ledger, executor or LocalExecutor() as opened:
-        with ledger.replacing(VALUES) as part:
-            part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
+        ledger.write_text(VALUES, as_yaml(config))
         for spec in specs:
 
             def run_seed(seed: int, spec: RecordingSpec = spec) -> dict[str, Any]:
@@ -88,10 +84,8 @@ def bench(
 
             runs = sorted(opened.map_unordered(run_seed, chosen), key=itemgetter("seed"))
             results["recordings"].append({**asdict(spec), **_summaries(runs, peers), "published": published_for(spec.path)})
-            with ledger.replacing(REPORT) as part:
-                atomic_files.write_json(part, results)
-            with ledger.replacing(TABLE) as part:
-                part.write_text(markdown(results), encoding="utf-8")
+            ledger.write_json(REPORT, results)
+            ledger.write_text(TABLE, markdown(results))
     return results
 
 

@@ -13,7 +13,7 @@ from idfslam.config.map_sections import (
 )
 from idfslam.config.presets import FAST, IMAP, NICE, PAPER, PRESETS, PRETRAIN
 from idfslam.config.tracking_sections import AlignmentConfig, FinetuneConfig, InverseRenderingConfig, PretrainConfig, TrackerConfig
-from idfslam.config.yaml_file import RUN_SECTIONS, check, dump, load, preset, read_yaml, update
+from idfslam.config.yaml_file import RUN_SECTIONS, as_yaml, check, dump, load, preset, read_yaml, update
 
 __all__ = [
     "FAST",
@@ -39,6 +39,7 @@ __all__ = [
     "RefinementConfig",
     "TrackerConfig",
     "VolumeDensityConfig",
+    "as_yaml",
     "check",
     "dump",
     "load",

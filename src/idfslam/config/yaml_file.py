@@ -5,6 +5,8 @@ from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import yaml
+
 from idfslam.config.config import Config
 from idfslam.config.fields import bounds, field_types
 from idfslam.config.presets import PRESETS
@@ -53,6 +55,11 @@ def dump(config: Any) -> dict[str, Any]:
 
     values: dict[str, Any] = plain(asdict(config))
     return values
+
+
+def as_yaml(config: Config) -> str:
+    """All values as the text of a file that `load` reads."""
+    return yaml.safe_dump(dump(config), sort_keys=False)
 
 
 def load(path: Path, *, base: str | None = None) -> Config:

@@ -105,21 +105,15 @@ def open_recording(
     kind = format if format in generated.NAMES else generated.kind_of(str(path)) if format is None else None
     dataset: Dataset
     if inner is not None:
-        options: dict[str, Any] = {"format": format, "camera": camera, "camera_file": camera_file, "topics": topics, "truth": truth}
-        options["depth_scale"] = depth_scale
-        dataset = Kidnapped(open_recording(inner, **options, report=False))
+        options: dict[str, Any] = {"camera": camera, "camera_file": camera_file, "depth_scale": depth_scale}
+        dataset = Kidnapped(open_recording(inner, format=format, **options, topics=topics, truth=truth, report=False))
     elif kind is not None:
         dataset = generated.open_generated(
             str(path), kind, given_calibration, length=0 if frames is None else start + (frames - 1) * stride + 1
         )
         dataset = dataset if camera_file is None else Recalibrated(dataset, of_file)
     else:
-        file = absolute(without_scheme(path))
-        try:
-            place, reader = _find(file, format)
-            dataset = _open(place, reader, given_calibration.over(of_file).over(read_beside_recording(place)), given_topics)
-        except OSError as error:
-            raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
+        dataset = _open_files(path, format, given_calibration.over(of_file), given_topics)
     selection = Selection(dataset, start=start, frames=frames, stride=stride, truth=truth)
     if report:
         input_summary.report(selection, dataset.timestamps)
@@ -136,7 +130,17 @@ def is_there(path: str) -> bool:
     return generated.kind_of(path) is not None or absolute(without_scheme(path)).exists()
 
 
-def _open(path: Path, reader: Reader, calibration: Calibration, topics: Topics) -> Dataset:
+def _open_files(path: Path | str, format: str | None, calibration: Calibration, topics: Topics) -> Dataset:
+    """The recording that lies in files at `path`."""
+    file = absolute(without_scheme(path))
+    try:
+        place, reader = _find(file, format)
+        return _open_with(reader, place, calibration.over(read_beside_recording(place)), topics)
+    except OSError as error:
+        raise RecordingError(f"{error.filename or file}: {error.strerror}, expected a readable recording") from error
+
+
+def _open_with(reader: Reader, path: Path, calibration: Calibration, topics: Topics) -> Dataset:
     if topics == Topics():
         return reader.open(path, calibration)
     if reader.open_topics is None:

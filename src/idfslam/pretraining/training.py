@@ -24,6 +24,22 @@ from idfslam.tracking.matching import PixelMatches, bucket, features_in, match
 from idfslam.tracking.overlap import Overlap, overlapping_pixels
 from idfslam.tracking.procrustes import random_subsets, register
 
+# Matching. All were chosen by hand
+_QUERY_STRIDE, _TARGET_STRIDE = 3, 2  # [px] of the pixels that are matched, and of those that they are matched with. More: faster, coarser
+_GRID = 4  # cells along each side of the image that share the matches. More: matches spread more evenly
+_FEWER = 10  # a pair with fewer than one of so many wanted matches teaches nothing. More: fewer matches are enough
+_INLIER_DISTANCE = 0.05  # [m] distance of matched points up to which they support a pose. More: worse poses pass
+
+# The pose of the contrastive loss, which must be right. All were chosen by hand
+_POSE_SUBSETS, _POSE_SHARE = (
+    200,
+    0.03,
+)  # subsets of matches, and the share of the matches in each. More: slower; larger: more outliers in each
+_TRUNCATION = 0.1  # [m] distance from which all outliers count the same. More: outliers count more
+_REFITS = 3  # on all inliers. More: slower, more exact
+
+_LOSS_SHARE = 0.2  # [1] share of the matches in a subset whose pose has a loss. More: smoother losses, fewer right poses. Chosen by hand
+
 
 def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
     """L1 of colour and of depth [m] between view a and the points of b rendered in it, averaged over the covered pixels [31]."""
@@ -40,22 +56,22 @@ def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
 def registered_pose(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> Tensor | None:
     """T_ab (4, 4) by robust registration of unit features a, b (C, h, w); None if too few matches support it."""
     matches = _correspondences(a, b, pair, config, mutual=True)
-    if len(matches) < config.matches // 10:
+    if len(matches) < config.matches // _FEWER:
         return None
     points_b, points_a = _matched_points(matches, pair)
-    subsets = random_subsets(len(matches), subsets=200, share=0.03, generator=generator)
-    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05, truncation=0.1, refits=3)
+    subsets = random_subsets(len(matches), subsets=_POSE_SUBSETS, share=_POSE_SHARE, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=_INLIER_DISTANCE, truncation=_TRUNCATION, refits=_REFITS)
     return found.T_ab if float(found.inliers.float().mean()) > config.inliers else None
 
 
 def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, generator: torch.Generator) -> dict[str, Tensor]:
     """The losses of [31] for unit features a, b (C, h, w): colour and depth rendered at their registered pose, and matched points."""
     matches = _correspondences(a, b, pair, config, mutual=False)
-    if len(matches) < config.matches // 10:
+    if len(matches) < config.matches // _FEWER:
         return {}
     points_b, points_a = _matched_points(matches, pair)
-    subsets = random_subsets(len(matches), subsets=config.subsets, share=0.2, generator=generator)
-    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=0.05)
+    subsets = random_subsets(len(matches), subsets=config.subsets, share=_LOSS_SHARE, generator=generator)
+    found = register(points_b, points_a, matches.weight, subsets, inlier_distance=_INLIER_DISTANCE)
     colour_a, depth_a = rendering_losses(found.T_ab, pair.a, pair.b)
     colour_b, depth_b = rendering_losses(se3.inverse(found.T_ab), pair.b, pair.a)
     apart = correspondence_loss(points_a.double(), points_b.double(), found.T_ab, matches.weight)
@@ -84,8 +100,10 @@ def contrastive_losses(
 
 
 def _correspondences(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig, *, mutual: bool) -> PixelMatches:
-    found = match(features_in(b), features_in(a), pair.b.valid, pair.a.valid, query_stride=3, target_stride=2, mutual=mutual)
-    return bucket(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=4)
+    found = match(
+        features_in(b), features_in(a), pair.b.valid, pair.a.valid, query_stride=_QUERY_STRIDE, target_stride=_TARGET_STRIDE, mutual=mutual
+    )
+    return bucket(found, (b.shape[1], b.shape[2]), limit=config.matches, grid=_GRID)
 
 
 def _matched_points(matches: PixelMatches, pair: Pair) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ from idfslam.evaluation.files import FILES as EVALUATION_FILES
 from idfslam.geometry.trajectory import Trajectory, save_tum
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
-from idfslam.storage import atomic_files, output_folder
+from idfslam.storage import output_folder
 from idfslam.storage.ledger import Ledger
 
 MEASURED = "peer.json"
@@ -59,8 +59,7 @@ def measure(
         found = peer.run(PeerJob(recording, Path(own), seed, python, poses))
         _write_results(ledger, recording, found)
         values = _measured(recording, found) | _errors(folder, recording, found, gt_mesh, poses_are_its_own=not peer.takes_poses, mesh=mesh)
-        with Ledger(folder).replacing(MEASURED) as part:  # read again: the evaluation has entered its own files
-            atomic_files.write_json(part, values)
+        Ledger(folder).write_json(MEASURED, values)  # read again: the evaluation has entered its own files
     return values
 
 

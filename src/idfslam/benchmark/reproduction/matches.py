@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from idfslam.benchmark.match_figure import MatchPicture, draw_matches
-from idfslam.benchmark.pairs import LearnedFeatures, sample
+from idfslam.benchmark.pair_sample import sample
+from idfslam.benchmark.registration_methods import LearnedFeatures
 from idfslam.benchmark.reproduction.rows import MATCHES
 from idfslam.benchmark.reproduction.suite import Job, Suite
 from idfslam.datasets import open_recording

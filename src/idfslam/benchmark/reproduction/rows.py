@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from idfslam import __version__
 from idfslam.batch.executor import INTERRUPTED, Executor
 from idfslam.benchmark.machine import machine
@@ -16,13 +14,12 @@ from idfslam.benchmark.processes import BenchError, run_module
 from idfslam.benchmark.published import published_figures, sequence_of
 from idfslam.benchmark.reproduction.evaluate_row import PROTOCOL
 from idfslam.benchmark.reproduction.suite import RECONSTRUCTION, TRACKING, Job, Suite
-from idfslam.config import Config, dump
+from idfslam.config import Config, as_yaml, dump
 from idfslam.errors import ResultError
 from idfslam.runs import result_folder
 from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.metrics import headline, read_metrics
 from idfslam.runs.run_folder import open_for_runs
-from idfslam.storage import atomic_files
 from idfslam.storage.json_file import read_json
 from idfslam.storage.ledger import Ledger
 
@@ -59,8 +56,7 @@ def run_suite(
 
         def save() -> dict[str, Any]:
             found = values | {"rows": [rows[job.name] for job in suite.jobs if job.name in rows]}
-            with ledger.replacing(REPORT) as part:
-                atomic_files.write_json(part, found)
+            ledger.write_json(REPORT, found)
             return found
 
         def run_one(job: Job) -> dict[str, Any]:
@@ -94,8 +90,7 @@ def _run(ledger: Ledger, executor: Executor, job: Job, config: Config) -> dict[s
         "method": job.method,
         "variant": job.variant,
     }
-    with ledger.replacing(f"{job.name}.yaml") as part:
-        part.write_text(yaml.safe_dump(dump(config), sort_keys=False), encoding="utf-8")
+    ledger.write_text(f"{job.name}.yaml", as_yaml(config))
     words = ["--frames", str(scene.frames)] if scene.frames is not None else []
     words += ["--stride", str(scene.stride), "--config", str(ledger.folder.absolute() / f"{job.name}.yaml"), "--no-report", "--overwrite"]
     truth = [] if scene.gt_mesh is None else ["--gt-mesh", str(scene.gt_mesh)]
