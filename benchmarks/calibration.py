@@ -33,7 +33,9 @@ from idfslam.datasets.recording import Selection  # noqa: E402
 from idfslam.errors import ConfigError, RecordingError  # noqa: E402
 from idfslam.evaluation.trajectory_error import absolute_trajectory_error  # noqa: E402
 from idfslam.frame import Frame  # noqa: E402
-from idfslam.runs.calibration import calibrate_from, keyframes_by_slam, write_camera  # noqa: E402
+from idfslam.runs.calibrated_camera import write_camera  # noqa: E402
+from idfslam.runs.calibration import calibrate_from  # noqa: E402
+from idfslam.runs.calibration_keyframes import keyframes_by_slam  # noqa: E402
 from idfslam.runs.source import read_frames  # noqa: E402
 from idfslam.slam import Slam  # noqa: E402
 

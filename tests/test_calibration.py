@@ -26,17 +26,9 @@ from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import FPS, Frame
 from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.geometry.trajectory import Trajectory
-from idfslam.runs.calibration import (
-    Keyframes,
-    calibrate_from,
-    calibrated,
-    camera_values,
-    in_a_row,
-    rectified_keyframe,
-    row_times,
-    stretch_around,
-    write_camera,
-)
+from idfslam.runs.calibrated_camera import camera_values, combined_lens, write_camera
+from idfslam.runs.calibration import calibrate_from, with_own_camera
+from idfslam.runs.calibration_keyframes import Keyframes, rectified_keyframe, row_times, stretch_around
 from idfslam.runs.run_config import RecordingSource
 from idfslam.sensing.depth_deformation import DepthDeformation
 
@@ -113,10 +105,10 @@ def test_a_second_calibration_adds_to_the_deformation_of_the_first() -> None:
     assert found["depth_deformation"]["range"] == pytest.approx(0.01)
 
 
-def test_distortion_of_two_lenses_in_a_row() -> None:
+def test_distortion_of_two_lenses_combined_lens() -> None:
     """The images were undistorted with k1 = 0.1, and then 0.02 more was found, with another focal length and centre."""
     model = CameraModel(CAMERA, values(focal=0.01, cx=0.005, k1=0.02))
-    camera, lens = in_a_row((0.1, -0.05, 0.001, 0.0), CAMERA, model)
+    camera, lens = combined_lens((0.1, -0.05, 0.001, 0.0), CAMERA, model)
     rays = np.array([[0.4, 0.3, 1.0], [-0.5, 0.1, 1.0], [0.0, 0.0, 1.0]])
     half = model.project(rays)[0]
     seen = np.concatenate([(half - [CAMERA.cx, CAMERA.cy]) / [CAMERA.fx, CAMERA.fy], np.ones((3, 1))], 1)
@@ -236,7 +228,7 @@ def test_a_camera_that_does_not_explain_the_images_is_not_used(
     shaken, source = replace(estimate(focal=0.11), noise=0.64), RecordingSource("somewhere")
     assert not shaken.explains_images and estimate().explains_images
     monkeypatch.setattr("idfslam.runs.calibration.calibrate", lambda *args, **flags: (shaken, None, {}))
-    assert calibrated(source, FAST, tmp_path / "camera.json", None) is source
+    assert with_own_camera(source, FAST, tmp_path / "camera.json", None) is source
     assert not (tmp_path / "camera.json").exists()
     assert "no camera explains the images to better than 0.64 px of 640, expected 0.3" in caplog.text
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from idfslam.cli import command_line
-from idfslam.cli.commands.run import CameraFlags, OutputFlags, RecordingFlags, TopicFlags, ViewerFlags
+from idfslam.cli.commands.run import OutputFlags, ViewerFlags
+from idfslam.cli.recording_flags import CameraFlags, RecordingFlags, TopicFlags
 from idfslam.compute.process import prepare_process
 from idfslam.config import FAST, PAPER, PRETRAIN, Config, PretrainConfig
 

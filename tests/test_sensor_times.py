@@ -14,7 +14,7 @@ from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.datasets.cameras.camera_files import read_given
 from idfslam.datasets.provenance import Provenance
 from idfslam.geometry.sensor_timing import UNKNOWN, SensorTiming
-from idfslam.runs.calibration import write_camera
+from idfslam.runs.calibrated_camera import write_camera
 
 FOUND = {"readout": SensorTime(0.0224, 0.0003), "depth_readout": SensorTime(0.0006, 0.0008), "depth_delay": SensorTime(-0.0104, 0.0004)}
 

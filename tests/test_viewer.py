@@ -26,7 +26,11 @@ from idfslam.runs import result_folder
 from idfslam.runs.runner import run
 from idfslam.storage.ledger import Ledger
 from idfslam.viewer import rerun_program
-from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer, coloured_strips, frustums, show
+from idfslam.viewer.coloured_path import coloured_strips
+from idfslam.viewer.frustums import frustums
+from idfslam.viewer.recorded_view import show
+from idfslam.viewer.rerun_viewer import RerunViewer
+from idfslam.viewer.viewer import NullViewer
 
 
 def read(folder: Path) -> tuple[Counter[str], list[Any]]:

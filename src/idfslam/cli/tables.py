@@ -10,6 +10,7 @@ from rich.text import Text
 from idfslam.adjustment.camera_findings import Finding
 from idfslam.batch.batch import REPORT, Row
 from idfslam.cli.doctor import GIB, Examination
+from idfslam.cli.plain_text import plain_printer
 from idfslam.downloads import catalogue
 from idfslam.errors import pip_install
 from idfslam.evaluation.evaluation import Evaluation
@@ -44,12 +45,13 @@ def print_run(run: Run, console: Console) -> None:
 
 def print_calibration(found: Sequence[Finding], landmarks: int, sightings: int, noise: float, console: Console) -> None:
     """Prints each property of a camera with its standard deviation, and what it changes."""
+    tell = plain_printer(console)
     for finding in found:
-        console.print(f"{finding.name}: {finding.found}\n  {finding.meaning}", highlight=False, soft_wrap=True, markup=False)
+        tell(f"{finding.name}: {finding.found}\n  {finding.meaning}")
     counts = f"{landmarks} landmarks, seen {sightings} times, to {noise:.2f} px at a width of 640"
     doubts = "; ".join(finding.doubt for finding in found if finding.doubt)
     verdict = f"the stated camera does not fit: {doubts}" if doubts else "the stated camera fits"
-    console.print(f"{counts}\n{verdict}", highlight=False, soft_wrap=True, markup=False)
+    tell(f"{counts}\n{verdict}")
 
 
 def print_evaluation(evaluation: Evaluation, folder: Path, console: Console) -> None:
@@ -63,7 +65,7 @@ def print_views(errors: Sequence[ViewError], folder: Path, console: Console) -> 
     mean = summary(errors)
     text = f"{mean['count']} held-out views: PSNR {mean['psnr']:.2f} dB ({mean['psnr_matched']:.2f} at the exposure of each image)"
     rest = f"SSIM {mean['ssim']:.3f}, holes {mean['holes'] * 100:.2f} %, {mean['seconds']:.2f} s a view"
-    console.print(f"{text}, {rest}", highlight=False, soft_wrap=True)
+    plain_printer(console)(f"{text}, {rest}")
     print_files(folder, (VIEWS, PICTURE), console)
 
 
@@ -83,7 +85,7 @@ def print_batch(rows: list[Row], folder: Path, console: Console) -> None:
     console.print(table)
     for row in rows:
         if row.error is not None and row.attempts:
-            console.print(f"{row.name}: {row.error}", highlight=False, soft_wrap=True, markup=False)
+            plain_printer(console)(f"{row.name}: {row.error}")
     print_files(folder, [REPORT], console)
 
 
@@ -121,14 +123,14 @@ def print_examination(examination: Examination, console: Console) -> None:
         grid.add_row(Text(title, "bold"), Text(text))
     console.print(grid)
     for line in examination.advice:
-        console.print(f"to do: {line}", highlight=False, soft_wrap=True, markup=False)
+        plain_printer(console)(f"to do: {line}")
     console.print("ready" if examination.ready else "not ready", style="green" if examination.ready else "red")
 
 
 def print_files(folder: Path, names: Iterable[str], console: Console) -> None:
     """Prints one path per line, unwrapped, so that it can be copied."""
     for name in names:
-        console.print(str(folder / name), highlight=False, soft_wrap=True, markup=False)
+        plain_printer(console)(str(folder / name))
 
 
 def print_catalogue(sequences: Iterable[catalogue.Sequence], console: Console) -> None:
@@ -139,5 +141,5 @@ def print_catalogue(sequences: Iterable[catalogue.Sequence], console: Console) -
         size = "" if sequence.size_mb is None else f"{sequence.size_mb / 1000:.1f} GB"
         table.add_row(sequence.name, size, sequence.folder)
     for licence, table in by_licence.items():
-        console.print(licence, highlight=False, soft_wrap=True, markup=False)
+        plain_printer(console)(licence)
         console.print(table, highlight=False)

@@ -46,7 +46,7 @@ def _with_help(info: StructTypeInfo, *, hide: bool = False) -> StructConstructor
         if hidden:
             field_type = Annotated[field_type, Suppress]
         text = texts.get(field.name)
-        if default is None and text is not None:  # the text says what happens then
+        if default in (None, ()) and text is not None:  # the text says what happens then
             field_type = Annotated[field_type, arg(help_behavior_hint="")]
         specs.append(StructFieldSpec(field.name, field_type, default, text))
     return StructConstructorSpec(kind, tuple(specs))

@@ -8,9 +8,7 @@ from idfslam.runs.frame_log import FrameLog
 from idfslam.runs.meter import Meter
 from idfslam.slam import Slam
 from idfslam.storage.state import State
-from idfslam.viewer.rerun_viewer import NullViewer, Viewer
-
-_NO_VIEWER = NullViewer()
+from idfslam.viewer.viewer import NO_VIEWER, Viewer
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +19,7 @@ class RunState:
     meter: Meter = field(default_factory=Meter)
     frame_log: FrameLog = field(default_factory=FrameLog)
 
-    def process(self, frame: Frame, *, readable: bool = True, viewer: Viewer = _NO_VIEWER) -> FrameResult:
+    def process(self, frame: Frame, *, readable: bool = True, viewer: Viewer = NO_VIEWER) -> FrameResult:
         """Tracks and maps the next frame, shows it, and logs it. The time that the viewer takes counts as the frame's."""
         result = self.slam.process(frame)
         viewer.frame(frame, result, self.slam)

@@ -30,11 +30,9 @@ from idfslam.runs.run_state import RunState
 from idfslam.runs.source import open_source, read_frames
 from idfslam.slam import Slam
 from idfslam.slam.warm_up import COMPILING, warm_up, will_compile
-from idfslam.viewer.rerun_viewer import NullViewer, Viewer
+from idfslam.viewer.viewer import NO_VIEWER, Viewer
 
 log = logging.getLogger(__name__)
-
-_NO_VIEWER = NullViewer()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ def run(
     checkpoint_every: int = 0,
     resume: bool = False,
     overwrite: bool = False,
-    viewer: Viewer = _NO_VIEWER,
+    viewer: Viewer = NO_VIEWER,
 ) -> Run:
     """Runs SLAM on a recording or a live camera, writes the results to `folder` and shows them in `viewer`.
 
@@ -112,7 +110,7 @@ def run(
     return Run(folder, trajectory_of(state.slam, recording), mesh, metrics)
 
 
-def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None, viewer: Viewer = _NO_VIEWER) -> Run | None:
+def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None, viewer: Viewer = NO_VIEWER) -> Run | None:
     """Continues the interrupted run of a result folder, with the values in its config.yaml; None if that run is complete.
 
     The results are those of a run without the interruption. Raises ResultError for a folder without a run of a recording, and what `run`

@@ -5,10 +5,9 @@ import platform
 import subprocess
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from itertools import groupby
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 import cv2
@@ -16,10 +15,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from idfslam.errors import ConfigError, ResultError
+from idfslam.errors import ConfigError
 from idfslam.frame import Frame, FrameResult, Status
 from idfslam.geometry.camera import Camera
 from idfslam.viewer import rerun_program
+from idfslam.viewer.coloured_path import STATUS_COLOURS, coloured_strips
+from idfslam.viewer.frustums import frustums
+from idfslam.viewer.layout import layout
 from idfslam.viewer.rerun_program import LOOPBACK, PORT, RECORDING, Place
 from idfslam.viewer.slam_view import ClosedLoop, SlamView
 from idfslam.viewer.time_budget import Budget
@@ -30,44 +32,8 @@ _MESH_RESOLUTION = 0.05  # [m] cells of the mesh during the run; larger: coarser
 _MAX_ROWS = 240  # [px] height of the images; larger: sharper, and a larger file
 _PLOT_BATCH = 30  # frames whose losses and times are sent in one call; larger: cheaper, and the plots lag behind by as many frames
 _MAX_TAIL = 30  # frames; a path of more frames since the last keyframe makes the whole trajectory due; larger: corrections show later
-_FRUSTUM_DEPTH = 0.08  # [m] depth of the pyramid that is drawn for a keyframe; larger: easier to see, and they overlap
-_COLOURS = {
-    Status.OK: (90, 200, 120),
-    Status.DEGENERATE: (240, 180, 60),
-    Status.DOUBTFUL: (240, 120, 40),
-    Status.LOST: (235, 70, 60),
-    Status.INTERPOLATED: (200, 120, 230),
-}
 _KEYFRAME, _COVISIBLE, _LOOP = (70, 140, 240), (120, 170, 240, 70), (240, 60, 200)  # RGB or RGBA, 0 to 255; larger: lighter
 _TRAJECTORY, _TAIL = "world/trajectory", "world/trajectory/newest"
-
-
-class Viewer(Protocol):
-    """Shows a run frame by frame. It reads from Slam and changes nothing in it."""
-
-    files: frozenset[str]  # names of the files that it writes to the result folder
-
-    def opened(self, folder: Path, name: str) -> AbstractContextManager[None]:
-        """A context in which the run of the recording `name` can be shown. Its files are complete afterwards, however the run ended."""
-
-    def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None:
-        """Shows a frame that has just been processed."""
-
-    def finish(self, slam: SlamView, mesh: trimesh.Trimesh) -> None:
-        """Shows the final poses and the final mesh."""
-
-
-class NullViewer:
-    """A viewer that shows nothing."""
-
-    files: frozenset[str] = frozenset()
-
-    def opened(self, folder: Path, name: str) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def frame(self, frame: Frame, result: FrameResult, slam: SlamView) -> None: ...
-
-    def finish(self, slam: SlamView, mesh: trimesh.Trimesh) -> None: ...
 
 
 class RerunViewer:
@@ -107,11 +73,11 @@ class RerunViewer:
         part = folder / f".part-{RECORDING}"
         rr = self._rr
         self._recorded = rr.RecordingStream("idf-slam")
-        self._recorded.set_sinks(rr.FileSink(part), *self._sinks(), default_blueprint=_blueprint(name))
+        self._recorded.set_sinks(rr.FileSink(part), *self._sinks(), default_blueprint=layout(name))
         self._recorded.send_recording_name(name)
         self._log("world", rr.ViewCoordinates.RDF, static=True)  # the first camera: x right, y down, z forward
         states = [str(status.value) for status in Status]
-        self._log("status", rr.StateConfiguration(values=states, colors=[_COLOURS[status] for status in Status]), static=True)
+        self._log("status", rr.StateConfiguration(values=states, colors=[STATUS_COLOURS[status] for status in Status]), static=True)
         try:
             yield
         finally:
@@ -270,7 +236,7 @@ class RerunViewer:
     def _show_path(self, entity: str, positions: NDArray[np.float64], statuses: Sequence[Status]) -> None:
         """A line through `positions` (N, 3), coloured by the frames' statuses."""
         strips, kinds = coloured_strips(positions, statuses)
-        self._show_lines(entity, strips, [_COLOURS[kind] for kind in kinds], width=3)
+        self._show_lines(entity, strips, [STATUS_COLOURS[kind] for kind in kinds], width=3)
 
     def _show_lines(self, entity: str, strips: Any, colours: Any, *, width: float) -> None:
         """Lines, each (N, 3) [m]. width: [points of the screen]."""
@@ -290,80 +256,3 @@ class RerunViewer:
 def _pairs(loops: Sequence[ClosedLoop]) -> set[tuple[int, int]]:
     """The pairs of keyframes that loops connect."""
     return {(loop.a, loop.b) for loop in loops}
-
-
-def coloured_strips(positions: NDArray[np.float64], statuses: Sequence[Status]) -> tuple[list[NDArray[np.float64]], list[Status]]:
-    """Cuts the path through positions (N, 3) where the status changes. Each strip has one status and begins where the last one ends."""
-    strips, kinds, first = [], [], 0
-    for status, group in groupby(statuses):
-        end = first + len(list(group))
-        strips.append(positions[max(first - 1, 0) : end])
-        kinds.append(status)
-        first = end
-    return strips, kinds
-
-
-def frustums(T_wk: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """A pyramid for each of K cameras at T_wk (K, 4, 4), drawn as one line (K, 11, 3) [m] along its edges."""
-    lines = {camera: _frustum(camera) for camera in set(cameras)}
-    points = np.array([lines[camera] for camera in cameras]).reshape(-1, 11, 3)
-    return (T_wk[:, None, :3, :3] @ points[..., None])[..., 0] + T_wk[:, None, :3, 3]
-
-
-def _frustum(camera: Camera) -> NDArray[np.float64]:
-    """The pyramid (11, 3) [m] in the camera's own frame."""
-    left, right = (np.array([0, camera.width]) - 0.5 - camera.cx) / camera.fx
-    top, bottom = (np.array([0, camera.height]) - 0.5 - camera.cy) / camera.fy
-    apex, a, b, c, d = np.array([[0, 0, 0], [left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]]) * _FRUSTUM_DEPTH
-    return np.array([apex, a, b, apex, c, b, c, d, apex, d, a])
-
-
-def show(folder: Path, *, web: bool, port: int = PORT, host: str = LOOPBACK) -> None:
-    """Shows the recording.rrd of a result folder in a window or a browser, until the window is closed or Ctrl-C is pressed.
-
-    Raises ResultError if there is no such file, ConfigError as `RerunViewer` does.
-    """
-    path = folder / RECORDING
-    if not path.is_file():
-        found = "no such folder" if not folder.is_dir() else f"has no {RECORDING}"
-        raise ResultError(f"{folder}: {found}; expected the results of `idf-slam run PATH --viewer`, which records what it shows")
-    viewer = RerunViewer("web" if web else "window", port=port, host=host)
-    command = [rerun_program.program(), str(path)]
-    if web:
-        print(f"{viewer.address()}   (Ctrl-C ends)\n{rerun_program.listening(port, host)}", flush=True)
-        command = rerun_program.serve_command(port, host, str(path))
-    environment = rerun_program.environment()
-    if os.name == "posix":
-        os.execve(command[0], command, environment)  # replaces this process, so that no parent can end and leave the viewer behind
-    with suppress(KeyboardInterrupt):
-        subprocess.run(command, env=environment, check=False)
-
-
-def _blueprint(name: str) -> Any:
-    """The layout of the viewer: a large scene, the images to its right, plots below."""
-    import rerun.blueprint as rrb
-
-    eye = rrb.EyeControls3D(kind="orbital", position=(0.8, -2.4, -2.3), look_target=(0.1, 0.0, 1.9), eye_up=(0, -1, 0))
-    scene = rrb.Spatial3DView(
-        origin="world",
-        contents=["$origin/**", "- $origin/camera/image/depth"],  # the points of the depth image would hide the mesh
-        name=name,
-        eye_controls=eye,
-        background=(16, 18, 22),
-        line_grid=False,
-    )
-    image = "world/camera/image"
-    colour, depth = (rrb.Spatial2DView(origin=image, contents=f"$origin/{kind}", name=kind) for kind in ("colour", "depth"))
-    legend = rrb.PlotLegend(corner="lefttop")  # covers the oldest values
-    losses = rrb.TimeSeriesView(origin="losses", name="losses", plot_legend=legend)
-    milliseconds = rrb.TimeSeriesView(origin="milliseconds", name="milliseconds a frame", plot_legend=legend)
-    status = rrb.Tabs(rrb.StateTimelineView(origin="status", name="status of frames"), rrb.TextLogView(origin="events", name="loops"))
-    above = rrb.Horizontal(scene, rrb.Vertical(colour, depth), column_shares=[3, 1])
-    below = rrb.Horizontal(losses, milliseconds, status)
-    return rrb.Blueprint(
-        rrb.Vertical(above, below, row_shares=[3, 1]),
-        rrb.TimePanel(state="collapsed", timeline="frame", play_state="following"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        auto_views=False,
-    )

@@ -1,13 +1,13 @@
 """`idf-slam batch`."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
+from idfslam.cli.plain_text import plain_printer
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Batch:
         from idfslam.runs.run_folder import folder_for
 
         items = read_batch(self.recordings, values)
-        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        report = plain_printer(console)
         with open_executor(self.cluster, self.workers, jobs=len(items), gpus=self.gpus, retries=self.retries) as executor:
             folder = folder_for("batch", self.out, overwrite=self.overwrite)
             rows = batch(items, values, folder, executor, overwrite=self.overwrite, report=report)

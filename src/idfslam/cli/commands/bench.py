@@ -1,13 +1,13 @@
 """`idf-slam bench`."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
+from idfslam.cli.plain_text import plain_printer
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Bench:
             "overwrite": self.overwrite,
         }
         executor = open_executor(self.cluster, self.workers, jobs=self.seeds)
-        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        report = plain_printer(console)
         folder = folder_for("bench", self.out, overwrite=self.overwrite)
         found = bench(self.recordings, values, folder, **options, report=report, executor=executor)
         print((folder / TABLE).read_text(encoding="utf-8"))

@@ -1,13 +1,13 @@
 """`idf-slam bench-odometry`."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values
+from idfslam.cli.plain_text import plain_printer
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -40,6 +40,6 @@ class BenchOdometry:
         from idfslam.compute.torch_threads import limit_torch_threads
 
         limit_torch_threads(values.field.encoding)
-        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        report = plain_printer(console)
         found = bench_odometry(self.recordings, values, seeds=self.seeds, folder=self.out, report=report)
         print(json.dumps(found) if self.json else markdown(found))

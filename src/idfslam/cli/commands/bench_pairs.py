@@ -1,13 +1,13 @@
 """`idf-slam bench-pairs`."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values
+from idfslam.cli.plain_text import plain_printer
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class BenchPairs:
 
         from idfslam.benchmark.pairs import bench_pairs, markdown
 
-        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        report = plain_printer(console)
         options: dict[str, Any] = {"gaps": self.gap, "pairs": self.pairs, "weights": self.weights, "folder": self.out}
         options["against_baselines"] = self.baselines
         found = bench_pairs(self.recordings, values, **options, report=report)

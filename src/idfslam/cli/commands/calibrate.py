@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from tyro.conf import OmitArgPrefixes, Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
-from idfslam.cli.commands.run import CameraFlags
+from idfslam.cli.plain_text import plain_printer
+from idfslam.cli.recording_flags import CameraFlags, RecordingFlags, recording_source
 from idfslam.config import FAST, check
 
 if TYPE_CHECKING:
@@ -16,22 +17,6 @@ if TYPE_CHECKING:
 
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class FrameFlags:
-    """Which frames are used, and how the recordings are read."""
-
-    start: int = 0
-    """First frame to use."""
-    frames: int | None = None
-    """Number of frames to use. Default: all."""
-    stride: int = 1
-    """Use every N-th frame."""
-    format: str | None = None
-    """Force the input format. Default: detected from the files."""
-    camera_file: Path | None = None
-    """File of a camera to begin with in place of the recording's, as for `run`."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +34,7 @@ class Calibrate:
     """File to write the camera to: for `run --camera-file`, or as cam_params.json in the folder of a recording."""
     truth: bool = False
     """Take the scale of depth from the recordings' true poses: images and depth alone fit together at any scale."""
-    recording: OmitArgPrefixes[FrameFlags] = FrameFlags()
+    recording: OmitArgPrefixes[RecordingFlags] = field(default_factory=RecordingFlags)
     camera: CameraFlags = field(default_factory=CameraFlags)
     values: Values = FAST
     config: ConfigFile = None
@@ -59,21 +44,16 @@ class Calibrate:
         from idfslam.adjustment.camera_findings import findings
         from idfslam.adjustment.sensor_times import time_findings
         from idfslam.cli.tables import print_calibration
-        from idfslam.datasets.generated import absolute_path
-        from idfslam.runs.calibration import calibrate, check_camera_path, unexplained, write_camera
-        from idfslam.runs.run_config import RecordingSource
+        from idfslam.runs.calibrated_camera import check_camera_path, write_camera
+        from idfslam.runs.calibration import calibrate, unexplained
 
         if self.out is not None:
             check_camera_path(self.out)
-        camera, part = self.camera.given(), self.recording
-        scale = camera.pop("depth_scale", None)
-        file = None if part.camera_file is None else str(part.camera_file.absolute())
-        given = part.format, camera or None, file, scale, None, part.start, part.frames, part.stride
-        sources = [RecordingSource(absolute_path(str(path)), *given) for path in self.recordings]
+        sources = [recording_source(path, self.recording, self.camera) for path in self.recordings]
         estimate, recording, times = calibrate(sources, values, truth=self.truth, console=console)
         print_calibration([*findings(estimate), *time_findings(times)], estimate.landmarks, estimate.sightings, estimate.noise, output())
         if not estimate.explains_images:
             log.warning("%s; do not rely on these values", unexplained(estimate))
         if self.out is not None:
             write_camera(self.out, estimate, recording, times)
-            output().print(f"{self.out}: give it to `idf-slam run --camera-file`", highlight=False, soft_wrap=True, markup=False)
+            plain_printer(output())(f"{self.out}: give it to `idf-slam run --camera-file`")

@@ -14,7 +14,10 @@ NARROWEST = 60  # [columns] help and tables for a narrower terminal are laid out
 Values = Annotated[Config, arg(name="")]  # its fields are flags of their own: --seed, --mapper.pixels
 ConfigFile = Annotated[
     Path | None,
-    arg(help="YAML file of values, such as a run's config.yaml. They replace those of the preset. Options replace both."),
+    arg(
+        help="YAML file of values, such as a run's config.yaml. They replace those of the preset. Options replace both.",
+        help_behavior_hint="",
+    ),
 ]
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from idfslam.cli.commands.command import output
+from idfslam.cli.plain_text import plain_printer
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,7 +41,7 @@ class Download:
         if not self.name:
             raise ConfigError("download: expected the name of a sequence; `idf-slam download --list` shows all")
         sequence = find_sequence(self.name)
-        console.print(sequence.licence, highlight=False, soft_wrap=True, markup=False)
+        plain_printer(console)(sequence.licence)
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console) as progress:
             task = progress.add_task(sequence.name, total=None)
@@ -51,4 +52,4 @@ class Download:
 
             folder = download(sequence, self.out, report=report)
         for recording in sequence.run:
-            output().print(f"idf-slam run {folder / recording}", highlight=False, soft_wrap=True, markup=False)
+            plain_printer(output())(f"idf-slam run {folder / recording}")

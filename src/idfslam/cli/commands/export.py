@@ -18,7 +18,7 @@ class Export:
 
     tum: poses of all frames, t tx ty tz qx qy qz qw.  kitti: the same as 3 x 4 matrices.
     nerfstudio: transforms.json with images, depth and points.  colmap: a text model with images and points.
-    ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).
+    ply, obj, glb: the mesh.  points: a coloured point cloud of the depth images (PLY).  splats: 3D Gaussian splats on the mesh (PLY).
     page: scene.html, the scene in three dimensions for any browser, in one file.
     masks: what moves in each image that the run kept, as black pixels (PNG).
     grid: T-SDF, colour and observed cells on a dense grid (npz).  blocks: the same, only near the surface.
@@ -30,7 +30,7 @@ class Export:
     to: tuple[Format, ...]
     """One or more formats."""
     resolution: float = 0.02
-    """Cell edge of meshes and grids, and spacing of points [m]. The map resolves 1.5 cm in the preset `fast` where the camera
+    """Cell edge of meshes and grids, and spacing of points [m]. The map resolves 1 cm in the preset `fast` where the camera
     saw the surface well, 4 cm elsewhere: smaller cells add vertices, not detail."""
     up: Up = "z"
     """Axis that points up in the files. `z`: up by gravity, as the floor shows it, the walls along x and y. `y`: the same with y up.

@@ -19,7 +19,7 @@ class Mesh:
     folder: Positional[Path]
     """Result folder."""
     resolution: float = 0.02
-    """Edge of the marching-cubes cells [m]. The map resolves 1.5 cm in the preset `fast` where the camera
+    """Edge of the marching-cubes cells [m]. The map resolves 1 cm in the preset `fast` where the camera
     saw the surface well, 4 cm elsewhere: smaller cells add vertices, not detail."""
     colour: Literal["images", "map"] = "images"
     """Colours of the vertices: of the `images` that the run kept in its archive, or those that the `map` has learnt, which are softer."""

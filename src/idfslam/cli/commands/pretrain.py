@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
+from idfslam.cli.plain_text import plain_printer
 from idfslam.config import PRETRAIN, PretrainConfig, check
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Pretrain:
                 progress.update(task, completed=done, description=f"pretraining: {losses}")
                 validation = " ".join(f"{name} {value:.3g}" for name, value in figures.items() if "/" in name)
                 if validation:
-                    progress.console.print(f"step {done}: {validation}", highlight=False, markup=False, soft_wrap=True)
+                    plain_printer(progress.console)(f"step {done}: {validation}")
 
             again = {"resume": self.resume, "overwrite": self.overwrite}
             pretrain(recordings, outputs, values, held=held, start=self.start, **again, report=report)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from idfslam.cli.commands.command import output
-from idfslam.cli.commands.run import CameraFlags
+from idfslam.cli.plain_text import plain_printer
+from idfslam.cli.recording_flags import CameraFlags
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,4 +50,4 @@ class Record:
             done = record(stream, self.out, seconds=self.seconds, png=self.png, report=report)
         dropped = f", {done.dropped} dropped" if done.dropped else ""
         output().print(f"{done.frames} frames in {done.seconds:.0f} s{dropped}", highlight=False)
-        output().print(str(done.folder), highlight=False, soft_wrap=True, markup=False)
+        plain_printer(output())(str(done.folder))

@@ -1,11 +1,11 @@
 """`idf-slam reproduce`."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from idfslam.cli.commands.command import output
+from idfslam.cli.plain_text import plain_printer
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,7 +63,7 @@ class Reproduce:
         suite = small_suite(methods, ablations=self.ablations) if self.small else full_suite(self.data, methods, ablations=self.ablations)
         on_gpu = self.cluster is None and resolve_device(self.device, "paper").type == "cuda"
         workers = 1 if on_gpu and self.workers is None else self.workers
-        report = partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        report = plain_printer(console)
         with open_executor(self.cluster, workers, jobs=len(suite.jobs), gpus=self.gpus) as executor:
             found = run_suite(suite, self.out, executor, seed=self.seed, device=self.device, overwrite=self.overwrite, report=report)
         draw_grid_matches(suite, self.out)

@@ -1,13 +1,15 @@
 """`idf-slam run`."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from idfslam.cli.commands.command import ConfigFile, Values, output
+from idfslam.cli.plain_text import plain_printer
+from idfslam.cli.recording_flags import CameraFlags, RecordingFlags, TopicFlags, recording_source
 from idfslam.cli.usage import wrong_usage
 from idfslam.config import FAST, check
 from idfslam.viewer.rerun_program import LOOPBACK, PORT, ViewerOption
@@ -18,75 +20,7 @@ if TYPE_CHECKING:
     from idfslam.datasets import Dataset
     from idfslam.runs.run_config import RecordingSource
     from idfslam.runs.runner import Run as RunResult
-    from idfslam.viewer.rerun_viewer import Viewer
-
-
-@dataclass(frozen=True)
-class RecordingFlags:
-    """Which frames are used, and how the recording is read."""
-
-    start: int = 0
-    """First frame to use."""
-    frames: int | None = None
-    """Number of frames to use. Default: all."""
-    stride: int = 1
-    """Use every N-th frame."""
-    format: str | None = None
-    """Force the input format. Default: detected from the files."""
-    camera_file: Path | None = None
-    """File of a camera that replaces the recording's: as `idf-slam calibrate` writes it, or any that may lie beside images.
-    --camera.fx and so on replace its values."""
-    truth: bool = True
-    """Read the recording's ground truth, for the errors at the end; `--no-truth` leaves it unread."""
-
-
-@dataclass(frozen=True)
-class CameraFlags:
-    """The pinhole camera. These values replace those of the recording."""
-
-    fx: float | None = None
-    """Focal length along x [px]."""
-    fy: float | None = None
-    """Focal length along y [px]."""
-    cx: float | None = None
-    """Principal point along x [px]. Pixel centres lie at integers."""
-    cy: float | None = None
-    """Principal point along y [px]."""
-    guess: bool = False
-    """If nothing is known of the camera, start from a usual one, whose image is 65 degrees wide. `run` then finds the camera from the
-    images before it maps, unless --calibrate is off."""
-    field_of_view: float | None = None
-    """The same from this width of the image [degrees]."""
-    depth_scale: float | None = None
-    """Units of the depth images per metre; 1000 for millimetres."""
-    readout: float | None = None
-    """Read-out time of the colour images, from their first row to their last [s]; 0 for a global shutter. Default of the three times: the
-    recording's, else they are unknown and estimated while it runs (front end `alignment`)."""
-    depth_readout: float | None = None
-    """The same of the depth images [s]."""
-    depth_delay: float | None = None
-    """Time by which depth is taken later than its time stamps say [s]; negative: earlier."""
-
-    def given(self) -> dict[str, float]:
-        """Those that are given; a guess as the field of view that it is made from."""
-        from idfslam.datasets.cameras.calibration import USUAL_FIELD_OF_VIEW
-
-        values = {key: value for key, value in asdict(self).items() if value is not None and key != "guess"}
-        return {"field_of_view": USUAL_FIELD_OF_VIEW} | values if self.guess else values
-
-
-@dataclass(frozen=True)
-class TopicFlags:
-    """Topics of a ROS recording. Default: detected from their types and names."""
-
-    colour: str | None = None
-    """Topic of the colour images."""
-    depth: str | None = None
-    """Topic of the depth images. They count as registered to colour unless the recording says otherwise."""
-    camera_info: str | None = None
-    """Topic of the colour camera's calibration."""
-    poses: str | None = None
-    """Topic of the true poses: of the camera, or of a frame that /tf_static connects with it."""
+    from idfslam.viewer.viewer import Viewer
 
 
 @dataclass(frozen=True)
@@ -142,10 +76,12 @@ class Run:
     `kidnap:PATH` tests relocalisation: five blackouts of one second, each ending at an earlier place."""
     map: Path | None = None
     """Start in the map of this earlier result folder and extend it. The recording of that run must still exist."""
+    truth: bool = True
+    """Read the recording's ground truth, for the errors at the end; `--no-truth` leaves it unread."""
     config: ConfigFile = None
-    recording: OmitArgPrefixes[RecordingFlags] = RecordingFlags()
-    camera: CameraFlags = CameraFlags()
-    topics: TopicFlags = TopicFlags()
+    recording: OmitArgPrefixes[RecordingFlags] = field(default_factory=RecordingFlags)
+    camera: CameraFlags = field(default_factory=CameraFlags)
+    topics: TopicFlags = field(default_factory=TopicFlags)
     output: OmitArgPrefixes[OutputFlags] = OutputFlags()
     live_view: OmitArgPrefixes[ViewerFlags] = ViewerFlags()
     checkpoints: OmitArgPrefixes[CheckpointFlags] = CheckpointFlags()
@@ -160,9 +96,8 @@ class Run:
         values = check(self.values)
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.datasets.provenance import is_guessed
-        from idfslam.live import LiveStream, absolute_path
+        from idfslam.live import LiveStream
         from idfslam.runs.prior_map import load_prior
-        from idfslam.runs.run_config import RecordingSource
         from idfslam.runs.run_folder import check_usable, folder_for
         from idfslam.runs.runner import run
         from idfslam.runs.source import open_feed
@@ -170,13 +105,7 @@ class Run:
         wanted = {"overwrite": self.output.overwrite, "report": self.output.report}
         if self.output.out is not None:
             check_usable(self.output.out, **wanted)
-        camera = self.camera.given()
-        scale = camera.pop("depth_scale", None)
-        topics = {key: name for key, name in asdict(self.topics).items() if name is not None}
-        part = self.recording
-        place, frames = absolute_path(str(self.path)), (part.start, part.frames, part.stride, part.truth)
-        camera_file = None if part.camera_file is None else str(part.camera_file.absolute())
-        source = RecordingSource(place, part.format, camera or None, camera_file, scale, topics or None, *frames)
+        source = recording_source(self.path, self.recording, self.camera, self.topics, truth=self.truth)
         recording = open_feed(source)
         limit_torch_threads(values.field.encoding)
         prior = None if self.map is None else load_prior(self.map)
@@ -193,13 +122,13 @@ class Run:
     def _calibrated(self, source: "RecordingSource", folder: Path, console: "Console") -> "RecordingSource":
         """The recording with the camera that it shows itself, in a file beside the result folder."""
         from idfslam.live import is_live
-        from idfslam.runs.calibration import calibrated
+        from idfslam.runs.calibration import with_own_camera
 
         if is_live(source.path):
             wrong_usage(
                 "--calibrate on reads a recording twice, which a live camera cannot: record it first, or give --calibrate warn", "run"
             )
-        return calibrated(source, self.values, folder.with_name(f"{folder.name}-camera.json"), console)
+        return with_own_camera(source, self.values, folder.with_name(f"{folder.name}-camera.json"), console)
 
     def _go_on(self, folder: Path, console: "Console") -> None:
         output_flags = OutputFlags(report=self.output.report, lost=self.output.lost)
@@ -235,25 +164,25 @@ class Run:
 
     def _viewer(self, console: "Console") -> "Viewer":
         from idfslam.viewer.rerun_program import has_display, listening
-        from idfslam.viewer.rerun_viewer import NullViewer, RerunViewer
+        from idfslam.viewer.rerun_viewer import RerunViewer
+        from idfslam.viewer.viewer import NO_VIEWER
 
         place, port = self.live_view.viewer, self.live_view.port
         if place == "none":
-            return NullViewer()
+            return NO_VIEWER
         if place == "auto":
             place = "window" if has_display() else "web"
         viewer = RerunViewer(place, port=port, host=self.live_view.host)
         if place == "web":
-            told = f"live view: {viewer.address()}\n{listening(port, self.live_view.host)}"
-            console.print(told, highlight=False, soft_wrap=True, markup=False)
+            plain_printer(console)(f"live view: {viewer.address()}\n{listening(port, self.live_view.host)}")
         return viewer
 
 
 def _changed(flags: Any, defaults: Any) -> Iterator[str]:
     """The names of the fields, nested ones too, that differ from their defaults."""
-    for field in fields(flags):
-        value, default = getattr(flags, field.name), getattr(defaults, field.name)
+    for each in fields(flags):
+        value, default = getattr(flags, each.name), getattr(defaults, each.name)
         if is_dataclass(value):
             yield from _changed(value, default)
         elif value != default:
-            yield field.name
+            yield each.name

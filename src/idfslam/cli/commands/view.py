@@ -26,7 +26,7 @@ class View:
     """Address of this machine that --web listens on. 0.0.0.0 opens it to the network, without a password."""
 
     def __call__(self, console: "Console") -> None:
+        from idfslam.viewer.recorded_view import show
         from idfslam.viewer.rerun_program import has_display
-        from idfslam.viewer.rerun_viewer import show
 
         show(self.folder, web=self.web or not has_display(), port=self.port, host=self.host)
