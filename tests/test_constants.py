@@ -1,23 +1,19 @@
 """Every constant of the algorithms says what it is: there is one page of all of them, generated from the code."""
 
-import importlib.util
 import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from helpers.docs_module import docs_module
+
 ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="module")
 def documented() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("constants", ROOT / "docs/constants.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_module("constants")
 
 
 def test_each_constant_has_a_comment(documented: ModuleType) -> None:

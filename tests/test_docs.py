@@ -1,6 +1,5 @@
 """The documentation site: every value and command is in it, and it builds without a warning."""
 
-import importlib.util
 import os
 import re
 import subprocess
@@ -12,6 +11,7 @@ from types import ModuleType
 
 import pytest
 
+from helpers.docs_module import docs_module
 from idfslam.config import FAST, PRETRAIN
 
 ROOT = Path(__file__).parent.parent
@@ -23,12 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def reference() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_module("reference")
 
 
 def test_every_value_of_the_configuration_has_a_row_with_its_meaning(reference: ModuleType) -> None:

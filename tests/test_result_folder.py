@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from helpers.box_room import BOX_FRAMES
+from helpers.nearly_right_slam import DivergingSlam, InterruptedSlam, NearlyRightSlam, run_known
 from helpers.visible_files import visible_files
 from idfslam.cli import command_line
 from idfslam.config import FAST
@@ -25,7 +26,6 @@ from idfslam.runs.runner import run
 from idfslam.runs.source import open_source
 from idfslam.storage import output_folder
 from idfslam.storage.ledger import LEDGER, SCHEMA, Ledger
-from test_runner import DivergingSlam, InterruptedSlam, KnownSlam, run_known
 
 
 def content(folder: Path) -> dict[str, str]:
@@ -201,7 +201,7 @@ def test_ctrl_c_writes_the_results_so_far_over_earlier_ones(box_recording: Path,
 
 
 def test_a_run_without_any_pose_leaves_nothing(box_recording: Path, tmp_path: Path) -> None:
-    class Blind(KnownSlam):
+    class Blind(NearlyRightSlam):
         def stored_keyframes(self) -> list[Any]:
             return []
 
@@ -210,7 +210,7 @@ def test_a_run_without_any_pose_leaves_nothing(box_recording: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
-class FullDisk(KnownSlam):
+class FullDisk(NearlyRightSlam):
     """The disk has no room for the map."""
 
     def save_map(self, path: Path) -> None:
@@ -346,5 +346,5 @@ def test_a_report_of_somebody_else_is_told_before_the_run(box_recording: Path, t
     line = refused(capsys, "run", box_recording, "--out", tmp_path, "--overwrite")
     assert "report.html: was not written by idf-slam, so it is not replaced; move it away" in line
     source = RecordingSource(str(box_recording))
-    run(open_source(source), FAST, tmp_path, source=source, make_slam=KnownSlam, overwrite=True)  # a run alone writes no report
+    run(open_source(source), FAST, tmp_path, source=source, make_slam=NearlyRightSlam, overwrite=True)  # a run alone writes no report
     assert (tmp_path / "report.html").read_text() == "mine"

@@ -1,7 +1,6 @@
 """Runs into result folders with a Slam that knows the answer: files, interruption, bad frames, divergence."""
 
 import json
-import os
 import shutil
 import signal
 from pathlib import Path
@@ -13,101 +12,24 @@ import pytest
 import torch
 import trimesh
 import yaml
-from numpy.typing import NDArray
 from rich.console import Console
 
 from helpers.box_room import BOX_FRAMES, box_poses
-from helpers.grey_archive import grey_archive
+from helpers.nearly_right_slam import DivergingSlam, InterruptedSlam, NearlyRightSlam, run_known
 from helpers.visible_files import visible_files
 from idfslam.cli.tables import print_evaluation
 from idfslam.compute.torch_threads import limit_torch_threads
 from idfslam.config import FAST, PAPER, Config, load
 from idfslam.datasets import open_recording
 from idfslam.errors import DivergedError, RecordingError, ResultError
-from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.trajectory import load_tum
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.meter import speed_by_block
 from idfslam.runs.run_config import RecordingSource, read_config
-from idfslam.runs.runner import Run, run
-from idfslam.runs.source import open_source
+from idfslam.runs.runner import run
 from idfslam.storage import atomic_files
-from idfslam.views.image_archive import ImageArchive
-
-
-class KnownSlam:
-    """Answers with the true poses, 1 cm off in the second half; every fifth frame is a keyframe."""
-
-    def __init__(self, config: Config) -> None:
-        self.frames: list[Frame] = []
-        self.keyframes: list[StoredKeyframe] = []
-        self.timings = {"track": [2.0] * BOX_FRAMES, "map": [70.0]}
-        self.finished = False
-
-    def process(self, frame: Frame) -> FrameResult:
-        self.frames.append(frame)
-        pose, status = self.trajectory()[-1], self.statuses()[-1]
-        keyframe = status is Status.OK and frame.index % 5 == 0
-        if keyframe:
-            self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0, camera=frame.camera))
-        return FrameResult(frame.index, frame.timestamp, pose, status, keyframe, {"sdf": 0.1} if keyframe else {})
-
-    def finish(self) -> None:
-        self.finished = True
-
-    def stored_keyframes(self) -> list[StoredKeyframe]:
-        return self.keyframes
-
-    def trajectory(self) -> NDArray[np.float64]:
-        poses = box_poses()[: len(self.frames)]
-        poses[BOX_FRAMES // 2 :, 1, 3] += 0.01
-        return poses
-
-    def live_trajectory(self) -> NDArray[np.float64]:
-        return self.trajectory()
-
-    def figures(self) -> dict[str, Any]:
-        return {"edges": 2, "loops": [[0, 10]], "loops_refused": 0, "relocalisations": 0, "finetuning_rollbacks": 0}
-
-    def statuses(self) -> list[Status]:
-        return [Status.OK if frame.depth.any() else Status.LOST for frame in self.frames]
-
-    def mesh(self, resolution: float) -> trimesh.Trimesh:
-        assert self.finished
-        return trimesh.creation.box((3.0, 2.2, 3.6))
-
-    def archive_in(self, folder: Path) -> None: ...
-
-    def archive(self) -> ImageArchive:
-        return grey_archive()
-
-    def save_map(self, path: Path) -> None:
-        path.write_bytes(b"map")
-
-
-class DivergingSlam(KnownSlam):
-    """A loss is not finite at frame 6."""
-
-    def process(self, frame: Frame) -> FrameResult:
-        if frame.index == 6:
-            raise DivergedError("the map's loss at keyframe 6 is nan")
-        return super().process(frame)
-
-
-class InterruptedSlam(KnownSlam):
-    """Ctrl-C comes while frame 3 is worked on."""
-
-    def process(self, frame: Frame) -> FrameResult:
-        if frame.index == 3:
-            os.kill(os.getpid(), signal.SIGINT)
-        return super().process(frame)
-
-
-def run_known(recording: Path, folder: Path, slam: Any = KnownSlam, *, overwrite: bool = False) -> Run:
-    source = RecordingSource(str(recording))
-    return run(open_source(source), FAST, folder, source=source, make_slam=slam, overwrite=overwrite)
 
 
 def test_a_run_writes_every_file(box_recording: Path, tmp_path: Path) -> None:
@@ -214,7 +136,7 @@ def test_a_recording_without_any_usable_frame_is_an_error(tmp_path: Path, box_re
     for path in (recording / "depth").iterdir():
         cv2.imwrite(str(path), np.zeros((120, 160), np.uint16))
     with pytest.raises(RecordingError, match="none of 14 frames has depth"):
-        run(opened, FAST, tmp_path / "out", make_slam=KnownSlam)
+        run(opened, FAST, tmp_path / "out", make_slam=NearlyRightSlam)
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused_before_the_run(box_recording: Path, tmp_path: Path) -> None:

@@ -2,23 +2,18 @@
 
 import queue
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from helpers.box_room import BOX_FRAMES, box_poses
-from helpers.grey_archive import grey_archive
-from idfslam.config import Config
+from helpers.stand_in_slam import StandInSlam
 from idfslam.datasets import Dataset
 from idfslam.errors import CameraError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.camera import Camera
 from idfslam.live import Capture
 from idfslam.live.replay import Replay
-from idfslam.views.image_archive import ImageArchive
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 
@@ -80,15 +75,10 @@ class PulledOut(Replay):
         return super().grab()
 
 
-class SeeingSlam:
+class SeeingSlam(StandInSlam):
     """Answers each frame with the box room's pose at its stamp."""
 
     seconds = 0.0  # for a frame
-
-    def __init__(self, config: Config) -> None:
-        self.frames: list[Frame] = []
-        self.keyframes: list[StoredKeyframe] = []
-        self.timings: dict[str, list[float]] = {}
 
     def process(self, frame: Frame) -> FrameResult:
         time.sleep(self.seconds)
@@ -98,33 +88,8 @@ class SeeingSlam:
             self.keyframes.append(StoredKeyframe(frame.index, pose, frozenset(), submap=0, camera=frame.camera))
         return FrameResult(frame.index, frame.timestamp, pose, Status.OK, len(self.frames) == 1, {})
 
-    def finish(self) -> None: ...
-
-    def stored_keyframes(self) -> list[StoredKeyframe]:
-        return self.keyframes
-
     def trajectory(self) -> NDArray[np.float64]:
         return box_poses()[[round(frame.timestamp * 30) % BOX_FRAMES for frame in self.frames]]
-
-    def live_trajectory(self) -> NDArray[np.float64]:
-        return self.trajectory()
-
-    def figures(self) -> dict[str, Any]:
-        return {"edges": 0, "loops": [], "loops_refused": 0, "relocalisations": 0, "finetuning_rollbacks": 0}
-
-    def statuses(self) -> list[Status]:
-        return [Status.OK] * len(self.frames)
-
-    def mesh(self, resolution: float) -> Any:
-        return trimesh.creation.box((3.0, 2.2, 3.6))
-
-    def archive_in(self, folder: Path) -> None: ...
-
-    def archive(self) -> ImageArchive:
-        return grey_archive()
-
-    def save_map(self, path: Path) -> None:
-        path.write_bytes(b"map")
 
 
 class SlowSlam(SeeingSlam):
