@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.recordings import write_folder, write_tum
+from helpers.recordings import write_folder, write_sens, write_tum
 from idfslam.datasets import open_recording
 from idfslam.datasets.location import locate, without_scheme
 from idfslam.errors import RecordingError
@@ -114,6 +114,15 @@ def test_an_empty_folder_is_no_part_of_a_recording(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(RecordingError, match=r"kitchen/empty: not a known recording: found an empty folder"):
         open_recording(empty)
+
+
+def test_what_lies_beside_a_recording_of_one_file_is_no_part_of_it(tmp_path: Path) -> None:
+    """Otherwise a folder that lacks its depth is taken for the neighbour, which is another room."""
+    write_sens(tmp_path / "hall.sens")
+    shutil.rmtree(write_folder(tmp_path / "kitchen") / "depth")
+    with pytest.raises(RecordingError, match=r"kitchen: .*depth"):
+        open_recording(tmp_path / "kitchen")
+    assert open_recording(tmp_path).name == "hall"
 
 
 def test_a_list_of_a_tum_sequence(tmp_path: Path) -> None:

@@ -41,7 +41,8 @@ from idfslam.errors import ConfigError, RecordingError
 log = logging.getLogger(__name__)
 
 READERS: tuple[Reader, ...] = (  # in the order in which they are tried
-    scannet.READER,
+    scannet.EXPORTED,
+    scannet.RAW,
     replica.READER,
     bundle_fusion.READER,
     sun3d.READER,
@@ -60,7 +61,7 @@ READERS: tuple[Reader, ...] = (  # in the order in which they are tried
     array_recording.READER,
     ros.READER,
 )
-FORMATS = (*(reader.name for reader in READERS), *generated.NAMES)
+FORMATS = (*dict.fromkeys(reader.name for reader in READERS), *generated.NAMES)
 
 
 def open_recording(

@@ -3,11 +3,8 @@
 Colour images are larger than depth images: they are resampled to the depth camera's image. A pose of inf or nan means no pose.
 """
 
-import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -15,29 +12,26 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.cameras.camera_files import read_camera_file
-from idfslam.datasets.images.decoding import Depth, ImageFiles, decode_colour, numbered, read_depth
+from idfslam.datasets.images.decoding import Depth, ImageFiles, numbered, read_depth
 from idfslam.datasets.images.depth_units import usual_scale
-from idfslam.datasets.images.image_header import LONGEST_SIDE
 from idfslam.datasets.images.pairs import paired
 from idfslam.datasets.near_miss import Likeness, part
 from idfslam.datasets.poses.truth import Truth
 from idfslam.datasets.provenance import ASSUMED, STATED
 from idfslam.datasets.readers.folder import read_poses
+from idfslam.datasets.readers.sens_file import SensImages, read_sens_index
 from idfslam.datasets.recording import FPS, Reader, ReadImages, Recording, regular_stamps
 from idfslam.errors import FrameError, RecordingError
 from idfslam.geometry.sensor_timing import LONGEST
 
-_VERSION = 4  # of .sens files; all published ones have it: a fact of the format
-_COLOUR_CODECS = {0: "raw", 1: "png", 2: "jpeg"}
-_DEPTH_CODECS = {0: "raw", 1: "zlib"}  # 2 is "occi", which no published recording uses
-_FRAME = struct.Struct("<16f4Q")  # camera-to-world, stamps of colour and depth [us], bytes of colour and depth
+
+def is_exported(path: Path) -> bool:
+    return all((path / name).is_dir() for name in ("color", "depth", "intrinsic"))
 
 
-def recognises(path: Path) -> bool:
-    if path.is_file():
-        return path.suffix == ".sens"
-    exported = all((path / name).is_dir() for name in ("color", "depth", "intrinsic"))
-    return exported or any(path.glob("*.sens"))
+def is_raw(path: Path) -> bool:
+    """Whether it is a .sens file, or a folder with one."""
+    return path.suffix == ".sens" if path.is_file() else any(path.glob("*.sens"))
 
 
 def open_scannet(path: Path, stated: Calibration) -> Recording:
@@ -112,29 +106,6 @@ class ColourOnDepth:
         return np.asarray(cv2.warpAffine(bgr, A, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8), raw
 
 
-@dataclass(frozen=True)
-class SensHeader:
-    """The header of a .sens file."""
-
-    colour: Calibration
-    depth: Calibration
-    colour_codec: str
-    depth_codec: str
-    frames: int
-
-
-@dataclass(frozen=True)
-class SensFrame:
-    """The position of one frame in a .sens file, its stamp and pose."""
-
-    offset: int  # [bytes] of its colour image; its depth image follows
-    colour_bytes: int
-    depth_bytes: int
-    stamp: float  # [s] of colour
-    depth_stamp: float  # [s]
-    T_wc: NDArray[np.float64]  # (4, 4)
-
-
 def _open_sens(path: Path, stated: Calibration) -> Recording:
     header, frames = read_sens_index(path)
     stamps, depth_stamps = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "depth_stamp"))
@@ -154,104 +125,11 @@ def _open_sens(path: Path, stated: Calibration) -> Recording:
     )
 
 
-def read_sens_index(path: Path) -> tuple[SensHeader, list[SensFrame]]:
-    """Reads the header and the positions of all frames, but no images; raises RecordingError if the file is malformed."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        header = _read_header(file, path)
-        if not header.frames:
-            raise RecordingError(f"{path}: holds no frames, expected a recording: copy it again")
-        frames = []
-        for i in range(header.frames):
-            data = file.read(_FRAME.size)
-            if len(data) == _FRAME.size:
-                *pose, stamp, depth_stamp, colour_bytes, depth_bytes = _FRAME.unpack(data)
-                stamps = stamp / 1e6, depth_stamp / 1e6
-                frame = SensFrame(file.tell(), colour_bytes, depth_bytes, *stamps, np.array(pose).reshape(4, 4))
-                end = frame.offset + colour_bytes + depth_bytes
-            if len(data) < _FRAME.size or end > size:
-                raise RecordingError(f"{path}: cut off in frame {i} of {header.frames} ({size} bytes): copy the recording again")
-            frames.append(frame)
-            file.seek(end)
-    return header, frames
-
-
-def _read_header(file: BinaryIO, path: Path) -> SensHeader:
-    def take(layout: str) -> tuple[float, ...]:
-        data = file.read(struct.calcsize(layout))
-        if len(data) < struct.calcsize(layout):
-            raise RecordingError(f"{path}: cut off in its header, expected a .sens file of version {_VERSION}")
-        return struct.unpack(layout, data)
-
-    version, length = take("<IQ")
-    if version != _VERSION or length > 4096:
-        raise RecordingError(f"{path}: .sens version {int(version)}, expected {_VERSION}: not a ScanNet recording, or another version")
-    file.seek(int(length), 1)  # the sensor's name
-    K_colour, _, K_depth, _ = (np.array(take("<16f")).reshape(4, 4) for _ in range(4))  # each followed by its extrinsics
-    colour_codec, depth_codec = (int(code) for code in take("<2i"))
-    colour_width, colour_height, depth_width, depth_height = (int(length) for length in take("<4I"))
-    scale, frames = take("<fQ")
-    if colour_codec not in _COLOUR_CODECS or depth_codec not in _DEPTH_CODECS:
-        found = f"colour compression {colour_codec}, depth compression {depth_codec}"
-        raise RecordingError(f"{path}: {found}, expected raw, png or jpeg colour (0-2) and raw or zlib depth (0, 1): export the recording")
-    if max(colour_width, colour_height, depth_width, depth_height) > LONGEST_SIDE:
-        found = f"colour {colour_width}x{colour_height}, depth {depth_width}x{depth_height}"
-        raise RecordingError(f"{path}: {found}, expected at most {LONGEST_SIDE} pixels a side: copy the recording again")
-    return SensHeader(
-        _calibration(K_colour, colour_width, colour_height, None, path),
-        _calibration(K_depth, depth_width, depth_height, scale, path),
-        _COLOUR_CODECS[colour_codec],
-        _DEPTH_CODECS[depth_codec],
-        int(frames),
-    )
-
-
-def _calibration(K: NDArray[np.float64], width: int, height: int, scale: float | None, path: Path) -> Calibration:
-    fx, fy, cx, cy = (float(value) for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
-    return Calibration(fx, fy, cx, cy, width, height, depth_scale=scale, source=str(path))
-
-
-@dataclass(frozen=True)
-class SensImages:
-    """Called with i, returns colour (H, W, 3) uint8 BGR and depth (H, W) uint16 of frame i, each at its own size."""
-
-    path: Path
-    header: SensHeader
-    frames: list[SensFrame]
-
-    def __call__(self, i: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        frame, source = self.frames[i], f"{self.path}: frame {i}"
-        try:
-            with self.path.open("rb") as file:  # opened for each frame, so that threads can read at once
-                file.seek(frame.offset)
-                colour, depth = file.read(frame.colour_bytes), file.read(frame.depth_bytes)
-        except OSError as error:
-            raise FrameError(f"{source}: {error.strerror}") from error
-        return self._colour(colour, source), self._depth(depth, source)
-
-    def _colour(self, data: bytes, source: str) -> NDArray[np.uint8]:
-        if self.header.colour_codec != "raw":
-            return decode_colour(data, source)
-        height, width = self.header.colour.height or 0, self.header.colour.width or 0
-        if len(data) != height * width * 3:
-            raise FrameError(f"{source}: {len(data)} bytes of colour, expected {height * width * 3}: copy the recording again")
-        return np.frombuffer(data, np.uint8).reshape(height, width, 3)[..., ::-1]
-
-    def _depth(self, data: bytes, source: str) -> NDArray[np.uint16]:
-        height, width = self.header.depth.height or 0, self.header.depth.width or 0
-        try:  # a byte more than expected tells that there are more
-            raw = zlib.decompressobj().decompress(data, height * width * 2 + 1) if self.header.depth_codec == "zlib" else data
-        except zlib.error as error:
-            raise FrameError(f"{source}: depth cannot be unpacked ({error}): copy the recording again") from error
-        if len(raw) != height * width * 2:
-            raise FrameError(f"{source}: {len(raw)} bytes of depth, expected {height * width * 2}: copy the recording again")
-        return np.frombuffer(raw, "<u2").reshape(height, width)
-
-
-READER = Reader(
+EXPORTED = Reader(
     "scannet",
-    "color/, depth/, intrinsic/ or a .sens file",
-    recognises,
+    "color/, depth/, intrinsic/",
+    is_exported,
     open_scannet,
     likeness=Likeness("an exported ScanNet scene", (part("color", "color/"), part("depth", "depth/"), part("intrinsic", "intrinsic/"))),
 )
+RAW = Reader("scannet", "a .sens file", is_raw, open_scannet)  # without a likeness: what lies beside a file is no part of it
