@@ -202,9 +202,9 @@ def test_a_mesh_finer_than_the_map_is_told(known_run: Path, tmp_path: Path, capl
     saved = load_map(known_run / result_folder.MAP)
     assert memory_need.finest_cells(saved) == 0.04
     with caplog.at_level(logging.INFO):
-        memory_need.tell_finest_cells(saved, 0.02)
+        memory_need.log_finest_cells(saved, 0.02)
         assert not caplog.messages
-        memory_need.tell_finest_cells(saved, 0.01)
+        memory_need.log_finest_cells(saved, 0.01)
     assert caplog.messages == [
         "the finest cells of the map have 4 cm: a mesh in cells of 1 cm has more vertices than one of 2 cm, but no more detail"
     ]

@@ -17,10 +17,10 @@ def table(evaluation: Evaluation) -> Table:
     if evaluation.measured is not None and evaluation.measured.frames < evaluation.frames:
         result.add_section()
         _add_poses(result, evaluation.measured, "frames with a measured pose")
-    told = _told(evaluation)
-    if told:
+    rows = _jump_and_doubt(evaluation)
+    if rows:
         result.add_section()
-        for name, text in told:
+        for name, text in rows:
             result.add_row(escape(name), text)
     if evaluation.mesh is not None:
         result.add_section()
@@ -39,7 +39,7 @@ def _add_poses(result: Table, errors: PoseErrors, kind: str) -> None:
         result.add_row(escape(name), *(f"{value * unit:.3f}" for value in (s.rmse, s.mean, s.median, s.max, s.std)))
 
 
-def _told(evaluation: Evaluation) -> list[tuple[str, str]]:
+def _jump_and_doubt(evaluation: Evaluation) -> list[tuple[str, str]]:
     """The largest jump, and how well the statuses told which poses were wrong."""
     rows = []
     for jump in (rpe.largest_jump for rpe in evaluation.rpe if rpe.delta == 1):

@@ -49,7 +49,7 @@ class Axes:
         turn = {"z": _Y_UP, "y": np.eye(4), "camera": _HALF_TURN}[self.up]
         return Axes("y", turn @ self.T_ew, self.by_gravity)
 
-    def tell(self) -> None:
-        """Says so if up is not known."""
+    def warn_if_not_level(self) -> None:
+        """Warns if what is up is not known by gravity."""
         if not self.by_gravity:
             log.warning("no floor was found: up is the up of the first camera")

@@ -96,7 +96,7 @@ class Exporter:
             ledger.record(_existing(self.out, _TARGETS[to] if written[0].is_dir() else [path.name for path in written]))
             note_axes(ledger, to, self._axes.gltf if to in _Y_UP else self._axes, newest=self._axes)
             paths += written
-        self._axes.tell()
+        self._axes.warn_if_not_level()
         return list(dict.fromkeys(paths))
 
     def _ledger(self, formats: Sequence[Format]) -> Ledger:

@@ -36,7 +36,7 @@ def finest_cells(saved: SavedMap) -> float | None:
     return saved.field.finest_cells
 
 
-def tell_finest_cells(saved: SavedMap, resolution: float) -> None:
+def log_finest_cells(saved: SavedMap, resolution: float) -> None:
     """Says so if a mesh would be finer than what the map resolves. Between its lattice points the map is nearly linear."""
     finest = finest_cells(saved)
     if finest is not None and resolution < finest / 2:

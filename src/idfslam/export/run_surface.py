@@ -42,7 +42,7 @@ def mesh_of_map(run: FinishedRun, resolution: float, *, of_map: bool = False) ->
     """
     check_resolution(resolution)
     memory_need.check_mesh(surface_area(run), resolution)
-    memory_need.tell_finest_cells(run.map, resolution)
+    memory_need.log_finest_cells(run.map, resolution)
     mesh = run.map.mesh(resolution)
     if run.archive is not None and not of_map and len(mesh.faces):
         mesh = recoloured(mesh, run.archive)

@@ -46,7 +46,7 @@ def write_mesh(
         atomic_files.prepare(path.parent)
         axes = Axes.of(run, "camera" if own else up or "z")
         written = _WRITERS[kind](path, turned(mesh, axes.gltf.T_ew if kind == ".glb" else axes.T_ew))
-    axes.tell()
+    axes.warn_if_not_level()
     return written
 
 
