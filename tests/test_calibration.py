@@ -129,6 +129,8 @@ def test_a_damaged_deformation_is_one_line(tmp_path: Path, deformation: object) 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no such file, expected a camera"):
         read_given(tmp_path / "camera.json")
+    with pytest.raises(RecordingError, match="is a folder, expected the file of a camera"):
+        read_given(tmp_path)
 
 
 # Recordings read with it

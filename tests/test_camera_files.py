@@ -170,7 +170,7 @@ def test_opencv_s_file() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"0 rows of \[\] numbers, expected a 3x3 matrix"),
+        ("", "no numbers, expected a 3x3 matrix"),
         ("527", "1 number, expected a 3x3 matrix or one line of fx fy cx cy"),
         ("527.21 0 322.25\n0 526.5 238.73\n", r"2 rows of \[3\] numbers, expected a 3x3 matrix"),
         ("527.21 5 322.25\n0 526.5 238.73\n0 0 1\n", "a skew of 5 px, expected fx 0 cx in the first row"),
@@ -178,7 +178,7 @@ def test_opencv_s_file() -> None:
         ("527.21 0 nan\n0 526.5 238.73\n0 0 1\n", "not a pinhole matrix"),
         ("fx: 527.21\ncx: 322.25", "fy, cy missing, expected"),
         ("see page 3", "could not convert string to float: 'see', expected a 3x3 matrix"),
-        ("see the paper", r"0 rows of \[\] numbers, expected a 3x3 matrix"),
+        ("see the paper", "no numbers, expected a 3x3 matrix"),
         ("fx: 1\nfy: 1\ncx: 1\ncy: 1\nwidth: 1e400", "cannot convert float infinity to integer, expected a 3x3 matrix"),
         ("1 OPENCV_FISHEYE 640 480 1 2 3 4 5 6 7 8", "a camera of model OPENCV_FISHEYE, expected SIMPLE_PINHOLE, PINHOLE"),
         ("1 OPENCV 640 480 1 2 3 4", "4 values of model OPENCV, expected more"),

@@ -99,6 +99,7 @@ def test_what_a_run_adds_to_its_config_is_passed_over(tmp_path: Path) -> None:
         ("mapper: {pixels: true}", "'pixels' is True"),
         ("mapper: {precision: fp8}", "choose one of auto, fp32, bf16"),
         ("mapper: {pixels: 0}", "mapper.pixels is 0, expected at least 1"),
+        ("hold_out: 1", "hold_out is 1, expected 0 or at least 2"),
         ("mapper: {redraw: 0}", "mapper.redraw is 0, expected at least 1"),
         ("refinement: {seconds: 0}", "refinement.seconds is 0.0, expected more than 0"),
         ("mapper: {learning_rate: .nan}", "mapper.learning_rate is nan, expected a finite number"),

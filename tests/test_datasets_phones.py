@@ -176,7 +176,7 @@ def without(name: str) -> dict[str, bytes]:
         (without("metadata"), "metadata is missing"),
         (without("rgbd/0.jpg"), "no rgbd/0.jpg"),
         (record3d_entries() | {"metadata": b"{"}, "is not JSON"),
-        (record3d_entries() | {"metadata": b"[]"}, "TypeError"),
+        (record3d_entries() | {"metadata": b"[]"}, "values of other kinds, expected Record3D's K"),
         (record3d_entries(K=[1, 2]), "cannot reshape array of size 2"),
         (record3d_entries(dw=-12, dh=-16), r"sizes \(48, 64\) and \(-12, -16\), expected Record3D's K, w, h, poses"),
         (record3d_entries(dw=13), r"rgbd/0.depth holds 768 bytes, expected 13x16 of 4"),

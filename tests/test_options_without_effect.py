@@ -23,6 +23,7 @@ from idfslam.cli import command_line
         ("bench synthetic:0 --against fusion --no-mesh", "--against fusion with --no-mesh: only its surface is its own"),
         ("calibrate {run} --out camera.txt", "--out camera.txt: expected the name of a file that ends with .json"),
         ("calibrate {run} --out {run}/config.yaml/camera.json", "config.yaml is a file, expected a folder: choose another name"),
+        ("run synthetic:0 --checkpoint-every -1", "--checkpoint-every -1, expected at least 0, which saves none"),
         ("calibrate", "no recordings, expected at least one, or a result folder of `run`"),
         ("calibrate {run} nowhere", "nowhere: no such file or folder, expected a recording"),
         ("calibrate opencv:0:2", "opencv:0:2: a live camera, expected a recording: record it first"),

@@ -158,6 +158,10 @@ def test_wrong_input(box_recording: Path, unbroken: Path, tmp_path: Path) -> Non
     recordings = [open_recording(box_recording)]
     with pytest.raises(RecordingError, match="found no recordings"):
         pretrain([], Outputs(tmp_path / "weights"), SMALL)
+    with pytest.raises(ResultError, match="is a folder, expected the name of a file for the weights"):
+        pretrain(recordings, Outputs(tmp_path), SMALL)
+    with pytest.raises(ConfigError, match="--checkpoint-every -1 --validate-every 500, expected at least 0"):
+        pretrain(recordings, Outputs(tmp_path / "weights", checkpoint_every=-1), SMALL)
     with pytest.raises(ResultError, match="exists already; go on with --resume, replace it with --overwrite, or name another file"):
         pretrain(recordings, Outputs(unbroken), SMALL)
     with pytest.raises(ResultError, match="no checkpoint"):

@@ -11,7 +11,7 @@ a source no measurement is kept.
 from dataclasses import dataclass
 from typing import Literal
 
-from idfslam.config.fields import Positive, UserOption
+from idfslam.config.fields import EveryNth, Positive, UserOption
 from idfslam.config.keyframe_sections import KeyframeConfig, LoopConfig, RefinementConfig
 from idfslam.config.map_sections import (
     FieldConfig,
@@ -56,7 +56,7 @@ class Config:
     """Keep images of the recording beside the map (archive.safetensors), which views, videos and the colours of meshes are made of."""
     archive_megabytes: Positive = 20.0
     """Size of that archive [MB] at most. A room takes 20; in larger scenes more is sharper away from the few images that are left."""
-    hold_out: int = 0
+    hold_out: EveryNth = 0
     """Keep every N-th frame from the map, the keyframes and the archive of images, so that `idf-slam eval --views` can compare it with the
     rendered view; it is tracked like any other. 0: none."""
     movers: UserOption[Literal["mask", "off"]] = "mask"

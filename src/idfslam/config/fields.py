@@ -42,12 +42,30 @@ class MoreThan:
         return f"more than {self.limit:g}"
 
 
+@dataclass(frozen=True)
+class ZeroOrAtLeast:
+    """A lower bound; 0 switches the thing off."""
+
+    least: float
+
+    def allows(self, value: float) -> bool:
+        """Whether a number is within the bound."""
+        return value == 0 or value >= self.least
+
+    def __str__(self) -> str:
+        return f"0 or at least {self.least:g}"
+
+
+Bound = AtLeast | MoreThan | ZeroOrAtLeast
+
+
 class _ForUsers:
     """Marks a field that `--help` shows."""
 
 
 Count = Annotated[int, AtLeast(1)]
 Positive = Annotated[float, MoreThan(0)]
+EveryNth = Annotated[int, ZeroOrAtLeast(2)]
 UserOption = Annotated[T, _ForUsers()]
 
 
@@ -56,9 +74,9 @@ def field_types(section: type) -> dict[str, Any]:
     return get_type_hints(section, include_extras=True)
 
 
-def bounds(field_type: Any) -> list[AtLeast | MoreThan]:
+def bounds(field_type: Any) -> list[Bound]:
     """The bounds that a field's type states."""
-    return [extra for extra in getattr(field_type, "__metadata__", ()) if isinstance(extra, AtLeast | MoreThan)]
+    return [extra for extra in getattr(field_type, "__metadata__", ()) if isinstance(extra, Bound)]
 
 
 def is_user_option(field_type: Any) -> bool:

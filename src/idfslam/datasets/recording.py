@@ -187,7 +187,7 @@ class Recording:
     def _with_depth(self, i: int) -> tuple[NDArray[np.uint8], Depth]:
         bgr, raw = self._read(i)
         if raw is None or not has_readings(raw):
-            raise FrameError(f"{self.name}: frame {i} has no depth (all zero or 65535), expected readings of a depth camera")
+            raise FrameError(f"{self.name}: frame {i} has no depth (all zero, 65535 or no number), expected readings of a depth camera")
         return bgr, raw
 
     def _probe(self) -> tuple[tuple[int, int], tuple[int, int]]:

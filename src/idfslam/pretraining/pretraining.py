@@ -141,6 +141,11 @@ def pretrain(
     """
     if not recordings:
         raise RecordingError("found no recordings, expected at least one to pretrain on; name their folders")
+    if min(outputs.checkpoint_every, outputs.validate_every) < 0:
+        given = f"--checkpoint-every {outputs.checkpoint_every} --validate-every {outputs.validate_every}"
+        raise ConfigError(f"{given}, expected at least 0, which stands for the end alone")
+    if outputs.weights.is_dir():
+        raise ResultError(f"{outputs.weights}: is a folder, expected the name of a file for the weights: give it with --out")
     if not resume and not overwrite and (found := [path for path in (outputs.weights, outputs.checkpoint) if path.exists()]):
         raise ResultError(f"{found[0]}: exists already; go on with --resume, replace it with --overwrite, or name another file with --out")
     atomic_files.prepare(outputs.weights.parent)

@@ -55,6 +55,15 @@ def shown(value: Any) -> str:
         return f"a {type(value).__name__} that is too long to show"
 
 
+def fault(error: Exception) -> str:
+    """What is wrong with values, by the error that reading them raised, in words of people who do not know Python's."""
+    if isinstance(error, KeyError):
+        return f"no {shown(error)}"
+    if isinstance(error, TypeError | AttributeError):
+        return "values of other kinds"
+    return "too few values" if isinstance(error, IndexError) else shown(error)
+
+
 def one_line(text: str) -> str:
     """A text for a message, in one line and cut to 200 characters."""
     text = " ".join(text.split())

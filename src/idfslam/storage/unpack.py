@@ -42,7 +42,8 @@ def unpack(archive: Path, folder: Path) -> None:
             _unpack(inner, inner.parent, room)
             inner.unlink()
     except _DAMAGED as error:
-        raise ArchiveError(f"{archive.name}: damaged ({error or type(error).__name__})") from error
+        why = str(error).partition(":")[0] or type(error).__name__  # tarfile tells behind the colon what each method says
+        raise ArchiveError(f"{archive.name}: damaged ({why})") from error
     except (NotImplementedError, RuntimeError) as error:  # zipfile's errors for unknown methods and encrypted members
         raise ArchiveError(f"{archive.name}: {error}, expected one that is not encrypted, of a usual method: pack it again") from error
     except OSError as error:

@@ -12,6 +12,7 @@ from idfslam.cli.plain_text import plain_printer
 from idfslam.cli.recording_flags import CameraFlags, RecordingFlags, TopicFlags, recording_source
 from idfslam.cli.usage import wrong_usage
 from idfslam.config import FAST, check
+from idfslam.errors import ConfigError
 from idfslam.viewer.rerun_program import LOOPBACK, PORT, ViewerOption
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ class Run:
     values: Values = FAST
 
     def __call__(self, console: "Console") -> None:
+        if self.checkpoints.checkpoint_every < 0:
+            raise ConfigError(f"--checkpoint-every {self.checkpoints.checkpoint_every}, expected at least 0, which saves none")
         if self.checkpoints.resume is not None:
             self._go_on(self.checkpoints.resume, console)
             return

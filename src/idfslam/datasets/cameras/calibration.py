@@ -20,6 +20,7 @@ GIVE_CAMERA = "give cam_params.json in the recording or --camera.fx --camera.fy 
 # [degrees] across the colour image, of a sensor about which nothing is known: Kinect 63, RealSense D435 69, Structure 59, iPad 66.
 # Calibration finds focal lengths that are up to about 10 % off. More: wider cameras are found, and narrower ones are not.
 USUAL_FIELD_OF_VIEW = 65.0
+_NARROWEST = 1.0  # [degrees] least view across an image's width; raised, long lenses are refused. Depth cameras have 40 and more
 _FIELDS_OF_VIEW = 10.0, 140.0  # [degrees] of pinhole cameras; wider: more slips of the keyboard pass. Chosen by hand
 
 
@@ -91,6 +92,8 @@ class Calibration:
         found = f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))) or min(self.fx, self.fy) <= 0:
             raise RecordingError(f"{recording}: {self.source} says {found}: expected finite numbers with fx and fy above 0 (y points down)")
+        if math.degrees(2 * math.atan(width / 2 / max(self.fx, self.fy))) < _NARROWEST:
+            raise RecordingError(f"{recording}: {self.source} says {found}: a view of no degree, expected focal lengths in pixels")
         if not all(map(math.isfinite, self.distortion or ())):
             found = " ".join(f"{value:g}" for value in self.distortion or ())
             raise RecordingError(f"{recording}: {self.source} says distortion {found}: expected finite numbers")

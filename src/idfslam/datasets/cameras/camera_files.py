@@ -47,6 +47,8 @@ def read_cam_params(*folders: Path) -> Calibration:
 
 def read_given(path: Path) -> Calibration:
     """Reads the camera file that a user names: cam_params.json under any name, or a text file. Raises RecordingError without a camera."""
+    if path.is_dir():
+        raise RecordingError(f"{path}: is a folder, expected the file of a camera, such as cam_params.json in it")
     if not path.is_file():
         raise RecordingError(f"{path}: no such file, expected a camera: `idf-slam calibrate RECORDING --out {path.name}` writes one")
     return _read(path, advice=": name another file")

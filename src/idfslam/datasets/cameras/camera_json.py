@@ -20,7 +20,7 @@ from idfslam.geometry.sensor_timing import UNKNOWN, SensorTiming
 from idfslam.sensing import depth_deformation
 from idfslam.sensing.depth_deformation import DepthDeformation
 from idfslam.storage.json_file import read_json
-from idfslam.storage.plain_values import shown
+from idfslam.storage.plain_values import fault, shown
 
 DEFORMATION = "depth_deformation"
 LARGEST_DEFORMATION = 0.2  # [1] of each of its numbers; raised, more nonsense passes. Sensors have a few per cent at most
@@ -74,7 +74,7 @@ def camera_of(whole: Mapping[str, Any], path: Path) -> Calibration:
         distortion = [float(value) for value in given.get("distortion", ())]
         deformation = _deformation(values.get(DEFORMATION))
     except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise RecordingError(f"{path}: {type(error).__name__} {error}, expected {EXPECTED}") from error
+        raise RecordingError(f"{path}: {fault(error)}, expected {EXPECTED}") from error
     camera = replace(camera, width=width, height=height, distortion=checked_distortion(distortion, str(path)))
     return replace(camera, depth_scale=units_per_metre(scale), deformation=deformation).with_times(times)
 

@@ -185,7 +185,7 @@ def _from_rows(rows: list[list[float]], source: str) -> Calibration:
         return Calibration(camera.fx, camera.fy, camera.cx, camera.cy, distortion=checked_distortion(rows[3], source), source=source)
     if len(rows) == 1 or lengths in [[4, n] for n in DISTORTION_LENGTHS] or lengths == [2, 4]:
         return _from_numbers([number for row in rows for number in row], source)
-    raise _refusal(f"{len(rows)} rows of {sorted(set(lengths))} numbers", source)
+    raise _refusal(f"{len(rows)} rows of {sorted(set(lengths))} numbers" if rows else "no numbers", source)
 
 
 def _from_numbers(n: list[float], source: str) -> Calibration:

@@ -20,6 +20,7 @@ from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.geometry.association import TOLERANCE, associate
 from idfslam.storage.json_file import parse_json
+from idfslam.storage.plain_values import fault
 
 _COLOUR, _DEPTH = "CALIBRATION_CameraLocationPV0", "CALIBRATION_CameraLocationD0"
 _DEPTH_MODES = {  # size of the images: size of the whole sensor after binning, first column and row of the images in it
@@ -107,9 +108,7 @@ def read_calibration(
         return _camera(colour, colour_size, *whole, 0, (whole[1] - height) // 2, source), depth_camera
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, np.linalg.LinAlgError) as error:
         sizes = f"depth images of {depth_size[0]}x{depth_size[1]}"
-        raise RecordingError(
-            f"{source}: {type(error).__name__} {error}, expected the calibration of an Azure Kinect for {sizes}"
-        ) from error
+        raise RecordingError(f"{source}: {fault(error)}, expected the calibration of an Azure Kinect for {sizes}") from error
 
 
 def _json(data: bytes, source: str) -> Any:

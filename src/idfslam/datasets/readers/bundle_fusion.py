@@ -15,6 +15,7 @@ from idfslam.datasets.provenance import ASSUMED
 from idfslam.datasets.readers.folder import read_pose_files
 from idfslam.datasets.recording import FPS, Reader, Recording
 from idfslam.errors import RecordingError
+from idfslam.storage.plain_values import fault
 from idfslam.storage.text_file import read_text
 
 INFO = "info.txt"
@@ -48,7 +49,7 @@ def read_info(path: Path) -> Calibration:
         scale = float(values["depthshift"][0]) if "depthshift" in values else None
     except (ValueError, KeyError, IndexError, OverflowError) as error:
         expected = "expected m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic of 16 numbers"
-        raise RecordingError(f"{path}: {type(error).__name__} {error}, {expected}") from error
+        raise RecordingError(f"{path}: {fault(error)}, {expected}") from error
     camera = from_matrix(K[:3, :3], str(path))
     return Calibration(camera.fx, camera.fy, camera.cx, camera.cy, width, height, depth_scale=scale, source=str(path))
 

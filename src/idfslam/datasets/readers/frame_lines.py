@@ -19,6 +19,7 @@ from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, 
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import parse_json
+from idfslam.storage.plain_values import fault
 from idfslam.storage.text_file import read_text
 
 _EXPECTED = "an object with intrinsics, pose and timestamp of a frame"
@@ -65,7 +66,7 @@ def open_frame_lines(path: Path, stated: Calibration) -> Recording:
             size = (int(width), int(height)) if min(width, height) > 0 else None
             frames.append((*images, (fx, fy, cx, cy), size, stated_number(values, *_STAMP)))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-            raise RecordingError(f"{file}: line {number}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
+            raise RecordingError(f"{file}: line {number}: {fault(error)}, expected {_EXPECTED}") from error
     T_wc = [from_opengl(pose) for pose in _by_rows(np.array(poses).reshape(-1, 4, 4))]
     return open_frames(path, [PosedFrame(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], stated, str(file))
 

@@ -15,6 +15,7 @@ from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, 
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
+from idfslam.storage.plain_values import fault
 
 _KINDS = ("corrected_", "")
 _EXPECTED = "fx, fy, cx, cy and t_00 to t_23"
@@ -56,7 +57,7 @@ def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | No
         stamp = stated_number(values, "timestamp")
         size = (int(width), int(height)) if min(width, height) > 0 else None
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
-        raise RecordingError(f"{camera}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
+        raise RecordingError(f"{camera}: {fault(error)}, expected {_EXPECTED}") from error
     return PosedFrame(colour, depth, (fx, fy, cx, cy), size, from_opengl(np.array(rows)), stamp, confidence)
 
 

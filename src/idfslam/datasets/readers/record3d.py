@@ -29,7 +29,7 @@ from idfslam.datasets.recording import Reader, Recording, regular_stamps
 from idfslam.errors import ConfigError, FrameError, RecordingError, pip_install
 from idfslam.geometry.transforms_json import OPENGL
 from idfslam.storage.json_file import parse_json
-from idfslam.storage.plain_values import LARGEST, shown
+from idfslam.storage.plain_values import LARGEST, fault, shown
 
 # What zipfile raises for damaged, encrypted and unusual archives
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, NotImplementedError, RuntimeError, ValueError)
@@ -178,7 +178,7 @@ def read_metadata(files: ExportFiles) -> Metadata:
     except FrameError as error:
         raise RecordingError(str(error)) from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise RecordingError(f"{source}: {type(error).__name__} {error}, expected Record3D's K, w, h, poses: export it again") from error
+        raise RecordingError(f"{source}: {fault(error)}, expected Record3D's K, w, h, poses: export it again") from error
     count = 0
     while f"rgbd/{count}.jpg" in files:
         count += 1

@@ -15,6 +15,7 @@ from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, 
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
+from idfslam.storage.plain_values import fault
 
 _EXPECTED = "intrinsics of 9 numbers and cameraPoseARFrame of 16"
 
@@ -38,7 +39,7 @@ def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | Non
         T = np.array(values.get("cameraPoseARFrame", np.full(16, np.nan)), np.float64).reshape(4, 4)
         stamp = stated_number(values, "time")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise RecordingError(f"{state}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
+        raise RecordingError(f"{state}: {fault(error)}, expected {_EXPECTED}") from error
     intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
     return PosedFrame(colour, depth, intrinsics, None, from_opengl(T), stamp, confidence)
 

@@ -15,6 +15,7 @@ from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, 
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
+from idfslam.storage.plain_values import fault
 from idfslam.storage.text_file import read_text
 
 TRANSFORMS = "transforms.json"
@@ -40,7 +41,7 @@ def open_transforms(path: Path, stated: Calibration) -> Recording:
         unit, distortion = stated_number(values, *_UNITS), tuple(stated_number(values, name) for name in ("k1", "k2", "p1", "p2", "k3"))
         model = str(values.get("camera_model", ""))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise RecordingError(f"{file}: {type(error).__name__} {error}, expected {_EXPECTED}") from error
+        raise RecordingError(f"{file}: {fault(error)}, expected {_EXPECTED}") from error
     lens = tuple(0.0 if value != value else value for value in distortion)
     if "FISHEYE" in model.upper() and any(lens):
         raise RecordingError(f"{file}: camera_model {model}, expected OPENCV or PINHOLE: undistort the images")
