@@ -20,10 +20,10 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam import BackEnd, FrontEnd, Slam, Source, System, Tracked
+from idfslam.slam.alignment_to_map import AlignmentToMap
 from idfslam.slam.back_end import KeyframeMapping
 from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, NoFinetuning
-from idfslam.slam.front_end import AlignmentToMap, Registration
 from idfslam.slam.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.local_adjustment import LocalAdjustment
@@ -31,6 +31,7 @@ from idfslam.slam.loop_closer import LoopCloser
 from idfslam.slam.polish import NoPolish, Polish
 from idfslam.slam.recovery import NoRecovery, Relocalisation
 from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.registration import Registration
 from idfslam.slam.relocalisation_check import RelocalisationCheck
 from idfslam.slam.submap_merger import SubmapMerger
 

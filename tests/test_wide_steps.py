@@ -16,7 +16,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.trajectory import align
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.slam import Slam
-from idfslam.slam.front_end import AlignmentToMap
+from idfslam.slam.alignment_to_map import AlignmentToMap
 from idfslam.slam.registered_pose import RegisteredPose
 from idfslam.tracking.tracker import TrackingResult
 

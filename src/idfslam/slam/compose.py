@@ -29,10 +29,11 @@ from idfslam.mapping.joint_map import JointMap
 from idfslam.mapping.map import Map
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
+from idfslam.slam.alignment_to_map import AlignmentToMap
 from idfslam.slam.back_end import BackEnd, KeyframeMapping
 from idfslam.slam.camera_check import CameraCheck
 from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
-from idfslam.slam.front_end import AlignmentToMap, FrontEnd, Registration
+from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
 from idfslam.slam.hindsight import Hindsight, NoHindsight, StoredViews
 from idfslam.slam.inverse_rendering import InverseRendering
@@ -49,6 +50,7 @@ from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmen
 from idfslam.slam.polish import NoPolish, Polish, Polishing
 from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
 from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
+from idfslam.slam.registration import Registration
 from idfslam.slam.relearn_queue import RelearnQueue
 from idfslam.slam.relocalisation_check import RelocalisationCheck
 from idfslam.slam.relocaliser import Relocaliser

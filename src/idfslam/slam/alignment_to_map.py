@@ -1,0 +1,214 @@
+"""Alignment to the map: the fast preset's front end, which asks the neural tracker too.
+
+Each frame is aligned to the map and to keyframe images. If the result is in doubt or far from the predicted pose, it is registered with a
+keyframe (Sec. V). In wide steps, the patches that both must project decide between the two.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import Enum
+from typing import Any
+
+from torch import Tensor
+
+from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.continuous_motion import MotionPrior
+from idfslam.alignment.image_rotation import ImageRotation
+from idfslam.alignment.motion import image_motion
+from idfslam.frame import Status
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_selection import WIDE
+from idfslam.sensing.rectification import RowTimes
+from idfslam.slam.front_end import FrontEnd
+from idfslam.slam.motion_compensation import MotionCompensation
+from idfslam.slam.recent_frame import RecentFrame
+from idfslam.slam.registered_pose import RegisteredPose
+from idfslam.slam.registration import Registration
+from idfslam.slam.stage_timer import StageTimer
+from idfslam.slam.tracked import Evidence, Source, Tracked
+from idfslam.storage.state import State
+
+# [1] Least ratio of the score of a later guess to the best score for it to replace the best. More: the predicted motion wins more often
+# where all guesses score about the same. Chosen by hand.
+_BETTER = 1.05
+# [1] Ratio of the image's displacement at a registered pose, whose patches refute the aligned one, to that at the aligned pose, below which
+# the registered one is taken. More: wrong alignments are left sooner, and registrations that are no better are taken. From the passage of
+# fr1/rpy where alignments ran away: 0.5 to 0.6 before, 0.9 where both were about right.
+_DISPLACED = 0.8
+
+
+class _Guess(Enum):
+    """A pose that an alignment starts at."""
+
+    PREDICTED = "predicted"  # by the motion model
+    REGISTERED = "registered"  # by the neural tracker
+    LAST = "last"  # of the frame before
+
+
+class AlignmentToMap(FrontEnd):
+    """Alignment to the map from the predicted pose. In doubt, and far from the prediction, the registered pose is tried too."""
+
+    def __init__(
+        self,
+        aligner: MapAligner,
+        registration: Registration,
+        graph: KeyframeGraph,
+        frames: FramePoses,
+        timer: StageTimer,
+        learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
+        relearn: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
+    ) -> None:
+        """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by."""
+        self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
+        self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
+        self.rotation, self.recent = ImageRotation(), RecentFrame(aligner, frames)
+        self.evidence = Evidence()  # evidence for the last frame's pose
+
+    def state(self) -> State:
+        """The evidence for the last pose."""
+        return {"evidence": vars(self.evidence).copy()}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self.evidence = Evidence(**state["evidence"])
+
+    def track(self, view: Keyframe) -> Tracked:
+        motion = self._begin(view)
+        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
+        aligned, registered = self._best_alignment(view, motion)
+        wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
+        if registered is not None and registered.refutes(aligned) and (wide or self._fits_better(view, registered, aligned)):
+            return self._registered(view, registered, wide=wide)
+        self.compensation.follow(view, aligned)
+        if aligned.status is Status.LOST:
+            return self._unmatched(view, registered)
+        return self._aligned(view, aligned, confirmed=wide and registered is not None and registered.confirms(aligned))
+
+    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool) -> Tracked:
+        """The aligned pose, and whether it is in doubt. confirmed: a registration in a wide step says that it is right."""
+        view.registered = confirmed
+        doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
+        clear = confirmed or self.aligner.is_clear(aligned)
+        tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
+        return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
+
+    def _unmatched(self, view: Keyframe, registered: RegisteredPose | None) -> Tracked:
+        """The result for a view that matches the map nowhere: the registered pose, of which nobody is sure, or none."""
+        evidence = replace(self.evidence, least_information=0.0)
+        if registered is None:
+            return Tracked(view.T_wk, Status.LOST, Source.PREDICTED, evidence)
+        return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, confident=False, covariance=registered.covariance)
+
+    def _step(self, view: Keyframe, T_wc: Tensor, radius: float) -> float:
+        """Motion of the image [rad] since the frame before, or since its prediction if that is more. radius: the scene's distance [m].
+
+        0 for a rectified view: where its velocity was predicted wrongly its image is bent, and patches tell little of its pose.
+        """
+        if view.rectification is not None:
+            return 0.0
+        return max(image_motion(T, T_wc, radius) for T in (view.T_wk, self._last_pose(view)))
+
+    def _fits_better(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment) -> bool:
+        """Whether the image is displaced by much less at the registered pose than at the aligned one."""
+        displaced = self.aligner.displacement(view, registered.T_wc, self._references())
+        return 0 < displaced < _DISPLACED * aligned.displacement
+
+    def _registered(self, view: Keyframe, registered: RegisteredPose, *, wide: bool) -> Tracked:
+        """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors."""
+        view.registered = wide
+        found = self.aligner.evidence(view, registered.T_wc, self._references())
+        evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
+        return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, found, covariance=registered.covariance)
+
+    def accept(self, view: Keyframe, tracked: Tracked) -> None:
+        self.evidence = tracked.evidence
+        self.rotation.accept(lost=tracked.is_lost)
+        self.recent.accept(view, tracked, self._references())
+        if tracked.alignment is not None:
+            self.aligner.accept(tracked.alignment, view.T_wk)
+        if self.compensation.accept(view, tracked, self._references()):
+            self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
+
+    def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
+        return self.aligner.evidence(view, T_wc, self._references()).photometric_error
+
+    def row_times(self, keyframe: Keyframe) -> RowTimes:
+        return self.compensation.times(keyframe)
+
+    def undo(self) -> Callable[[], None]:
+        kept = [(part, vars(part).copy()) for part in (self.rotation, self.compensation, self.compensation.motion)]
+        drawn = [(generator, generator.get_state()) for generator in (self.aligner.generator, self.registration.tracker.generator)]
+
+        def undo() -> None:
+            for part, values in kept:
+                vars(part).update(values)
+            for generator, state in drawn:
+                generator.set_state(state)
+
+        return undo
+
+    def figures(self) -> dict[str, Any]:
+        return {"sensor_timing": self.compensation.figures(), "sensor_timing_estimates": self.compensation.estimates()}
+
+    def _begin(self, view: Keyframe) -> MotionPrior | None:
+        """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""
+        motion = self.compensation.begin(view, self._last_pose(view), self._references())
+        first = self.graph.keyframes[0]
+        if motion is None or len(self.graph.keyframes) > 1 or len(self.frames) != first.index + 1:
+            return motion
+        registered = self.registration.register(view)
+        if registered is None or not self.compensation.rectify_first(first, view, registered.T_wc):
+            return motion
+        self._learn_again(first)
+        return self.compensation.begin_again(view, self._references())
+
+    def _best_alignment(self, view: Keyframe, motion: MotionPrior | None) -> tuple[Alignment, RegisteredPose | None]:
+        """The best alignment, of guesses that are tried until one convinces; and the registered pose if the tracker gave one."""
+        best: Alignment | None = None
+        registered: RegisteredPose | None = None
+        for guess, max_guess_error_px in self._guesses():
+            T_guess = view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)
+            if guess is _Guess.REGISTERED:
+                registered = self.registration.register(view)
+                if registered is None:
+                    continue
+                T_guess = registered.T_wc
+            aligned = self._align(view, T_guess, max_guess_error_px, motion)
+            if best is None or self._is_better(view, aligned, best, registered):
+                best = aligned
+            if guess is _Guess.PREDICTED and self.aligner.is_far(aligned, T_guess):
+                continue  # the tracker is asked in any case
+            if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, max_guess_error_px):
+                break
+        assert best is not None
+        return best, registered
+
+    def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
+        recent = None if view.moving is not None else self.recent.reference()  # it may show what moves, too
+        with self.timer.stage("align"):
+            return self.aligner.align(
+                view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion, recent=recent
+            )
+
+    def _guesses(self) -> list[tuple[_Guess, float | None]]:
+        """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""
+        expected = self.aligner.expected
+        nearby = [] if expected is None else [(_Guess.PREDICTED, expected)]
+        return [*nearby, (_Guess.PREDICTED, None), (_Guess.REGISTERED, None), (_Guess.LAST, None)]
+
+    def _references(self) -> Sequence[Keyframe]:
+        return self.graph.references(self.aligner.config.references)
+
+    def _last_pose(self, view: Keyframe) -> Tensor:
+        return self.frames.T_wc(-1) if len(self.frames) else view.T_wk
+
+    def _is_better(self, view: Keyframe, aligned: Alignment, best: Alignment, registered: RegisteredPose | None) -> bool:
+        """Whether an alignment beats the best so far: by its score, or in a wide step because the registration refutes only that one."""
+        if registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE:
+            refuted = registered.refutes(aligned), registered.refutes(best)
+            if refuted[0] != refuted[1]:
+                return refuted[1]
+        return aligned.score > _BETTER * best.score
