@@ -18,6 +18,9 @@ _CONVERT = "or let Frame.from_images convert it"
 _BRIGHTEST_8_BIT = 255
 _PIL_MODES = ("1", "P", "PA", "CMYK", "YCbCr", "LAB", "HSV")  # whose numbers are no grey, RGB or RGBA
 _METRES, _MILLIMETRES = 1.0, 1000.0  # units per metre
+# Every frame comes here, so all that can be wrong is found in one pass. The bits of numbers from +0 on, read as an integer, are in the
+# numbers' order; those of negative numbers, infinity and NaN are larger.
+_BRIGHTEST, _INFINITE = np.array([1 + _TOLERANCE, np.inf], np.float32).view(np.uint32)
 
 
 def checked_colour(colour: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
@@ -25,12 +28,15 @@ def checked_colour(colour: NDArray[np.float32], camera: Camera) -> NDArray[np.fl
     expected = f"expected RGB, float32 in 0 to 1 of shape ({camera.height}, {camera.width}, 3)"
     if _dtype(colour) != np.float32 or colour.shape != (camera.height, camera.width, 3):
         raise FrameError(f"colour is {_described(colour)}, {expected}: convert it, {_CONVERT}")
+    image = np.ascontiguousarray(colour)
+    if image.view(np.uint32).max() <= _BRIGHTEST:
+        return image
     low, high = float(colour.min()), float(colour.max())  # NaN if any value is
     if not np.isfinite(low + high):
         raise FrameError(f"colour holds NaN or infinity, {expected}: replace these values")
     if low < -_TOLERANCE or high > 1 + _TOLERANCE:
         raise FrameError(f"colour lies in {low:.4g} to {high:.4g}, {expected}: divide by 255 if it is 0 to 255")
-    return np.ascontiguousarray(colour)
+    return image
 
 
 def checked_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
@@ -43,14 +49,14 @@ def checked_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.floa
         raise FrameError(f"depth is {_described(depth)}, {expected}: register it to the colour camera and convert it, {_CONVERT}")
     if isinstance(depth, np.ma.MaskedArray):
         depth = depth.filled(0)
-    nearest, farthest = depth.min(), depth.max()  # NaN if any value is; each reads the whole image, and every frame comes here
-    if not (nearest >= 0 and farthest < np.inf):
+    depth = np.ascontiguousarray(depth)
+    if depth.view(np.uint32).max() >= _INFINITE:
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-        farthest = depth.max()
+    farthest = depth.view(np.uint32).max().view(np.float32)
     if farthest > FARTHEST and (median := float(np.median(depth[depth > 0]))) > FARTHEST:
         mend = "if it is in millimetres, divide it by 1000, or give Frame.from_images depth_scale=1000"
         raise FrameError(f"depth has a median of {median:.4g} m, {expected}: {mend}")
-    return np.ascontiguousarray(depth)
+    return depth
 
 
 def colour_from(image: ArrayLike, camera: Camera, *, bgr: bool) -> NDArray[np.float32]:

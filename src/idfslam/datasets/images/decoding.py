@@ -150,7 +150,7 @@ def rgb(bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
 def metres(raw: Depth, scale: float) -> NDArray[np.float32]:
     """(H, W) as stored -> float32 [m]; 0 where there is no reading."""
     depth: NDArray[np.float32] = np.multiply(raw, np.float32(1 / scale), dtype=np.float32)
-    depth[~readings(raw)] = 0
+    depth[raw == SATURATED if raw.dtype == np.uint16 else ~readings(raw)] = 0  # a count of 0 is 0 m
     return depth
 
 
