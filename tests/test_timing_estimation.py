@@ -95,5 +95,14 @@ def test_state_of_a_moving_frame() -> None:
 
 def test_state_and_restore() -> None:
     estimator, again = estimated(RowTimes(0.024, 0.03, -0.009)), TimingEstimator()
+    assert again.timing(UNKNOWN) == (0.0, 0.0, 0.0)
     again.restore(estimator.state())
-    assert again.timing(UNKNOWN) == estimator.timing(UNKNOWN)
+    assert again.timing(UNKNOWN) == estimator.timing(UNKNOWN) != (0.0, 0.0, 0.0)
+
+
+def test_each_frame_counts_at_once() -> None:
+    estimator, H, u = TimingEstimator(), np.stack([k * np.eye(6) for k in (1e6, 0.0, 1e5)]), np.array([0, 0, 0, 1.0, 0, 0])
+    sums = RowMoments(H, np.zeros((2, 6)))
+    assert estimator.estimates(UNKNOWN)["readout"] == (0.0, 0.015)
+    estimator.add(MovingFrame(sums, sums, ZERO, 0.0, u, np.zeros(6), np.eye(6) / 100), u, np.eye(6) / 1000)
+    assert estimator.estimates(UNKNOWN)["readout"] == (0.0, pytest.approx((1e5 + 0.015**-2) ** -0.5))

@@ -11,12 +11,14 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import Stateful
 
-# from keyframes' images
+# from keyframes' images, or from what is kept
 WORKED_OUT_AGAIN = {
-    *("_images", "_images_at", "_features", "_features_at", "_archive", "archive", "farthest", "has_depth", "_shown"),  # of a keyframe
+    *("_images", "_images_at", "_features", "_features_at", "_archive", "archive"),  # of a keyframe
+    *("farthest", "has_depth", "readings", "_shown"),  # likewise
     *("_appearances", "_landmarks"),  # of the aligner
     "_pixels",  # of the mapper
     "_thumbnails",  # of the estimation of light
+    "_solved",  # of the estimator of the sensor's times, from its sums
 }
 OF_A_PROCESS = {"_pool", "_running", "_early", "_final", "_milliseconds"}  # threads and times
 

@@ -130,7 +130,7 @@ class MapAligner(Stateful):
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
-        coarse, normals = surface.every(_COARSE_STRIDE), None
+        coarse, normals, posed = surface.every(_COARSE_STRIDE), None, self._posed(references)
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
         for step in range(first, self.config.iterations):
@@ -138,7 +138,7 @@ class MapAligner(Stateful):
                 depth, _ = self._depth_term(coarse, T, step, None, solver.motion)
             elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
                 depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
-            of_images = self._image_term(appearance, references, T, self._level(step), solver.motion, recent)
+            of_images = self._image_term(appearance, posed, T, self._level(step), solver.motion, recent)
             T_before = T.clone()
             largest = solver.step(depth, of_images)
             if step >= coarse_steps and largest < self.config.converged:
@@ -152,7 +152,7 @@ class MapAligner(Stateful):
         appearance, surface = self.appearances.of(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
-        images = self._image_term(appearance, references, T, self._level(step), None)
+        images = self._image_term(appearance, self._posed(references), T, self._level(step), None)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
         return self._judged(T, T, displaced, depth, images, 0, None, focal, has_depth=has_depth)
 
@@ -185,7 +185,7 @@ class MapAligner(Stateful):
         Patches are smaller if few pixels have depth. A table near the end of the sensor's range may be all there is to align to.
         """
         height, width = images.depth.shape
-        patch = max(1, round((int((images.depth > 0).sum()) / self.config.points) ** 0.5))
+        patch = max(1, round((images.readings / self.config.points) ** 0.5))
         rows, columns = height // patch, width // patch
         jitter = torch.randint(patch, (2, rows, columns), generator=self.generator)
         return surface_points(images.depth, camera, jitter, patch)
@@ -207,7 +207,8 @@ class MapAligner(Stateful):
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
         level = level_of(appearance, _TIMING_ROWS)
         depth, _ = self._depth_term(surface, T_wc, finest, None, motion)
-        images = _at_its_best(T_wc, lambda T: self._image_term(appearance, references, T, level, motion).sums)
+        posed = self._posed(references)
+        images = _at_its_best(T_wc, lambda T: self._image_term(appearance, posed, T, level, motion).sums)
         return depth.sums.scaled(scale), images.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
@@ -270,18 +271,21 @@ class MapAligner(Stateful):
         rows = None if motion is None else surface.rows
         return depth_term(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest, rows), normals
 
+    def _posed(self, references: Sequence[Keyframe]) -> list[tuple[Landmarks, Tensor]]:
+        """The landmarks of each reference, and its pose (4, 4)."""
+        return [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
+
     def _image_term(
         self,
         frame: Appearance,
-        references: Sequence[Keyframe],
+        posed: Sequence[tuple[Landmarks, Tensor]],
         T: Tensor,
         level: int,
         motion: FrameMotion | None,
         recent: tuple[Landmarks, Tensor] | None = None,
     ) -> ImageTerm:
-        """The brightness of each reference's landmarks, on a level of the pyramid. motion: as for `_depth_term`."""
+        """The brightness of the references' `posed` landmarks, on a level of the pyramid. motion: as for `_depth_term`."""
         moments, noise, widest = motion is not None, self.config.colour_noise, self.config.colour_robust
-        posed = [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
         terms = [
             photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
             for marks, T_wk in [*posed, *([] if recent is None else [recent])]

@@ -77,6 +77,7 @@ class TimingEstimator(Stateful):
 
     def __init__(self) -> None:
         self._information, self._vector = np.zeros((3, 3)), np.zeros(3)
+        self._solved: dict[tuple[float | None, ...], tuple[Array, Array]] = {}  # of the present sums, by the times that are stated
 
     def state(self) -> State:
         """The sums."""
@@ -85,6 +86,7 @@ class TimingEstimator(Stateful):
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._information, self._vector = state["information"].numpy().copy(), state["vector"].numpy().copy()
+        self._solved.clear()
 
     @property
     def has_seen_motion(self) -> bool:
@@ -122,7 +124,14 @@ class TimingEstimator(Stateful):
         return math.sqrt(error / max(_mean_square(times.readout, times.depth_readout, times.depth_delay), _SHORTEST**2)) if error else 0.0
 
     def _estimate(self, values: Sequence[float | None]) -> tuple[Array, Array]:
-        """The unknown times [s] and their standard deviations, given the others."""
+        """The unknown times [s] and their standard deviations, given the others. Each frame asks for them several times."""
+        stated = tuple(values)
+        if stated not in self._solved:
+            self._solved[stated] = self._solution(stated)
+        return self._solved[stated]
+
+    def _solution(self, values: Sequence[float | None]) -> tuple[Array, Array]:
+        """`_estimate` from the sums."""
         known = np.array([value is not None for value in values])
         given = np.array([value or 0.0 for value in values])
         information = self._information[~known][:, ~known] + np.eye(int((~known).sum())) / _PRIOR**2
@@ -148,3 +157,4 @@ class TimingEstimator(Stateful):
         at = np.array([times.readout, times.depth_readout, times.depth_delay - frame.lag])
         self._information = _KEPT * self._information + information
         self._vector = _KEPT * self._vector + gradient - gain.T @ b + information @ at
+        self._solved.clear()

@@ -35,6 +35,11 @@ class Images:
     colour: Tensor  # (H, W, 3) in [0, 1] on the map's device
     moving: NDArray[np.bool_] | None = None  # (H, W) pixels that show what moves, whose depth was taken out; None: none
 
+    @cached_property
+    def readings(self) -> int:
+        """The number of pixels with depth."""
+        return int(np.count_nonzero(self.frame.depth))
+
 
 class KeyframeImages:
     """The images of a frame, and the tracker's features of them.
@@ -166,7 +171,7 @@ class KeyframeImages:
     @cached_property
     def has_depth(self) -> bool:
         """Whether any of its pixels has a reading."""
-        return bool((self.taken.depth > 0).any())
+        return self.taken.readings > 0
 
     @property
     def features(self) -> Any:

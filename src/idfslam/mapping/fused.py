@@ -32,7 +32,7 @@ def fusable(field: SurfaceField) -> TypeGuard[Field]:
     c = field.config
     shape = c.encoding == "grid" and c.layers == 1 and c.direction_frequencies == 0
     fits = c.levels * c.features % 4 == 0 and c.width % 4 == 0 and c.colour_width % 4 == 0
-    return shape and fits and not field.bf16 and backend_of(next(field.parameters()).device) is Backend.NUMBA
+    return shape and fits and not field.bf16 and backend_of(field.sdf_head.weight.device) is Backend.NUMBA
 
 
 def weights(field: Field) -> list[NDArray[np.float32]]:
@@ -40,10 +40,19 @@ def weights(field: Field) -> list[NDArray[np.float32]]:
     return [p.detach().numpy() for p in parameters(field)]
 
 
+def weights_of_distance(field: Field) -> list[NDArray[np.float32]]:
+    """Those of them that the distance depends on: hidden layer and head."""
+    return [p.detach().numpy() for p in _of_layers(field.trunk[0], field.sdf_head)]
+
+
 def parameters(field: Field) -> list[nn.Parameter]:
     """The network's parameters in the order of the kernels."""
-    layers = [field.trunk[0], field.sdf_head, field.colour_head[0], field.colour_head[2]]
-    return [p for layer in layers for p in layer.parameters()]
+    return _of_layers(field.trunk[0], field.sdf_head, field.colour_head[0], field.colour_head[2])
+
+
+def _of_layers(*layers: nn.Module) -> list[nn.Parameter]:
+    """Weight and bias of linear layers. Torch's own search for parameters costs as much as the kernel that is given them."""
+    return [p for layer in layers for p in (layer.weight, layer.bias)]  # type: ignore[misc]
 
 
 def distance_query(field: SurfaceField) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
@@ -56,7 +65,7 @@ def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
     from idfslam.mapping.kernels import numba_field
 
     values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
-    inputs = points.contiguous().numpy(), *_grid(field), *weights(field)[:4]
+    inputs = points.contiguous().numpy(), *_grid(field), *weights_of_distance(field)
     numba_field.distance(*inputs, np.float32(field.config.truncation), *_arrays(values, gradient))  # type: ignore[call-arg]
     return values, gradient
 
@@ -81,7 +90,7 @@ def sdf(field: Field, points: Tensor) -> Tensor:
     assert isinstance(field.encoding, GridEncoding)
     features = grid_encode(points.contiguous(), field.encoding.tables.detach(), field.encoding.cells)
     values = torch.empty(len(points))
-    infer(features.numpy(), *weights(field)[:4], values.numpy())  # type: ignore[call-arg]
+    infer(features.numpy(), *weights_of_distance(field), values.numpy())  # type: ignore[call-arg]
     return values
 
 
@@ -104,7 +113,7 @@ def trace(
     limits = np.float32(far), reach.numpy(), np.float32(sphere_tracing.CAUTION), np.float32(sphere_tracing.LEAST_STEP)
     rays = origins.contiguous().numpy(), directions.contiguous().numpy(), starts.numpy()
     blocks = (volume or no_volume()).arrays
-    network = *_grid(field), *weights(field)[:4]
+    network = *_grid(field), *weights_of_distance(field)
     numba_tracing.trace(*rays, *limits, *network, truncation, *blocks, depth.numpy())  # type: ignore[call-arg]
     return depth
 

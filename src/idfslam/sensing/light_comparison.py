@@ -57,12 +57,12 @@ def compare(a: Floats, b: Floats, powers_a: Floats, powers_b: Floats, noise: Flo
 def _robust(J: Floats, difference: Floats, sigma: Floats) -> tuple[Floats, Floats]:
     """Normal equations of J x = difference, with robust weights, for differences whose noise is in proportion to sigma (N,)."""
     r = (difference - np.median(difference)) / sigma
-    weight = np.empty_like(r)
+    weight, least, of_prior = np.empty_like(r), _LEAST_SCATTER / float(np.median(sigma)), np.diag(prior())
     for _ in range(_ROUNDS):
-        scale = max(1.4826 * float(np.median(np.abs(r))), _LEAST_SCATTER / float(np.median(sigma)))
+        scale = max(1.4826 * float(np.median(np.abs(r))), least)
         weight[:] = 1 / ((1 + (r / (_SCATTER * scale)) ** 2) ** 2 * (scale * sigma) ** 2)
         JtW = (J * weight[:, None]).T
-        x = np.linalg.solve(JtW @ J + np.diag(prior()), JtW @ difference)
+        x = np.linalg.solve(JtW @ J + of_prior, JtW @ difference)
         r = (difference - J @ x) / sigma
     share = min(1.0, _INDEPENDENT / len(r))
     return share * (JtW @ J), share * (JtW @ difference)

@@ -254,8 +254,10 @@ def _relative(host: int, T_kc: object) -> tuple[int, NDArray[np.float64]]:
 
 def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
     """The result for a view: degenerate, with a larger covariance, if what moves leaves little of it."""
+    if view.moving is None:
+        return tracked
     readings = view.taken_unmasked.frame.depth > 0
-    share = 0.0 if view.moving is None else float((view.moving & readings).sum() / max(readings.sum(), 1))
+    share = float((view.moving & readings).sum() / max(readings.sum(), 1))
     if share < _CROWDED or tracked.status is not Status.OK:
         return tracked
     covariance = None if tracked.covariance is None else tracked.covariance / (1 - share) ** 2
