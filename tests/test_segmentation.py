@@ -268,18 +268,6 @@ def test_who_stands_still_is_masked_for_three_seconds_and_is_then_part_of_the_sc
     assert max(shares[140:]) == 0.0
 
 
-def test_who_stops_where_no_view_saw_stays_masked_for_two_seconds() -> None:
-    """She walks along the rays, so that she hid her later places herself: no view ever saw through them."""
-    memory, shares = Memory(lambda k: np.eye(4)), list[float]()
-    for i in range(90):
-        cells = memory.segment(wall(3.0, body=1.0 + 0.03 * min(max(i - 10, 0), 20)), np.eye(4))
-        memory.remember(i // 10, np.eye(4), stored=i % 10 == 0)
-        shares.append(float(cells[20:60, 40:60].mean()))
-    assert max(shares[:10]) == 0.0
-    assert min(shares[20:80]) > 0.8
-    assert shares[84] == 0.0
-
-
 def test_a_view_at_its_predicted_pose_need_not_be_segmented_again() -> None:
     memory, _ = stands_from(30, 40)
     again, _ = stands_from(30, 40)

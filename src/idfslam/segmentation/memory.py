@@ -14,10 +14,9 @@ from idfslam.geometry.camera import Camera
 from idfslam.segmentation.carrying import carried
 from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.constants import SLACK
-from idfslam.segmentation.free_space import PosedView, Votes, votes
+from idfslam.segmentation.free_space import PosedView, votes
 from idfslam.segmentation.region_growing import grown
 from idfslam.segmentation.remembered import Remembered, Segmented
-from idfslam.segmentation.smooth_continuation import continued
 from idfslam.segmentation.witnesses import Witnesses
 from idfslam.storage.state import State
 
@@ -38,7 +37,7 @@ _AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its p
 # Share of a cell, and of the slack, by which a predicted pose may be off. More: more views need no second segmentation, with rougher masks
 _OFF = 0.3
 _TURNS = 2  # frames in which each recent view is compared once with what moves. More: faster, and all of it later
-_LASTS = 60  # [frames] that a cell stays masked while nothing tells that it stays. More: who stands still stays masked, and false masks do
+_LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
 
 
 class Memory:
@@ -92,23 +91,16 @@ class Memory:
         near, before = self._carried(view.camera, T_wc)
         carried_on = np.abs(view.depth - near) < _SAME
         pauses = carried_on & (found.through > 0) & ~found.stands  # one who stands still where views of her have gathered
-        scene = self._scene(found, found.moves | pauses, view)
-        goes_on = carried_on & (~(found.held | scene) | (before < 0))
-        stays = (found.held | scene | (found.stays & ~carried_on)) & ~pauses
+        goes_on = carried_on & (~found.held | (before < 0))
+        stays = (found.held | (found.stays & ~carried_on)) & ~pauses
         fresh = grown(found.moves | pauses, stays, view.depth)
         for cells in near_left:
-            fresh |= cells & ~found.stays & ~scene
+            fresh |= cells & ~found.stays
         age = np.where(goes_on, before + 1, _LASTS + 1)
         age = np.where(fresh, np.minimum(age, 0), age)
         if self._suspected is not None:
             age[self._suspected] = -_SUSPECTED
         return Segmented(view, T_wc, age <= _LASTS, age.astype(np.int32)), dict(zip(asked, found.by))
-
-    def _scene(self, found: Votes, moves: Cells, view: CoarseView) -> Cells:
-        """(h, w) the cells of a view that go on from what is held, where nothing was seen through: such as what a body uncovers."""
-        if self.still or self._suspected is not None:
-            return np.zeros_like(moves)
-        return continued(found.held & ~moves, ~moves & (found.through == 0), view.depth) & ~moves
 
     def _carried(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere. And the ages of its cells."""

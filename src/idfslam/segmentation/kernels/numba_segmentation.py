@@ -189,33 +189,6 @@ def grow(seeds, stays, depth, friends, reach, jump, slope, out) -> None:  # type
 
 
 @_compiled
-def continue_smoothly(out, may, inverse, span, bend, step, passes) -> None:  # type: ignore[no-untyped-def]
-    """`smooth_continuation.continued`: adds to `out` cells of `may` whose inverse depth goes on from three cells of it in a row."""
-    rows, columns = out.shape
-    for turn in range(2 * passes):
-        changed = False
-        for n in range(rows * columns):
-            at = n if turn % 2 == 0 else rows * columns - 1 - n
-            i, j = at // columns, at % columns
-            if not may[i, j] or out[i, j]:
-                continue
-            for k in range(4):
-                di, dj = (k == 0) - (k == 1), (k == 2) - (k == 3)
-                v, u = i + 2 * span * di, j + 2 * span * dj
-                if v < 0 or u < 0 or v >= rows or u >= columns:
-                    continue
-                y, x = i + span * di, j + span * dj
-                if not (out[i + di, j + dj] and out[y, x] and out[v, u]):
-                    continue
-                near = abs(inverse[i, j] - inverse[i + di, j + dj]) < step
-                if near and abs(inverse[i, j] - 2 * inverse[y, x] + inverse[v, u]) < bend:
-                    out[i, j] = changed = True
-                    break
-        if not changed:
-            return
-
-
-@_compiled
 def drop_unfounded(out, seeds, least) -> None:  # type: ignore[no-untyped-def]
     """Clears connected regions with fewer seeds than `least`; neighbours touch by sides or corners."""
     rows, columns = out.shape
