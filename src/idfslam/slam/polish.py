@@ -49,12 +49,14 @@ class Polish(Polishing):
         self.relearn, self.adjustment, self.refinement, self.mapper = relearn, adjustment, refinement, mapper
 
     def run(self) -> None:
-        c, start = self.config, perf_counter()
+        c, begun = self.config, perf_counter()
         refinement = NoRefinement() if self.adjustment.run() else self.refinement
+        start = perf_counter()
+        left = max(c.seconds - (start - begun), 1e-9)
         refined = max(1, c.keyframes // 2)
         updates = max(c.updates, math.ceil(c.rounds * len(self.graph.keyframes) / refined))
         for i in range(updates):
-            spent = (perf_counter() - start) / c.seconds
+            spent = (perf_counter() - start) / left
             # The clock matters only if time runs short. Otherwise runs repeat exactly.
             done = i / updates if spent < (i + 1) / updates else spent
             if done >= 1:
