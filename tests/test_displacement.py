@@ -11,7 +11,9 @@ from torch import Tensor
 
 from idfslam.alignment.displacement import compiled_displacement, displacement, level_of, plain_displacement
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.photometric import Appearance, Landmarks, landmarks, pyramid
+from idfslam.alignment.image_pyramid import pyramid
+from idfslam.alignment.landmarks import Landmarks, landmarks
+from idfslam.alignment.photometric import Appearance
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.rectification import RowTimes

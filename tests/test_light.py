@@ -9,7 +9,7 @@ from torch import Tensor
 
 from helpers.differences import differences
 from helpers.flat_wall import at
-from idfslam.alignment.photometric import pyramid
+from idfslam.alignment.image_pyramid import pyramid
 from idfslam.compute.backend import plain_torch
 from idfslam.config import FAST, PAPER
 from idfslam.frame import Frame

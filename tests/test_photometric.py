@@ -1,4 +1,4 @@
-"""Brightness of landmarks: pyramid, choice of landmarks, and the normal equations, compiled and plain, against finite differences."""
+"""Brightness of landmarks: the normal equations, compiled and plain, against finite differences."""
 
 from dataclasses import replace
 
@@ -9,17 +9,9 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.photometric import (
-    Appearance,
-    Landmarks,
-    compiled_steepest,
-    half,
-    landmarks,
-    photometric_term,
-    plain_photometric_term,
-    plain_steepest,
-    pyramid,
-)
+from idfslam.alignment.image_pyramid import pyramid
+from idfslam.alignment.landmarks import Landmarks, landmarks
+from idfslam.alignment.photometric import Appearance, photometric_term, plain_photometric_term
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.rectification import RowTimes
@@ -51,68 +43,6 @@ def appearance(T_wc: Tensor, *, gain: float = 1.0, offset: float = 0.0, noise: f
 def marks_at(T_wk: Tensor) -> Landmarks:
     frame = appearance(T_wk)
     return landmarks(frame.levels, frame.depth, count=400, least=0.005)
-
-
-def test_pyramid_cameras_and_means() -> None:
-    # A camera of 96 x 72 with at least 36 rows: 2 x 2 pixels become one. The centre of pixel (0, 0) is at -0.5 + 0.5 * 2 = 0.5 of the
-    # old ones, so that cx' = (cx + 0.5) / 2 - 0.5.
-    colour = torch.rand(72, 96, 3, generator=torch.Generator().manual_seed(0))
-    levels = pyramid(colour, CAMERA, height=36, levels=2)
-    assert [tuple(level.luminance.shape) for level in levels] == [(36, 48), (18, 24)]
-    fine = levels[0].camera
-    assert (fine.width, fine.height, fine.fx, fine.fy) == (48, 36, 40.0, 40.0)
-    assert (fine.cx, fine.cy) == pytest.approx((23.5, 17.5))
-    torch.testing.assert_close(levels[0].luminance[3, 5], colour[6:8, 10:12].mean())
-    torch.testing.assert_close(levels[1].luminance[2, 4], colour[8:12, 16:20].mean())
-
-
-def test_halves_of_opencv_are_those_of_torch() -> None:
-    image = torch.rand(72, 96, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(half(image), torch.nn.functional.avg_pool2d(image[None], 2)[0])
-
-
-def test_a_small_image_is_not_enlarged() -> None:
-    assert pyramid(torch.zeros(72, 96, 3), CAMERA, height=480, levels=1)[0].luminance.shape == (72, 96)
-
-
-def test_slopes_on_a_ramp() -> None:
-    # Luminance 0.01 u + 0.02 v: the same slopes everywhere but at the border.
-    v, u = torch.meshgrid(torch.arange(72.0), torch.arange(96.0), indexing="ij")
-    ramp = (0.01 * u + 0.02 * v)[..., None].expand(72, 96, 3) / 4
-    level = pyramid(ramp, CAMERA, height=72, levels=1)[0]
-    value, slope_u, slope_v = level.at(torch.tensor([[10.25, 20.5], [60.0, 30.0]]))
-    torch.testing.assert_close(value, torch.tensor([0.1025 + 0.41, 0.6 + 0.6]) / 4)
-    torch.testing.assert_close(torch.stack([slope_u, slope_v]), torch.tensor([[0.01, 0.01], [0.02, 0.02]]) / 4)
-
-
-def test_landmarks_avoid_edges_of_depth_and_holes() -> None:
-    colour = torch.rand(72, 96, 3, generator=torch.Generator().manual_seed(0))
-    depth = torch.full((72, 96), 1.0)
-    depth[:, 48:] = 2.0  # an edge between columns 47 and 48
-    depth[20:40, 10:30] = 0.0
-    marks = landmarks(pyramid(colour, CAMERA, height=72, levels=2), depth, count=1500)
-    uv, z = CAMERA.project(marks.points)
-    u, v = uv.round().long().unbind(-1)
-    assert len(u) > 800
-    torch.testing.assert_close(z, depth[v, u])
-    assert not ((u == 47) | (u == 48)).any()
-    assert not ((u >= 9) & (u <= 30) & (v >= 19) & (v <= 40)).any()  # neither in the hole nor at its rim
-    assert [len(level) for level in marks.luminance] == [len(u)] * 2
-    torch.testing.assert_close(marks.luminance[0], colour.mean(-1)[v, u], atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize(("height", "cell"), [(72, 3), (36, 5)])
-def test_the_same_pixels_are_steepest(height: int, cell: int) -> None:
-    colour, depth = view(EYE, noise=0.02)
-    depth[20:40, 30:60] += 1.0  # edges, and holes beside
-    depth[torch.rand(72, 96, generator=torch.Generator().manual_seed(1)) < 0.02] = 0
-    fine = pyramid(colour, CAMERA, height=height, levels=1)[0]
-    for found, plain in zip(compiled_steepest(fine, depth, cell, 0.025), plain_steepest(fine, depth, cell, 0.025)):
-        assert len(plain) > 50 and torch.equal(found, plain)
-
-
-def test_a_plain_image_has_no_landmarks() -> None:
-    assert len(landmarks(pyramid(torch.full((72, 96, 3), 0.5), CAMERA, height=72, levels=1), torch.ones(72, 96), count=100).points) == 0
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])

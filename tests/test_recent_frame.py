@@ -9,7 +9,7 @@ from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
-from idfslam.alignment.photometric import Landmarks, landmarks
+from idfslam.alignment.landmarks import Landmarks, landmarks
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Frame, Status
 from idfslam.graph.frame_poses import FramePoses

@@ -18,9 +18,10 @@ from idfslam.alignment.depth_term import DepthTerm, depth_term
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
+from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.normals import smoothed_normals
-from idfslam.alignment.photometric import Appearance, Landmarks, photometric_term
+from idfslam.alignment.photometric import Appearance, photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.surface import Surface, surface_points

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from idfslam.alignment.constants import LEAST_GRADIENT, NEAREST
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.photometric import Appearance, Landmarks, at_their_rows, exposure, masked, unoccluded
+from idfslam.alignment.landmarks import Landmarks
+from idfslam.alignment.photometric import Appearance, at_their_rows, exposure, masked, unoccluded
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 

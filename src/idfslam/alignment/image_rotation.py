@@ -11,8 +11,10 @@ from torch import Tensor
 
 from idfslam.alignment.displacement import level_of
 from idfslam.alignment.gauss_newton import INDEPENDENT
+from idfslam.alignment.image_pyramid import Level
+from idfslam.alignment.landmarks import Landmarks, pixels_in_depth
 from idfslam.alignment.motion import moved
-from idfslam.alignment.photometric import Appearance, Landmarks, Level, Term, photometric_term, pixels_in_depth
+from idfslam.alignment.photometric import Appearance, Term, photometric_term
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.

@@ -1,15 +1,12 @@
 """Direct photometric alignment: landmarks of a keyframe have the same brightness in the frame.
 
 The images of earlier keyframes constrain directions that the shape of the map leaves open (along a bare wall), to a fraction of a pixel.
-An image pyramid, used from the coarsest level on, widens the range of convergence.
 """
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from idfslam.alignment.constants import (
@@ -24,152 +21,12 @@ from idfslam.alignment.constants import (
     ROW_STEPS,
 )
 from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.image_pyramid import Level
+from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
-from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.sensing.vignette import Vignette
-
-
-@dataclass(frozen=True)
-class Level:
-    """One level of an image pyramid."""
-
-    luminance: Tensor  # (h, w) in [0, 1]
-    camera: Camera
-
-    def at(self, uv: Tensor) -> Tensor:
-        """Luminance and its derivatives along u and v [1/px] at pixels (N, 2), bilinear: (3, N). Outside, those of the nearest border."""
-        return self._sampled(with_slopes(self.luminance), uv)
-
-    def luminance_at(self, uv: Tensor) -> Tensor:
-        """Luminance (N,) at pixels (N, 2), as `at` gives it."""
-        return self._sampled(self.luminance[None], uv)[0]
-
-    def _sampled(self, channels: Tensor, uv: Tensor) -> Tensor:
-        size = uv.new_tensor([self.camera.width, self.camera.height])
-        place = ((uv + 0.5) * (2 / size) - 1)[None, None]
-        return F.grid_sample(channels[None], place, align_corners=False, padding_mode="border")[0, :, 0]
-
-
-def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int, vignette: Vignette | None = None) -> list[Level]:
-    """The luminance pyramid of an image (H, W, 3), finest level first. That has at least `height` rows, each next one half as many.
-
-    vignette: is taken out of the image.
-    """
-    full = luminance(colour)
-    if vignette is not None:
-        full = full / vignette.image(camera).to(full)
-    shrink = max(1, camera.height // height)
-    out: list[Level] = []
-    for _ in range(levels):
-        finer = out[-1].luminance if out else full
-        halved = bool(out) and finer.shape[0] % 2 == 0 and finer.shape[1] % 2 == 0  # a mean of equally many pixels' means is their mean
-        image = half(finer) if halved else F.avg_pool2d(full[None], shrink)[0] if shrink > 1 else full
-        out.append(Level(image, camera.resized(image.shape[1], image.shape[0])))
-        shrink *= 2
-    return out
-
-
-def half(image: Tensor) -> Tensor:
-    """(h, w), both even, -> (h / 2, w / 2): the means of 2 x 2 pixels."""
-    return pick(image, compiled=opencv_half, plain=plain_half)(image)
-
-
-def plain_half(image: Tensor) -> Tensor:
-    """`half` in torch, on any device."""
-    return F.avg_pool2d(image[None], 2)[0]
-
-
-def opencv_half(image: Tensor) -> Tensor:
-    """`half` by OpenCV, on the CPU."""
-    return torch.from_numpy(cv2.resize(image.numpy(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-
-
-def luminance(colour: Tensor) -> Tensor:
-    """(H, W, 3) -> (H, W): the mean of the three channels."""
-    return pick(colour, compiled=compiled_luminance, plain=plain_luminance)(colour)
-
-
-def plain_luminance(colour: Tensor) -> Tensor:
-    """`luminance` in torch, on any device."""
-    return colour.mean(-1)
-
-
-def compiled_luminance(colour: Tensor) -> Tensor:
-    """`luminance` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    out = torch.empty(colour.shape[:2])
-    numba_alignment.luminance_of(colour.numpy(), out.numpy())  # type: ignore[call-arg]
-    return out
-
-
-def with_slopes(image: Tensor) -> Tensor:
-    """(h, w) -> (3, h, w): the image and its central differences along u and v; zero at the border."""
-    out = image.new_zeros(3, *image.shape)
-    out[0] = image
-    out[1, :, 1:-1] = (image[:, 2:] - image[:, :-2]) / 2
-    out[2, 1:-1] = (image[2:] - image[:-2]) / 2
-    return out
-
-
-@dataclass(frozen=True)
-class Landmarks:
-    """Points of a keyframe with a strong image gradient, spread over the image."""
-
-    points: Tensor  # (M, 3) [m] in the keyframe's frame
-    luminance: list[Tensor]  # (M,) for each level of the pyramid
-    slopes: list[Tensor]  # (2, M) derivatives of the luminance along u and v [1/px] for each level
-
-
-def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
-    """About `count` landmarks: the pixel with the largest gradient in each cell of the finest level.
-
-    A landmark has depth, no edge of the depth beside it, and a gradient above `least` [1/px].
-    """
-    fine = levels[0]
-    measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
-    cell = max(2, round((measured / count) ** 0.5))
-    u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
-    row, column = pixels_in_depth(fine, depth)
-    points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
-    seen = [level.at(level.camera.project(points)[0]) for level in levels]
-    return Landmarks(points, [values[0].contiguous() for values in seen], [values[1:].contiguous() for values in seen])
-
-
-def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
-    """u (M,) and v (M,) of the pixel with the largest gradient of each cell, in torch, on any device."""
-    h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
-    slope = with_slopes(fine.luminance)[1:].norm(dim=0)
-    row, column = pixels_in_depth(fine, depth)
-    z = depth[row[:, None], column[None]]
-    nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
-    slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
-    cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
-    best, place = cells.max(1)
-    index = torch.nonzero(best > least).flatten()
-    v = index // (w // cell) * cell + place[index] // cell
-    u = index % (w // cell) * cell + place[index] % cell
-    return u, v
-
-
-def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
-    """`plain_steepest` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    most = (fine.camera.height // cell) * (fine.camera.width // cell)
-    u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
-    count = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
-    return u[:count], v[:count]
-
-
-def pixels_in_depth(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """The row of a depth image (H, W) in which each row of a level lies, and the column for each of its columns."""
-    row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
-    column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
-    return row, column
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
-from idfslam.alignment.photometric import Landmarks
+from idfslam.alignment.landmarks import Landmarks
 from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe

@@ -155,7 +155,7 @@ def luminance_of(colour, out) -> None:  # type: ignore[no-untyped-def]
 def steepest(image, depth, cell, least, u, v) -> int:  # type: ignore[no-untyped-def]
     """Fills u and v with the pixel of the largest gradient in each cell of an image (h, w), if that is above `least` [1/px].
 
-    Returns their number. The pixel and its neighbours have depth (H, W) [m], with no edge between them: `photometric.plain_steepest`.
+    Returns their number. The pixel and its neighbours have depth (H, W) [m], with no edge between them: `landmarks.plain_steepest`.
     """
     h, w = image.shape
     found = 0

@@ -1,0 +1,69 @@
+"""Landmarks of a keyframe: points with a strong image gradient, whose brightness other frames are compared with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from idfslam.alignment.image_pyramid import Level, with_slopes
+from idfslam.compute.backend import pick
+from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Points of a keyframe with a strong image gradient, spread over the image."""
+
+    points: Tensor  # (M, 3) [m] in the keyframe's frame
+    luminance: list[Tensor]  # (M,) for each level of the pyramid
+    slopes: list[Tensor]  # (2, M) derivatives of the luminance along u and v [1/px] for each level
+
+
+def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 0.025) -> Landmarks:
+    """About `count` landmarks: the pixel with the largest gradient in each cell of the finest level.
+
+    A landmark has depth, no edge of the depth beside it, and a gradient above `least` [1/px].
+    """
+    fine = levels[0]
+    measured = fine.camera.height * fine.camera.width * float((depth > 0).float().mean())
+    cell = max(2, round((measured / count) ** 0.5))
+    u, v = pick(depth, compiled=compiled_steepest, plain=plain_steepest)(fine, depth, cell, least)
+    row, column = pixels_in_depth(fine, depth)
+    points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
+    seen = [level.at(level.camera.project(points)[0]) for level in levels]
+    return Landmarks(points, [values[0].contiguous() for values in seen], [values[1:].contiguous() for values in seen])
+
+
+def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """u (M,) and v (M,) of the pixel with the largest gradient of each cell, in torch, on any device."""
+    h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
+    slope = with_slopes(fine.luminance)[1:].norm(dim=0)
+    row, column = pixels_in_depth(fine, depth)
+    z = depth[row[:, None], column[None]]
+    nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
+    slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
+    cells = slope[:h, :w].reshape(h // cell, cell, w // cell, cell).transpose(1, 2).reshape(-1, cell * cell)
+    best, place = cells.max(1)
+    index = torch.nonzero(best > least).flatten()
+    v = index // (w // cell) * cell + place[index] // cell
+    u = index % (w // cell) * cell + place[index] % cell
+    return u, v
+
+
+def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
+    """`plain_steepest` by Numba, on the CPU."""
+    from idfslam.alignment.kernels import numba_alignment
+
+    most = (fine.camera.height // cell) * (fine.camera.width // cell)
+    u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
+    count = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
+    return u[:count], v[:count]
+
+
+def pixels_in_depth(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
+    """The row of a depth image (H, W) in which each row of a level lies, and the column for each of its columns."""
+    row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
+    column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
+    return row, column
