@@ -17,7 +17,8 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.front_end import FrontEnd
-from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded, nearest_layer
+from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded
+from idfslam.slam.nearest_layer_trial import nearest_layer
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 
@@ -76,7 +77,7 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
     """Without the nearest layer the image fits no better; tracking it has turned, rectified and marked the view meanwhile."""
     graph = KeyframeGraph(FAST.keyframes)
     segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
-    segmentation.restore(segmentation.state() | {"usual_error": {"mean": 0.02}})
+    segmentation.trial.usual_error.restore({"mean": 0.02})
     shown, first = view(CORNER, EYE), Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.1))
     shown.rectify(first)
     predicted = shown.T_wk.clone()
@@ -112,7 +113,7 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
 def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error: float, misfit: float, after: int | None) -> None:
     """In two frames in a row, or in one if the image fits far better. The walls are 2 m off: 5 cm move the image enough, 2 mm do not."""
     segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
-    segmentation.restore(segmentation.state() | {"usual_error": {"mean": 0.02}})
+    segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
     drawn, free = (pose(x, 0, 0, 0, 0, 0) for x in (off, 0.0))
     tracked = Tracked(drawn, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.03))

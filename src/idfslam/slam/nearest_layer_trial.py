@@ -1,0 +1,148 @@
+"""The nearest layer of a view on trial: does it move, and draw the pose along?
+
+One who begins to walk draws the pose along before any free space is violated. The image then fits worse than usual. The view is tracked
+once more without its nearest layer. If the pose is another one, and what lies behind the layer fits it much better, the layer moves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from idfslam.alignment.motion import image_motion
+from idfslam.alignment.usual_error import UsualError
+from idfslam.graph.keyframe import Keyframe
+from idfslam.segmentation.coarse_view import in_pixels
+from idfslam.sensing.rectification import Rectification
+from idfslam.slam.front_end import FrontEnd
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import State, Stateful
+
+# [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
+_UNUSUAL = 1.15
+# [1] Photometric error of what lies behind the nearest layer at the pose found without the layer, over that at the pose found with it, up
+# to which the layer moves if this is so in two frames in a row. Where people began to walk it was 0.68 to 0.79; in redkitchen, where
+# nothing moves, 0.79 once and else 0.85 and more. More: more layers move.
+_BETTER = 0.8
+# [1] Photometric error without the layer, over that with it, up to which the layer moves: in two frames in a row (likewise), and at once.
+# In redkitchen it was 0.66 and more. The last one is over the usual error. More: more layers move.
+_LESS, _FAR_LESS, _AS_USUAL = 0.76, 0.62, 1.1
+_DRAWN = 0.0035  # [rad] motion of the image (0.2 degrees) by which the poses must differ then. More: weaker pulls are left alone
+# [frames] before the next trial after one that did not help; twice as many after each further one, and one less after a frame that fits.
+# More: faster, and movement is noticed later.
+_WAITS, _MOST_WAITS = 1, 32
+_LAYER = 0.04, 0.7  # [1] least and largest share of the nearest layer. Wider: smaller and larger bodies are tried
+
+
+class NearestLayerTrial(Stateful):
+    """Tries views whose image fits worse than usual. A trial that does not help leaves no trace, and is not repeated soon."""
+
+    def __init__(self) -> None:
+        self.usual_error = UsualError(0.0, _UNUSUAL)
+        self._waits = 0  # frames before the next trial
+        self._next_wait = _WAITS  # and after the next one that does not help
+        self._found_once = False  # whether the last frame told that its nearest layer moves
+
+    def state(self) -> State:
+        """The frames before the next trial and after it, and whether the last frame told that its nearest layer moves."""
+        return {"waits": [self._waits, self._next_wait], "found_once": self._found_once}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        (self._waits, self._next_wait), self._found_once = state["waits"], state["found_once"]
+
+    def accept(self, tracked: Tracked) -> None:
+        """Learns what is usual from the final result for a view."""
+        self.usual_error.accept(_photometric_error(tracked))
+
+    def run(
+        self, view: Keyframe, tracked: Tracked, front_end: FrontEnd, depth: Callable[[], NDArray[np.float32]]
+    ) -> tuple[Tracked, NDArray[np.bool_] | None]:
+        """The result for a view, tracked again without its nearest layer if the image fits worse than usual; and the layer, if it moves.
+
+        tracked: the result with the layer. depth: gives the view's depth in cells (h, w) [m], if it is needed.
+        """
+        error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
+        usual = self.usual_error
+        if not usual.is_known or (usual.is_within(error, _UNUSUAL) and not tracked.is_lost):
+            self._found_once = False
+            self._next_wait = max(self._next_wait - usual.is_within(error, _AS_USUAL), _WAITS)
+            return tracked, None
+        if self._waits:
+            return tracked, None
+        layer, hidden = nearest_layer(depth()), view.moving
+        if layer is None:
+            return tracked, None
+        pixels = in_pixels(layer, view.camera)
+        before, undo = _TrackedBefore.of(view), front_end.undo()
+        view.hide(pixels if hidden is None else pixels | hidden)
+        without = front_end.track(view)
+        once, again = self._found_once, self._is_drawn(view, tracked, without, front_end)
+        if again and (once or self._is_clear(tracked, without)):
+            self._found_once = False
+            return without, layer
+        before.restore(view)
+        undo()
+        self._found_once = again
+        if not again:
+            self._waits, self._next_wait = self._next_wait, min(2 * self._next_wait, _MOST_WAITS)
+        return tracked, None
+
+    def _is_drawn(self, view: Keyframe, tracked: Tracked, without: Tracked, front_end: FrontEnd) -> bool:
+        """Whether the layer, hidden in the view, drew the pose away: it is another one without, at which the rest fits much better."""
+        found = without.status.trusted if tracked.is_lost else not without.is_lost
+        if not (found and self.usual_error.is_within(_photometric_error(without), _AS_USUAL)):
+            return False
+        if tracked.is_lost:
+            return True
+        radius = 1.0 if without.alignment is None else without.alignment.radius
+        if image_motion(tracked.T_wc, without.T_wc, radius) <= _DRAWN:
+            return False
+        if self._is_clear(tracked, without):
+            return True
+        less = _photometric_error(without) < _LESS * _photometric_error(tracked)
+        return less and front_end.misfit(view, without.T_wc) < _BETTER * front_end.misfit(view, tracked.T_wc)
+
+    def _is_clear(self, tracked: Tracked, without: Tracked) -> bool:
+        """Whether one frame tells that the layer moves."""
+        return tracked.is_lost or _photometric_error(without) < _FAR_LESS * (_photometric_error(tracked) or np.inf)
+
+
+@dataclass(frozen=True)
+class _TrackedBefore:
+    """What tracking sets in a view, to be restored after a trial that did not help."""
+
+    hidden: NDArray[np.bool_] | None
+    T_predicted: Tensor
+    rectification: Rectification | None
+    registered: bool
+
+    @classmethod
+    def of(cls, view: Keyframe) -> "_TrackedBefore":
+        return cls(view.moving, view.T_wk.clone(), view.rectification, view.registered)
+
+    def restore(self, view: Keyframe) -> None:
+        view.hide(self.hidden)
+        view.T_wk, view.registered = self.T_predicted, self.registered
+        if self.rectification is not None and view.rectification is not self.rectification:
+            view.rectify(self.rectification)
+
+
+def _photometric_error(tracked: Tracked) -> float:
+    """[1] of the alignment that gave the pose; 0 if none did."""
+    return 0.0 if tracked.alignment is None else tracked.alignment.photometric_error
+
+
+def nearest_layer(depth: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """The near part (h, w) of depth (h, w) [m], split where the parts differ most (Otsu 1979, inverse depth); None: too small or large."""
+    measured = depth > 0
+    inverse = np.sort(1 / depth[measured])
+    if len(inverse) < 2:
+        return None
+    count, total = np.arange(1, len(inverse)), inverse.cumsum()
+    below, above = total[:-1] / count, (total[-1] - total[:-1]) / (len(inverse) - count)
+    best = int((count * (len(inverse) - count) * (above - below) ** 2).argmax())
+    layer = measured & (depth < 1 / inverse[best])
+    return layer if _LAYER[0] <= layer.mean() <= _LAYER[1] else None
