@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from helpers.three_walls import CAMERA, CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view, without_depth
+from helpers.three_walls import CAMERA, CONFIG, CORNER, EYE, WALL, aligner, error, pose, taught, view, with_depth, without_depth
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.depth_term import depth_term, plain_depth_term
 from idfslam.alignment.gauss_newton import damped_step, plain_damped_step
@@ -116,8 +116,9 @@ def test_fewer_points_keep_their_patches(corner: Mapper) -> None:
 
 def test_little_depth_is_looked_at_closely(corner: Mapper) -> None:
     whole = view(CORNER, EYE)
-    small = without_depth(whole)
-    small.depth[40:60, 40:80] = whole.depth[40:60, 40:80]
+    part = torch.zeros_like(whole.depth)
+    part[40:60, 40:80] = whole.depth[40:60, 40:80]
+    small = with_depth(whole, part)
     judge = aligner(corner, replace(CONFIG, points=800))
     assert len(judge.surface(small.images, small.camera).points) == 800  # every pixel of 20 x 40
     assert 600 < len(judge.surface(whole.images, whole.camera).points) < 1000

@@ -36,7 +36,7 @@ def small_imap() -> Config:
         device="cpu",
         volume_density=replace(IMAP.volume_density, width=64),
         mapper=replace(
-            IMAP.mapper, pixels=64, samples=16, importance_samples=8, first_iterations=120, iterations=6, every=2, learning_rate=2e-3
+            IMAP.mapper, pixels=64, samples=16, importance_samples=8, first_iterations=300, iterations=15, every=2, learning_rate=2e-3
         ),
         keyframes=replace(IMAP.keyframes, explained=0.99),
         inverse_rendering=replace(IMAP.inverse_rendering, pixels=100, iterations=20, learning_rate=3e-3),
@@ -48,7 +48,7 @@ def small_nice() -> Config:
         NICE,
         device="cpu",
         occupancy_grids=replace(NICE.occupancy_grids, table_log2=11, refinement_rounds=1),
-        mapper=replace(NICE.mapper, step_pixels=160, samples=12, importance_samples=8, first_iterations=80, iterations=15, every=2),
+        mapper=replace(NICE.mapper, step_pixels=160, samples=12, importance_samples=8, first_iterations=300, iterations=15, every=2),
         keyframes=replace(NICE.keyframes, interval=3),
         joint_mapping=replace(NICE.joint_mapping, poses_from=2),
         inverse_rendering=replace(NICE.inverse_rendering, pixels=100, iterations=20, learning_rate=3e-3),
@@ -132,7 +132,7 @@ def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def test_they_follow_the_camera(finished: Run) -> None:
     assert {r.status.value for r in finished.results} == {"ok"}
     errors = np.linalg.norm(finished.slam.trajectory()[:, :3, 3] - finished.truth[:, :3, 3], axis=-1)
-    assert errors[:10].max() < 0.06, errors  # by so few pixels and steps; then pixels that were never seen draw the pose away
+    assert errors[:10].max() < 0.05, errors  # of 15 cm, by so few pixels and steps; then pixels that were never seen draw the pose away
     assert sum(r.keyframe for r in finished.results) == len(finished.slam.graph.keyframes) >= 2
 
 

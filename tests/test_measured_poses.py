@@ -117,7 +117,7 @@ def test_truth_that_a_run_left_unread(known_run: Path, box_recording: Path, tmp_
     assert read_config(folder)[1] == source and open_source(source).ground_truth is None
     assert evaluate_folder(folder).ate.translation.rmse < 1e-6
     command = command_line.parse(["run", "room", "--no-truth"])
-    assert isinstance(command, command_line.Run) and not command.recording.truth
+    assert isinstance(command, command_line.Run) and not command.truth
 
 
 def test_no_truth_at_all_is_one_line(known_run: Path, box_recording: Path, tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """Three walls that meet in a corner, seen by a camera with exact depth, and maps that have learnt them."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -36,7 +38,12 @@ def view(walls: Tensor, T_wc: Tensor, *, index: int = 0, paint: float = 0.2) -> 
 
 
 def without_depth(keyframe: Keyframe) -> Keyframe:
-    return Keyframe(keyframe.frame, keyframe.T_wk, torch.zeros_like(keyframe.depth), keyframe.colour)
+    return with_depth(keyframe, torch.zeros_like(keyframe.depth))
+
+
+def with_depth(keyframe: Keyframe, depth: Tensor) -> Keyframe:
+    """The same view with another depth (H, W) [m]."""
+    return Keyframe(replace(keyframe.frame, depth=depth.numpy()), keyframe.T_wk, depth, keyframe.colour)
 
 
 def taught(walls: Tensor) -> Mapper:
