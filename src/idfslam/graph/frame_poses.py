@@ -83,7 +83,10 @@ class FramePoses(Stateful):
         at = bisect_left(self._frames, keyframe.timestamp, key=lambda frame: frame.timestamp)
         if at == len(self) or not self._frames[at].status.trusted or not self._is_of(at, keyframe):
             return np.zeros(0), np.zeros((0, 4, 4))
-        belongs = lambda i: self._frames[i].status.trusted and self.submap(i) == self.submap(at)  # noqa: E731
+
+        def belongs(i: int) -> bool:
+            return self._frames[i].status.trusted and self.submap(i) == self.submap(at)
+
         before = list(itertools.takewhile(belongs, range(at - 1, max(at - reach, 0) - 1, -1)))
         after = list(itertools.takewhile(belongs, range(at + 1, min(at + reach + 1, len(self)))))
         chosen = [*reversed(before), at, *after]

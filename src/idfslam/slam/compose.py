@@ -4,7 +4,7 @@ A new front end, map or back end is one class and one line in FRONT_ENDS, MAPS o
 """
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import torch
@@ -164,7 +164,7 @@ class System:
     def segmentation(self) -> MotionSegmentation:
         if self.config.movers == "off":
             return NoSegmentation()
-        references = lambda: self.graph.references(self.config.alignment.references)  # noqa: E731
+        references = partial(self.graph.references, self.config.alignment.references)
         return FreeSpaceSegmentation(self.graph, self.timer, self._learn_masked, references)
 
     @cached_property
@@ -277,7 +277,10 @@ def _occupancy_grids(s: System) -> Map:
 
 def _alignment(system: System) -> FrontEnd:
     s = system
-    learn_again = lambda keyframe: s.back_end.learn_again(keyframe)  # noqa: E731 (the back end is made after the front end)
+
+    def learn_again(keyframe: Keyframe) -> None:
+        s.back_end.learn_again(keyframe)  # which is made after the front end
+
     return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add)
 
 
