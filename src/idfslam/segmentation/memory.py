@@ -37,9 +37,7 @@ _AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its p
 # Share of a cell, and of the slack, by which a predicted pose may be off. More: more views need no second segmentation, with rougher masks
 _OFF = 0.3
 _TURNS = 2  # frames in which each recent view is compared once with what moves. More: faster, and all of it later
-# [frames] that a cell stays masked without fresh evidence: who stands still does not come loose. More: false masks last longer. With 6 the
-# paths in rooms 0, 1 and 3 with people were off by 0.30, 0.24 and 0.28 cm instead of 0.26, 0.19 and 0.23
-_LASTS = 60
+_LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
 
 
 class Memory:
