@@ -1,6 +1,6 @@
 """The fast path of a small field on the CPU: network and losses in one Numba kernel. Plain torch gives the same values."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeGuard
 
@@ -35,14 +35,14 @@ def fusable(field: SurfaceField) -> TypeGuard[Field]:
     return shape and fits and not field.bf16 and backend_of(field.sdf_head.weight.device) is Backend.NUMBA
 
 
-def weights(field: Field) -> list[NDArray[np.float32]]:
+def weights(field: Field) -> tuple[NDArray[np.float32], ...]:
     """The network's parameters as arrays for the kernels, sharing memory."""
-    return [p.detach().numpy() for p in parameters(field)]
+    return tuple(p.detach().numpy() for p in parameters(field))
 
 
-def weights_of_distance(field: Field) -> list[NDArray[np.float32]]:
+def weights_of_distance(field: Field) -> tuple[NDArray[np.float32], ...]:
     """Those of them that the distance depends on: hidden layer and head."""
-    return [p.detach().numpy() for p in _of_layers(field.trunk[0], field.sdf_head)]
+    return tuple(p.detach().numpy() for p in _of_layers(field.trunk[0], field.sdf_head))
 
 
 def parameters(field: Field) -> list[nn.Parameter]:
@@ -65,8 +65,8 @@ def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
     from idfslam.mapping.kernels import numba_field
 
     values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
-    inputs = points.contiguous().numpy(), *_grid(field), *weights_of_distance(field)
-    numba_field.distance(*inputs, np.float32(field.config.truncation), *_arrays(values, gradient))  # type: ignore[call-arg]
+    scale = np.float32(field.config.truncation)
+    numba_field.distance(points.contiguous().numpy(), _grid(field), weights_of_distance(field), scale, *_arrays(values, gradient))  # type: ignore[call-arg]
     return values, gradient
 
 
@@ -110,11 +110,10 @@ def trace(
     assert isinstance(field.encoding, GridEncoding)
     starts = torch.as_tensor(near, dtype=torch.float32).expand(len(origins)).contiguous()
     depth, reach = torch.zeros(len(origins)), truncation / directions.norm(dim=-1)
-    limits = np.float32(far), reach.numpy(), np.float32(sphere_tracing.CAUTION), np.float32(sphere_tracing.LEAST_STEP)
-    rays = origins.contiguous().numpy(), directions.contiguous().numpy(), starts.numpy()
-    blocks = (volume or no_volume()).arrays
-    network = *_grid(field), *weights_of_distance(field)
-    numba_tracing.trace(*rays, *limits, *network, truncation, *blocks, depth.numpy())  # type: ignore[call-arg]
+    rays = _arrays(origins.contiguous(), directions.contiguous(), starts, reach)
+    limits = np.float32(far), np.float32(sphere_tracing.CAUTION), np.float32(sphere_tracing.LEAST_STEP)
+    blocks = tuple((volume or no_volume()).arrays)
+    numba_tracing.trace(rays, limits, _grid(field), weights_of_distance(field), truncation, blocks, depth.numpy())  # type: ignore[call-arg]
     return depth
 
 
@@ -126,12 +125,10 @@ def learn(field: Field, samples: RaySamples, free_margin: float) -> tuple[Tensor
     features = grid_encode(samples.points, field.encoding.tables.detach(), field.encoding.cells)
     g_features, terms, colour_terms = torch.empty_like(features), torch.empty(len(features)), torch.empty(samples.near)
     network = weights(field)
-    g_network = [np.zeros((numba_field.PARTS, *w.shape), np.float32) for w in network]
-    inputs = _arrays(samples.target, samples.weight), _arrays(samples.colour, samples.colour_weight)
-    numba_field.learn(  # type: ignore[call-arg]
-        features.numpy(), samples.near, *inputs[0], np.float32(free_margin), *inputs[1], *network,
-        g_features.numpy(), *g_network, *_arrays(terms, colour_terms),
-    )  # fmt: skip
+    g_network = _separate_sums(network)
+    distances = *_arrays(samples.target, samples.weight), np.float32(free_margin)
+    targets = samples.near, distances, _arrays(samples.colour, samples.colour_weight)
+    numba_field.learn(features.numpy(), *targets, network, g_features.numpy(), g_network, _arrays(terms, colour_terms))  # type: ignore[call-arg]
     field.encoding.add_gradient(samples.points, g_features)
     for parameter, gradient in zip(parameters(field), g_network):
         total = torch.from_numpy(gradient.sum(0))
@@ -176,7 +173,8 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
     g_features, terms = np.empty_like(features), np.empty((steps, near + free), np.float32)
     colour_terms = np.empty((steps, near), np.float32)
     network = weights(field)
-    g_network = [np.zeros((numba_field.PARTS, *w.shape), np.float32) for w in network]
+    g_network = _separate_sums(network)
+    distances = target, weight, np.float32(c.free_margin)
     moments = [[optimiser.adam.state[p][name].numpy().reshape(-1) for name in MOMENTS] for p in parameters(field)]
     tables = numba_grid.Tables(grid.tables, grid.gradient, optimiser.m, optimiser.v, grid.touched, grid.cells)
     for step in range(steps):
@@ -184,10 +182,8 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
         drawn = [t[turn] for t in along]
         numba_rays.place(*drawn, jitter[turn], free_jitter[turn], np.float32(field.config.truncation), points, target)  # type: ignore[call-arg]
         tables.forward(points, features)
-        numba_field.learn(  # type: ignore[call-arg]
-            features, near, target, weight, np.float32(c.free_margin), colour[step * near : (step + 1) * near], colour_weight, *network,
-            g_features, *g_network, terms[step], colour_terms[step],
-        )  # fmt: skip
+        colours = colour[step * near : (step + 1) * near], colour_weight
+        numba_field.learn(features, near, distances, colours, network, g_features, g_network, (terms[step], colour_terms[step]))  # type: ignore[call-arg]
         tables.backward(points, g_features)
         rate, table_rate = optimiser.advance()
         rates = numba_grid.single(adam_rates(rate, *_BETAS, _EPS, optimiser.steps))
@@ -200,5 +196,12 @@ def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, c
     return Learnt(torch.from_numpy(terms), torch.from_numpy(colour_terms), near)
 
 
-def _arrays(*tensors: Tensor) -> list[NDArray[np.float32]]:
-    return [t.numpy() for t in tensors]
+def _separate_sums(network: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], ...]:
+    """Gradients of the network's parameters for the kernels, as separate sums, at zero."""
+    from idfslam.mapping.kernels.numba_field import PARTS
+
+    return tuple(np.zeros((PARTS, *w.shape), np.float32) for w in network)
+
+
+def _arrays(*tensors: Tensor) -> tuple[NDArray[np.float32], ...]:
+    return tuple(t.numpy() for t in tensors)

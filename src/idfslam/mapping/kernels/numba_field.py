@@ -162,6 +162,39 @@ def _sigmoid(x: Floats) -> None:
             x[k, p] = _ONE / (_ONE + np.exp(-x[k, p]))
 
 
+@_inlined
+def gather(xyz, count, tables, inverse, lanes, e, fraction, x) -> None:  # type: ignore[no-untyped-def]
+    """Fills the grid's features x (K, BLOCK) at the points xyz (3, BLOCK). e (8, BLOCK), fraction (3, BLOCK): overwritten."""
+    width, mask = len(lanes), np.uint32(tables.shape[1] - 1)
+    for level in range(len(tables)):
+        t = tables[level]
+        locate(xyz, count, inverse[level], mask, e, fraction)
+        for i in range(count):
+            u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
+            e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
+            for f in range(width):
+                x[level * width + f, i], _, _, _ = trilinear(
+                    t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w
+                )
+
+
+@_inlined
+def gather_slopes(xyz, count, tables, inverse, lanes, e, fraction, x, slopes) -> None:  # type: ignore[no-untyped-def]
+    """`gather`, and the features' slopes (K, 3, BLOCK) by the place in metres."""
+    width, mask = len(lanes), np.uint32(tables.shape[1] - 1)
+    for level in range(len(tables)):
+        t, cells = tables[level], inverse[level]
+        locate(xyz, count, cells, mask, e, fraction)
+        for i in range(count):
+            u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
+            e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
+            for f in range(width):
+                k = level * width + f
+                feature, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
+                x[k, i] = feature
+                slopes[k, 0, i], slopes[k, 1, i], slopes[k, 2, i] = du * cells, dv * cells, dw * cells
+
+
 @_parallel
 def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def]
     """Fills sdf (N,) [tr] from features (N, K)."""
@@ -179,33 +212,25 @@ def infer(features, w1, b1, ws, bs, sdf) -> None:  # type: ignore[no-untyped-def
 
 
 @_parallel
-def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradient) -> None:  # type: ignore[no-untyped-def] # noqa: C901 (there and back, block by block)
-    """Fills scale * T-SDF (N,) and its gradient (N, 3) at points (N, 3). Grid and network are one loop, so slopes stay in the cache."""
-    inputs, hidden, width = w1.shape[1], w1.shape[0], len(lanes)
-    mask = np.uint32(tables.shape[1] - 1)
+def distance(points, grid, network, scale, value, gradient) -> None:  # type: ignore[no-untyped-def]
+    """Fills scale * T-SDF (N,) and its gradient (N, 3) at points (N, 3). Grid and network are one loop, so slopes stay in the cache.
+
+    grid: tables (L, T, F), cells per metre (L,), and a tuple as long as an entry has features. network: weight and bias of the hidden
+    layer and of the head.
+    """
+    tables, inverse, lanes = grid
+    w1, b1, ws, bs = network
+    inputs, hidden = w1.shape[1], w1.shape[0]
     w1_t = w1.T.copy()
     for block in prange((len(points) + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         count = min(len(points) - start, BLOCK)
         e, xyz, fraction = np.empty((8, BLOCK), np.uint32), np.empty((3, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
-        x, g_x, slopes = (
-            np.zeros((inputs, BLOCK), np.float32),
-            np.empty((inputs, BLOCK), np.float32),
-            np.empty((inputs, 3, BLOCK), np.float32),
-        )
+        x, g_x = np.zeros((inputs, BLOCK), np.float32), np.empty((inputs, BLOCK), np.float32)
+        slopes = np.empty((inputs, 3, BLOCK), np.float32)
         h, s = np.empty((hidden, BLOCK), np.float32), np.empty((1, BLOCK), np.float32)
         stage(points, start, count, xyz)
-        for level in range(len(tables)):
-            t, cells = tables[level], inverse[level]
-            locate(xyz, count, cells, mask, e, fraction)
-            for i in range(count):
-                u, v, w = fraction[0, i], fraction[1, i], fraction[2, i]
-                e0, e1, e2, e3, e4, e5, e6, e7 = e[0, i], e[1, i], e[2, i], e[3, i], e[4, i], e[5, i], e[6, i], e[7, i]
-                for f in range(width):
-                    k = level * width + f
-                    feature, du, dv, dw = trilinear(t[e0, f], t[e1, f], t[e2, f], t[e3, f], t[e4, f], t[e5, f], t[e6, f], t[e7, f], u, v, w)
-                    x[k, i] = feature
-                    slopes[k, 0, i], slopes[k, 1, i], slopes[k, 2, i] = du * cells, dv * cells, dw * cells
+        gather_slopes(xyz, count, tables, inverse, lanes, e, fraction, x, slopes)
         linear(w1, b1, x, h)
         relu(h)
         head(ws, bs, h, s)
@@ -225,69 +250,92 @@ def distance(points, tables, inverse, lanes, w1, b1, ws, bs, scale, value, gradi
                 gradient[start + p, axis] = scale * xyz[axis, p]
 
 
-@_parallel
-def learn(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912 (forward and back through two heads, block by block)
-    features, coloured, target, weight, margin, target_colour, colour_weight,
-    w1, b1, ws, bs, wc1, bc1, wc2, bc2,
-    g_features, g_w1, g_b1, g_ws, g_bs, g_wc1, g_bc1, g_wc2, g_bc2, loss, colour_loss,
-) -> None:  # fmt: skip
-    """Fills the losses (N,) of the T-SDF and (coloured,) of colour, and the gradients of the sum of `loss` and `colour_weight colour_loss`.
+@_inlined
+def _surface_loss(s, start, count, near, target, weight, margin, loss) -> None:  # type: ignore[no-untyped-def]
+    """The losses of a block's T-SDF s (1, BLOCK), which their slopes replace: by targets near the surface, by the margin in free space."""
+    for p in range(count):
+        residual = s[0, p] - target[start + p] if near else min(s[0, p] - margin, _ZERO)
+        loss[start + p] = weight[start + p] * residual * residual
+        s[0, p] = np.float32(2) * weight[start + p] * residual
+    for p in range(count, BLOCK):
+        s[0, p] = _ZERO
 
-    The first `coloured` samples are near the surface: loss = weight (t - s)^2, and colour_loss is the mean absolute difference of colour.
-    The others are in free space: loss = weight max(margin - s, 0)^2. The gradients of the network's weights are PARTS separate sums.
+
+@_inlined
+def _colour_loss(o, start, count, target, weight, loss) -> None:  # type: ignore[no-untyped-def]
+    """The losses of a block's colours o (3, BLOCK), which their slopes by the values before the sigmoid replace."""
+    for p in range(count):
+        total = _ZERO
+        for k in range(3):
+            value = o[k, p]
+            difference = value - target[start + p, k]
+            total += abs(difference)
+            sign = _ONE if difference > _ZERO else -_ONE
+            o[k, p] = weight[start + p] / np.float32(3) * sign * value * (_ONE - value)
+        loss[start + p] = total / np.float32(3)
+    for k in range(3):
+        for p in range(count, BLOCK):
+            o[k, p] = _ZERO
+
+
+@_inlined
+def _colour_gradient(h, layers, layer1_t, start, count, colours, o, c, g_c, g_more, gradients, loss) -> None:  # type: ignore[no-untyped-def]
+    """The losses of a block's colours, forward from h (O, BLOCK) and back to g_more (O, BLOCK). Adds to the layers' gradients."""
+    wc1, bc1, wc2, bc2 = layers
+    g_wc1, g_bc1, g_wc2, g_bc2 = gradients
+    target, weight = colours
+    linear(wc1, bc1, h, c)
+    relu(c)
+    head(wc2, bc2, c, o)
+    _sigmoid(o)
+    _colour_loss(o, start, count, target, weight, loss)
+    _head_gradient(o, c, g_wc2)
+    _bias_gradient(o, g_bc2)
+    _head_back(wc2, o, g_c)
+    _masked(g_c, c)
+    _weight_gradient(g_c, h, g_wc1)
+    _bias_gradient(g_c, g_bc1)
+    _linear_back(layer1_t, g_c, g_more)
+
+
+@_parallel
+def learn(features, near, distances, colours, network, g_features, g_network, losses) -> None:  # type: ignore[no-untyped-def]
+    """Fills the losses (N,) of the T-SDF and (near,) of colour, and the gradients of the sum of `loss` and `weight colour_loss`.
+
+    features: (N, K). The first `near` samples are near the surface: loss = weight (target - s)^2, and colour_loss is the mean absolute
+    difference of colour. The others are in free space: loss = weight max(margin - s, 0)^2. distances: targets (N,), weights (N,) and the
+    margin [tr]. colours: targets (near, 3) and weights (near,). network: weight and bias of the hidden layer, the head and the two layers
+    of colour. g_network: their gradients, as PARTS separate sums.
     """
-    inputs, hidden, colours = w1.shape[1], w1.shape[0], wc1.shape[0]
-    n = len(features)
+    target, weight, margin = distances
+    w1, b1, ws, bs, wc1, bc1, wc2, bc2 = network
+    g_w1, g_b1, g_ws, g_bs, g_wc1, g_bc1, g_wc2, g_bc2 = g_network
+    loss, colour_loss = losses
+    inputs, hidden, width = w1.shape[1], w1.shape[0], wc1.shape[0]
     w1_t, wc1_t = w1.T.copy(), wc1.T.copy()
-    near_blocks = (coloured + BLOCK - 1) // BLOCK
-    blocks = near_blocks + (n - coloured + BLOCK - 1) // BLOCK
+    near_blocks = (near + BLOCK - 1) // BLOCK
+    blocks = near_blocks + (len(features) - near + BLOCK - 1) // BLOCK
     for part in prange(PARTS):
         x, h, g_h = np.empty((inputs, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
-        c, g_c, o = np.empty((colours, BLOCK), np.float32), np.empty((colours, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
+        c, g_c, o = np.empty((width, BLOCK), np.float32), np.empty((width, BLOCK), np.float32), np.empty((3, BLOCK), np.float32)
         g_x, s, g_more = np.empty((inputs, BLOCK), np.float32), np.empty((1, BLOCK), np.float32), np.empty((hidden, BLOCK), np.float32)
         for block in range(part, blocks, PARTS):
-            near = block < near_blocks
-            start = block * BLOCK if near else coloured + (block - near_blocks) * BLOCK
-            count = min((coloured if near else n) - start, BLOCK)
+            is_near = block < near_blocks
+            start = block * BLOCK if is_near else near + (block - near_blocks) * BLOCK
+            count = min((near if is_near else len(features)) - start, BLOCK)
             _transpose(features, start, count, x)
             linear(w1, b1, x, h)
             relu(h)
             head(ws, bs, h, s)
-            for p in range(count):
-                residual = s[0, p] - target[start + p] if near else min(s[0, p] - margin, _ZERO)
-                loss[start + p] = weight[start + p] * residual * residual
-                s[0, p] = np.float32(2) * weight[start + p] * residual
-            for p in range(count, BLOCK):
-                s[0, p] = _ZERO
+            _surface_loss(s, start, count, is_near, target, weight, margin, loss)
             _head_gradient(s, h, g_ws[part])
             _bias_gradient(s, g_bs[part])
             for k in range(hidden):
                 for p in range(BLOCK):
                     g_h[k, p] = ws[0, k] * s[0, p]
-            if near:
-                linear(wc1, bc1, h, c)
-                relu(c)
-                head(wc2, bc2, c, o)
-                _sigmoid(o)
-                for p in range(count):
-                    total = _ZERO
-                    for k in range(3):
-                        value = o[k, p]
-                        difference = value - target_colour[start + p, k]
-                        total += abs(difference)
-                        sign = _ONE if difference > _ZERO else -_ONE
-                        o[k, p] = colour_weight[start + p] / np.float32(3) * sign * value * (_ONE - value)
-                    colour_loss[start + p] = total / np.float32(3)
-                for k in range(3):
-                    for p in range(count, BLOCK):
-                        o[k, p] = _ZERO
-                _head_gradient(o, c, g_wc2[part])
-                _bias_gradient(o, g_bc2[part])
-                _head_back(wc2, o, g_c)
-                _masked(g_c, c)
-                _weight_gradient(g_c, h, g_wc1[part])
-                _bias_gradient(g_c, g_bc1[part])
-                _linear_back(wc1_t, g_c, g_more)
+            if is_near:
+                layers, gradients = (wc1, bc1, wc2, bc2), (g_wc1[part], g_bc1[part], g_wc2[part], g_bc2[part])
+                _colour_gradient(h, layers, wc1_t, start, count, colours, o, c, g_c, g_more, gradients, colour_loss)
                 for k in range(hidden):
                     for p in range(BLOCK):
                         g_h[k, p] += g_more[k, p]
