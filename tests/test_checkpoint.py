@@ -129,17 +129,17 @@ def test_what_is_forgotten_would_be_found(box_recording: Path) -> None:
     one.front_end.aligner.new = torch.ones(1)
     other.front_end.registration.tracker.generator.manual_seed(9)
     other.graph.keyframes[0].covisible_references.append(3)
-    other.back_end.relearn.add(other.graph.keyframes)
+    other.back_end.updates.relearn.add(other.graph.keyframes)
     other.mapper.learnt().encoding.tables.data[0, 0, 0] += 1
     places = {found.split(":")[0] for found in differences(one, other, "slam")}
     assert places >= {
         "slam.front_end.aligner.new",
         "slam.graph.keyframes.0.covisible_references.0",
         "slam.graph.last_keyframe.covisible_references.0",
-        "slam.back_end.mapper.field.encoding.tables",
-        "slam.back_end.mapper.optimiser.field.encoding.tables",
-        "slam.back_end.mapper.optimiser.grid.tables",
-        "slam.back_end.relearn._left.0",
+        "slam.back_end.updates.mapper.field.encoding.tables",
+        "slam.back_end.updates.mapper.optimiser.field.encoding.tables",
+        "slam.back_end.updates.mapper.optimiser.grid.tables",
+        "slam.back_end.updates.relearn._left.0",
         "slam.front_end.registration.tracker.generator.state",
     }
 
@@ -162,7 +162,7 @@ def test_what_seldom_changes_is_kept(box_recording: Path, tmp_path: Path) -> Non
     slam.recovery.relocaliser.descriptor(slam.graph.keyframes[0])
     slam.graph.keyframes[0].unverified = [4, 2]
     slam.graph.unverified_from = 0
-    slam.back_end.relearn.add(slam.graph.keyframes)
+    slam.back_end.updates.relearn.add(slam.graph.keyframes)
     with Checkpoints(tmp_path, {}) as checkpoints:
         checkpoints.save(1, slam.state())
         checkpoints.wait()

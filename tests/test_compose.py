@@ -205,7 +205,7 @@ def test_each_part_is_made_once_and_shared() -> None:
     assert system.relocaliser is system.recovery.relocaliser is system.keyframe_pose.relocaliser  # type: ignore[attr-defined]
     assert system.aligner is system.relocaliser.aligner is system.front_end.aligner  # type: ignore[attr-defined]
     assert system.hooks[1] is system.recovery.check  # type: ignore[attr-defined]
-    assert system.back_end.mapper is system.mapper  # type: ignore[attr-defined]
+    assert system.back_end.updates.mapper is system.mapper  # type: ignore[attr-defined]
 
 
 def settings() -> tuple[list[int], int, int, bool]:

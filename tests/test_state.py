@@ -56,7 +56,8 @@ def test_a_part_without_state() -> None:
 def test_the_parts_of_the_presets_have_states_of_their_own() -> None:
     fast, paper = parts_of(Slam(FAST)), parts_of(Slam(PAPER))
     assert {"front_end", "front_end.aligner", "front_end.registration.tracker", "recovery.relocaliser", "back_end.hooks.2"} < set(fast)
-    assert {"timer", "frames", "coverage", "motion", "keyframe_selection", "mapper", "replay", "history", "back_end.relearn"} < set(fast)
+    assert {"timer", "frames", "coverage", "motion", "keyframe_selection", "mapper", "replay", "history"} < set(fast)
+    assert {"back_end.updates", "back_end.updates.relearn", "back_end.updates.interval"} < set(fast)
     assert "front_end.tracker" in paper
     for parts in (fast, paper):
         assert len({id(part) for part in parts.values()}) == len(parts)

@@ -10,26 +10,19 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop
-from idfslam.graph.replay import Replay
-from idfslam.mapping.mapper import Mapper
 from idfslam.slam.finetuner import Finetuning
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
 from idfslam.slam.keyframe_pose import KeyframePose
+from idfslam.slam.map_updates import MapUpdates
 from idfslam.slam.polish import Polishing
-from idfslam.slam.refinement import Refinement
-from idfslam.slam.relearn_queue import RelearnQueue
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
-from idfslam.slam.update_interval import UpdateInterval
 from idfslam.storage.state import Stateful
 
 # [map updates] If the last keyframe is at most so far back, the camera runs ahead of the map, and the next frame waits for the update.
 # More: more frames wait. Chosen by hand.
 _CLOSE_KEYFRAMES = 2
-# [map updates] around the camera after a loop or a merge, before the next frame; further updates follow by replay. More: the next frames
-# are tracked more surely, after a longer pause. Chosen by hand.
-_UPDATES_AFTER_MOVE = 10
 
 
 class BackEnd(Stateful, ABC):
@@ -70,21 +63,17 @@ class KeyframeMapping(BackEnd):
         graph: KeyframeGraph,
         frames: FramePoses,
         coverage: Coverage,
-        replay: Replay,
-        relearn: RelearnQueue,
-        mapper: Mapper,
         features: KeyframeFeatures,
         keyframe_pose: KeyframePose,
         hooks: Sequence[KeyframeHook],
-        refinement: Refinement,
+        updates: MapUpdates,
         polish: Polishing,
         finetuner: Finetuning,
         timer: StageTimer,
     ) -> None:
-        self.config, self.graph, self.frames, self.coverage, self.replay, self.relearn = config, graph, frames, coverage, replay, relearn
-        self.mapper, self.features, self.keyframe_pose, self.hooks = mapper, features, keyframe_pose, list(hooks)
-        self.refinement, self.polish, self.finetuner, self.timer = refinement, polish, finetuner, timer
-        self.interval = UpdateInterval(config.mapper.every, frames)
+        self.config, self.graph, self.frames, self.coverage, self.features = config, graph, frames, coverage, features
+        self.keyframe_pose, self.hooks, self.updates = keyframe_pose, list(hooks), updates
+        self.polish, self.finetuner, self.timer = polish, finetuner, timer
 
     def loops(self) -> Sequence[Loop]:
         return [loop for hook in self.hooks for loop in hook.closed_loops()]
@@ -103,21 +92,21 @@ class KeyframeMapping(BackEnd):
         self._run_hooks(keyframe)
         self.coverage.add(keyframe)
         if last is None:
-            return self._initialise(keyframe)
+            return self.updates.initialise(keyframe)
         camera_ahead_of_map = keyframe.index - last.index <= _CLOSE_KEYFRAMES * self.config.mapper.every
         unmapped = tracked.evidence.mapped_share < self.config.mapper.min_mapped_share
-        return losses | self._update_map(keyframe, at_once=camera_ahead_of_map or unmapped, double_tables=stored)
+        return losses | self.updates.update(keyframe, at_once=camera_ahead_of_map or unmapped, double_tables=stored)
 
     def between_keyframes(self, view: Keyframe, tracked: Tracked) -> dict[str, float]:
         """Updates the map on the frame if an update is due and its pose is trusted, and otherwise finetunes the tracker (Sec. V-B)."""
-        if not self.interval.is_due(view, tracked):
+        if not self.updates.are_due(view, tracked):
             return self.finetuner.step()
         self.graph.connect_like_last(view)
         self.coverage.add(view)
-        return self._update_map(view, at_once=False)
+        return self.updates.update(view, at_once=False)
 
     def learn_again(self, keyframe: Keyframe) -> None:
-        self._initialise(keyframe)
+        self.updates.initialise(keyframe)
 
     def finish(self) -> None:
         with self.timer.stage("finish"):
@@ -135,53 +124,12 @@ class KeyframeMapping(BackEnd):
         for hook in self.hooks:
             with self.timer.stage("loops"):
                 moved = hook.on_keyframe(keyframe)
-            self.relearn.add(moved.keyframes)
+            self.updates.relearn.add(moved.keyframes)
             self.coverage.follow(moved.keyframes)
             if moved.split:
                 for other in self.hooks:
                     other.on_split()
             if moved.submap or moved.at_once:
-                self._follow(keyframe)
+                self.updates.follow(keyframe)
             if moved.submap:
                 return
-
-    def _follow(self, keyframe: Keyframe) -> None:
-        """Trains the map around the newest keyframe before the next frame, after what it sees has moved."""
-        with self.timer.stage("map"):
-            for _ in range(_UPDATES_AFTER_MOVE):
-                self._learn([keyframe, *self._replayed(keyframe)], self.config.mapper.iterations)
-
-    def _initialise(self, keyframe: Keyframe) -> dict[str, float]:
-        """Trains the map on the first keyframe of a submap. Replay preserves the other submaps."""
-        replayed = self._replayed(keyframe) if keyframe.host else []
-        with self.timer.stage("map"):
-            return self._learn([keyframe, *replayed], self.config.mapper.first_iterations)
-
-    def _update_map(self, view: Keyframe, *, at_once: bool, double_tables: bool = False) -> dict[str, float]:
-        """Refines replayed keyframes, then trains the map on them and the view.
-
-        at_once: the update ends before the next frame. Otherwise it may run in the background, and the losses of the update before it are
-        returned.
-        """
-        self.interval.begin()
-        replayed, iterations = self._replayed(view), self.config.mapper.iterations
-        with self.timer.stage("refine"):
-            self.refinement.refine(replayed[: self.config.refinement.poses_per_update])
-        window = [view, *replayed]
-        if at_once:
-            with self.timer.stage("map"):
-                losses = self._learn(window, iterations, double_tables=double_tables)
-        else:
-            self.relearn.trained(window)
-            with self.timer.stage("wait" if self.mapper.updates.in_background else "map"):
-                losses = self.mapper.start_update(window, iterations, double_tables=double_tables)
-        self.timer.milliseconds["map"] += self.mapper.updates.times()
-        return losses
-
-    def _replayed(self, view: Keyframe) -> list[Keyframe]:
-        """The keyframes that an update trains on besides a view: those that have moved and wait to be learnt again, or random ones."""
-        return self.relearn.nearest(view, self.graph.keyframes, self.replay.count) or self.replay.draw(view)
-
-    def _learn(self, window: Sequence[Keyframe], iterations: int, *, double_tables: bool = False) -> dict[str, float]:
-        self.relearn.trained(window)
-        return self.mapper.optimise_map(window, iterations, double_tables=double_tables)

@@ -45,6 +45,7 @@ from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseO
 from idfslam.slam.light_estimation import LightEstimation
 from idfslam.slam.local_adjustment import LocalAdjustment
 from idfslam.slam.loop_closer import LoopCloser
+from idfslam.slam.map_updates import MapUpdates
 from idfslam.slam.mapping_window import LossWindow, MappingWindow, OverlapWindow
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
 from idfslam.slam.polish import NoPolish, Polish, Polishing
@@ -298,8 +299,9 @@ def _joint_mapping(s: System) -> BackEnd:
 
 
 def _keyframe_mapping(s: System) -> BackEnd:
-    parts = s.keyframe_pose, s.hooks, s.refinement, s.polish, s.finetuner, s.timer
-    return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.replay, s.relearn, s.mapper, s.features, *parts)
+    updates = MapUpdates(s.config, s.graph, s.frames, s.replay, s.relearn, s.mapper, s.refinement, s.timer)
+    parts = s.keyframe_pose, s.hooks, updates, s.polish, s.finetuner, s.timer
+    return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.features, *parts)
 
 
 FRONT_ENDS: dict[str, Callable[[System], FrontEnd]] = {
