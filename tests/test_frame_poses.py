@@ -5,6 +5,7 @@ import torch
 
 from helpers.flat_wall import at, insert, keyframe, wall_frames
 from idfslam.frame import Status
+from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 
 
@@ -41,19 +42,42 @@ def test_gaps_are_interpolated_by_time_and_can_be_undone() -> None:
     assert frames.statuses() == [Status.OK, Status.LOST, Status.LOST, Status.OK]
 
 
-def test_frames_between_two_keyframes_follow_both() -> None:
-    """Keyframes at 0 and 0.6 s, of which the first moves by 0.1 m: the middle one moves by half of that, the next one by 86 %."""
+def corrected_walk(statuses: dict[int, Status]) -> FramePoses:
+    """Keyframes at 0 and 0.3 s, ten frames apart at 0.18 m each; the second is refined by 0.1 m when it is stored, and by 0.1 m later."""
     frames = wall_frames(places=(0.0,))
-    for i in range(1, 18):
-        frames.append(i / 30, at(0.0), Status.OK)
-    new = keyframe(18, 1.8)
-    assert insert(frames, new)
-    before = [k.T_wk.clone() for k in frames.graph.keyframes]
-    frames.graph.keyframes[0].T_wk = at(0.1)
-    frames.follow_around(before)
-    moved = frames.trajectory()[:, 0, 3]
-    np.testing.assert_allclose(moved[[0, 1, 9, 18]], [0.1, 0.0855, 0.05, 1.8], atol=1e-4)
-    assert (np.diff(moved[1:18]) < 0).all()
+    for i in range(1, 11):
+        frames.append(i / 30, at(0.18 * i), statuses.get(i, Status.OK))
+    refined = keyframe(10, 1.9)
+    assert frames.graph.insert(refined)
+    frames.attach_last(refined)
+    refined.T_wk = at(2.0)
+    return frames
+
+
+def test_a_correction_is_spread_over_the_frames_before_it() -> None:
+    frames = corrected_walk({3: Status.DOUBTFUL})
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], 0.2 * np.arange(11), atol=1e-12)
+    assert frames.in_host(5)[0] == 0
+    frames.append(0.4, at(2.2), Status.OK)
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[-1, 0, 3], 2.2)  # no keyframe corrects it
+
+
+def test_a_turn_is_spread_without_a_shift() -> None:
+    frames = corrected_walk({})
+    turned = at(1.8)
+    turned[:3, :3] = se3.exp(torch.tensor([0, 0, 0, 0, 0.1, 0], dtype=torch.float64))[:3, :3]
+    frames.graph.keyframes[1].T_wk = turned
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], 0.18 * np.arange(11), atol=1e-12)
+    np.testing.assert_allclose(se3.log(frames.T_wc(4))[4], 0.04, atol=1e-12)
+
+
+def test_no_correction_is_spread_over_a_gap() -> None:
+    frames = corrected_walk({4: Status.LOST})
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[:10, 0, 3], 0.18 * np.arange(10), atol=1e-12)
 
 
 def test_state() -> None:

@@ -3,13 +3,14 @@
 Alignments are restricted to it too (`observed_space`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from idfslam.fusion.packed_depth import PackedDepth, pack_depth
 from idfslam.geometry import se3
@@ -49,6 +50,10 @@ class _Seen:
         coarser = _resized(moving, self.view.depth.shape)
         view = replace(self.view, depth=np.where(coarser, np.float32(0), self.view.depth))
         return replace(self, view=view, hidden=moving if self.hidden is None else moving | self.hidden)
+
+    def placed(self, host: int, T_kc: Tensor) -> "_Seen":
+        """The same view at another pose (4, 4) in a host."""
+        return replace(self, host=host, view=replace(self.view, T_wc=T_kc.numpy()))
 
     def fused(self) -> PackedDepth:
         """The finer depth without what moves."""
@@ -120,6 +125,10 @@ class Coverage(Stateful):
         for seen in self._views:
             if seen.host in moved:
                 self.observed.add(self._posed(seen).points())
+
+    def place(self, in_host: Callable[[int], tuple[int, Tensor]]) -> None:
+        """Places the views of this run anew. in_host: the host of a frame, and its pose (4, 4) there (`FramePoses.in_host`)."""
+        self._views = [seen if seen.index == EARLIER else seen.placed(*in_host(seen.index)) for seen in self._views]
 
     def _append(self, seen: _Seen) -> None:
         self._views.append(seen)

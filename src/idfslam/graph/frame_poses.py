@@ -16,9 +16,6 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.storage.state import State, Stateful
 
-_AROUND = 0.3  # [s] standard deviation of the weights of keyframes around a frame. More: frames follow more keyframes. Chosen by hand
-_NOTHING = 1e-3  # [1] weight of a keyframe, beside that of the nearest, below which it is left out. More: faster, less smooth
-
 
 @dataclass(frozen=True)
 class _FramePose:
@@ -28,6 +25,7 @@ class _FramePose:
     T_kc: Tensor  # (4, 4) float64
     status: Status
     timestamp: float
+    tracked: tuple[int, Tensor] | None = None  # host and pose before it was refined, as keyframes are; None: it was not
 
 
 class FramePoses(Stateful):
@@ -41,19 +39,33 @@ class FramePoses(Stateful):
         return len(self._frames)
 
     def state(self) -> State:
-        """The frames' poses, column by column."""
-        frames = self._frames
+        """The frames' poses, column by column, and those of refined frames before that."""
+        frames, refined = self._frames, self._refined()
         return {
             "host": [frame.host for frame in frames],
-            "T_kc": torch.stack([frame.T_kc for frame in frames]) if frames else torch.zeros(0, 4, 4, dtype=torch.float64),
+            "T_kc": _stacked([frame.T_kc for frame in frames]),
             "status": [frame.status.value for frame in frames],
             "timestamp": [frame.timestamp for frame in frames],
+            "refined": refined,
+            "tracked_host": [host for i in refined for host, _ in [self._tracked(i)]],
+            "tracked_T_kc": _stacked([T_kc for i in refined for _, T_kc in [self._tracked(i)]]),
         }
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         rows = zip(state["host"], state["T_kc"], state["status"], state["timestamp"])
         self._frames = [_FramePose(host, T_kc.clone(), Status(status), timestamp) for host, T_kc, status, timestamp in rows]
+        for i, host, T_kc in zip(state["refined"], state["tracked_host"], state["tracked_T_kc"]):
+            self._frames[i] = replace(self._frames[i], tracked=(host, T_kc.clone()))
+
+    def _refined(self) -> list[int]:
+        """The frames that were refined."""
+        return [i for i, frame in enumerate(self._frames) if frame.tracked is not None]
+
+    def _tracked(self, i: int) -> tuple[int, Tensor]:
+        """Host and pose in it (4, 4) of a frame as it was tracked."""
+        frame = self._frames[i]
+        return frame.tracked or (frame.host, frame.T_kc)
 
     def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
         """Adds a tracked frame, relative to the host of the last keyframe."""
@@ -61,9 +73,13 @@ class FramePoses(Stateful):
         self._frames.append(_FramePose(host, T_kc, status, timestamp))
 
     def attach_last(self, keyframe: Keyframe) -> None:
-        """Attaches the last frame, which has become a keyframe, to that keyframe's host."""
+        """Attaches the last frame, which has become a keyframe and was refined, to that keyframe's host."""
         host, T_kc = self.graph.relative_to_host(keyframe.T_wk)
-        self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc)
+        self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc, tracked=self._tracked(-1))
+
+    def in_host(self, i: int) -> tuple[int, Tensor]:
+        """The host of the i-th frame, and the frame's pose (4, 4) in it."""
+        return self._frames[i].host, self._frames[i].T_kc
 
     @property
     def last_status(self) -> Status:
@@ -100,25 +116,35 @@ class FramePoses(Stateful):
         """The submap of the i-th frame."""
         return self.graph.keyframes[self._frames[i].host].submap if self.graph.keyframes else 0
 
-    def follow_around(self, before: Sequence[Tensor]) -> None:
-        """Moves each frame by what the keyframes around it have moved, on average, from their poses `before` (K) of (4, 4).
+    def spread_corrections(self) -> None:
+        """Moves the frames before each refined one by shares of its correction that grow with time, from none at the refined one before.
 
-        Without it a frame moves as its host keyframe. Where a keyframe's own images were bent, that is no error of its frames.
+        A keyframe is corrected by registration and adjustments. The frames before it, which nothing corrects, were tracked like it, in the
+        same map, and share its error the more, the nearer they are.
         """
-        keyframes = self.graph.keyframes
-        stamps = np.array([keyframe.timestamp for keyframe in keyframes])
-        moves = torch.stack([keyframe.T_wk for keyframe in keyframes]) @ se3.inverse(torch.stack(list(before)))
-        submaps = np.array([keyframe.submap for keyframe in keyframes])
-        for i, frame in enumerate(self._frames):
-            if frame.timestamp == stamps[frame.host]:
-                continue  # the keyframe itself
-            apart = np.where(submaps == submaps[frame.host], np.abs(stamps - frame.timestamp) / _AROUND, np.inf)
-            weight = np.exp((apart.min() ** 2 - apart**2) / 2)
-            near = np.flatnonzero(weight > _NOTHING)
-            T_before = before[frame.host] @ frame.T_kc
-            change = se3.log(se3.inverse(T_before) @ moves[near] @ T_before)
-            mean = torch.from_numpy(weight[near] / weight[near].sum()) @ change
-            T_kc = se3.inverse(keyframes[frame.host].T_wk) @ T_before @ se3.exp(mean)
+        for start, end in itertools.pairwise(self._refined()):
+            if self._is_unbroken(start, end):
+                self._spread(start, end)
+
+    def _is_unbroken(self, start: int, end: int) -> bool:
+        """Whether all frames from `start` to `end` were tracked without a gap, and are of one submap."""
+        tracked_in = self.graph.keyframes[self._tracked(end)[0]].submap
+        frames = range(start, end + 1)
+        return all(self._frames[i].status.measured and self.submap(i) == tracked_in for i in frames)
+
+    def _spread(self, start: int, end: int) -> None:
+        """Turns each frame between `start` and `end` about itself, and shifts it, by its share of what `end` was corrected by."""
+        host, T_kc = self._tracked(end)
+        T_refined, T_tracked = self.T_wc(end), self.graph.keyframes[host].T_wk @ T_kc
+        shift, turn = T_refined[:3, 3] - T_tracked[:3, 3], torch.eye(4, dtype=torch.float64)
+        turn[:3, :3] = T_refined[:3, :3] @ T_tracked[:3, :3].T
+        begun, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
+        for i in range(start + 1, end):
+            frame, T_wc = self._frames[i], self.T_wc(i)
+            share = (frame.timestamp - begun) / span if span > 0 else 0.5
+            moved = se3.exp(share * se3.log(turn)) @ T_wc
+            moved[:3, 3] = T_wc[:3, 3] + share * shift
+            T_kc = se3.inverse(self.graph.keyframes[frame.host].T_wk) @ moved
             self._frames[i] = replace(frame, T_kc=se3.orthonormal(T_kc))
 
     def trajectory(self) -> NDArray[np.float64]:
@@ -155,3 +181,8 @@ class FramePoses(Stateful):
         while gap >= 0 and self._frames[gap].status is Status.INTERPOLATED:
             self._frames[gap] = replace(self._frames[gap], status=Status.LOST)
             gap -= 1
+
+
+def _stacked(poses: Sequence[Tensor]) -> Tensor:
+    """(N, 4, 4)"""
+    return torch.stack(list(poses)) if poses else torch.zeros(0, 4, 4, dtype=torch.float64)

@@ -93,10 +93,7 @@ class GlobalAdjustment(KeyframeAdjustment):
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
         if noise > AGREE or not adjusted.complete:
             return False
-        before = [keyframe.T_wk.clone() for keyframe in keyframes]
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
-        if self.motions is not None and adjusted.problem.velocities is not None:
-            self.motions.frames.follow_around(before)
         self._adjusted = adjusted
         return True
 

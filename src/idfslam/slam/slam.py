@@ -154,6 +154,8 @@ class Slam:
         self.views.finish()
         self.hindsight.run()
         self.back_end.finish()
+        self.frames.spread_corrections()
+        self.coverage.place(self.frames.in_host)
         with self.timer.stage("fuse"):
             self._volume = self.surface_fusion.volume()
         self.back_end.settle()
