@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -68,6 +69,18 @@ def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: Footage) -> Non
         value, sigma = of(estimate, name)
         assert value == pytest.approx(true, abs=within)
         assert abs(value - true) < 3 * sigma
+
+
+def test_keyframes_that_contradict_the_others_make_it_less_sure(footage: Footage) -> None:
+    """The images of the last two of ten keyframes are 1 % larger, as through another lens."""
+    c = footage.views[0].camera
+    M = np.array([[1.01, 0, -0.01 * c.cx], [0, 1.01, -0.01 * c.cy]])
+    larger = [replace(v, grey=cv2.warpAffine(v.grey, M, (c.width, c.height), borderMode=cv2.BORDER_REPLICATE)) for v in footage.views[-2:]]
+    same, other = self_calibrate([footage], rounds=1), self_calibrate([replace(footage, views=[*footage.views[:-2], *larger])], rounds=1)
+    assert same is not None and other is not None
+    value, sigma = of(other, "focal")
+    assert sigma > 2 * of(same, "focal")[1]
+    assert abs(value) < 4 * sigma
 
 
 def test_an_estimate_may_be_gone_on_from(footage: Footage) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_motion
+from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.landmark_tracks import View, find_tracks
 from idfslam.adjustment.residuals import Array, Observations, tracks
@@ -32,6 +32,8 @@ _IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more
 _MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
 #    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
 _SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
+_STRETCHES = 8  # of keyframes, each of which is left out once; more: errors that last longer than a stretch are missed, slower. By hand
+_STEPS = 8  # most steps of an adjustment without one of them; more: slower, more exact
 _CHANCE = 0.997  # [1] stated values stay if chance alone brings this share of estimates nearer to them: 3 standard deviations of one value.
 #    Raised, more stay
 GROUPS = {
@@ -120,7 +122,7 @@ def self_calibrate(
         if i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all():
             break
     kept = adjusted.problem.seen
-    covariance = _with_differences(_honest(covariance), _difference_of_halves(adjusted.problem, of))
+    covariance = _with_sigmas(_honest(covariance), _by_jackknife(adjusted.problem, of))
     return Estimate(
         model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0].camera.width)
     )
@@ -132,28 +134,31 @@ def _honest(covariance: Array) -> Array:
     return _MISFIT**2 * covariance + np.diag(np.where(of_deformation & (np.diag(covariance) > 0), _SMOOTH**2, 0.0))
 
 
-def _difference_of_halves(problem: Problem, of: NDArray[np.int64]) -> Array:
-    """(P,) the values by the first half of each recording's keyframes minus those by its second half; zero if a half is too short.
+def _by_jackknife(problem: Problem, of: NDArray[np.int64]) -> Array:
+    """(P,) standard deviations of the values, by how they change without each stretch of keyframes; zero if too few are left then.
 
-    of (K,): the number of each keyframe's recording. The halves share no measurement. What they contradict each other in is not the
-    camera's: a shutter, a clock, or a light that the model does not know.
+    of (K,): the number of each keyframe's recording. Keyframes near in time share errors that the model does not know, of a motion within
+    their rows, a clock, or light, so they are left out together (Tukey's jackknife, by groups: Efron and Stein, 1981).
     """
-    position = np.arange(len(of)) - np.searchsorted(of, of)
-    early = position < (np.bincount(of)[of] + 1) // 2
-    found = []
-    for half in (early, ~early):
-        first_of_each = half & (np.arange(len(of)) == np.array([np.flatnonzero(half & (of == k))[:1].sum() for k in of]))
-        points, seen = tracks(problem.points, problem.seen[half[problem.seen.keyframe]])
-        if half.sum() < _LEAST_KEYFRAMES or len(points) < _LEAST_LANDMARKS // 2:
+    count = min(_STRETCHES, len(of))
+    stretch = np.arange(len(of)) * count // len(of)
+    values = []
+    for i in range(count):
+        left = stretch != i
+        chosen = np.flatnonzero(left)
+        first_of_each = np.isin(np.arange(len(of)), chosen[np.unique(of[left], return_index=True)[1]])
+        points, seen = tracks(problem.points, problem.seen[left[problem.seen.keyframe]])
+        if left.sum() < _LEAST_KEYFRAMES or len(points) < _LEAST_LANDMARKS // 2:
             return np.zeros(len(NAMES))
-        found.append(adjust(replace(problem, points=points, seen=seen, fixed=~half | first_of_each)).problem.model.values)
-    return np.asarray(found[0] - found[1])
+        without = replace(problem, points=points, seen=seen, fixed=~left | first_of_each)
+        values.append(adjust_briefly(without, noise=np.ones(2), steps=_STEPS)[0].model.values)
+    return np.asarray(np.sqrt((count - 1) * np.var(values, axis=0)))
 
 
-def _with_differences(covariance: Array, difference: Array) -> Array:
-    """The covariance (P, P) with standard deviations of at least half of a difference (P,) between two halves of the measurements."""
+def _with_sigmas(covariance: Array, least: Array) -> Array:
+    """The covariance (P, P) with standard deviations of at least these (P,)."""
     sigmas = np.sqrt(np.diag(covariance).clip(min=1e-30))
-    factors = np.maximum(1.0, np.abs(difference) / 2 / sigmas)
+    factors = np.maximum(1.0, least / sigmas)
     return covariance * np.outer(factors, factors)
 
 
