@@ -75,6 +75,24 @@ class JointEstimate:
     covariance: Array  # (12, 12) of pose and velocity
 
 
+@dataclass(frozen=True)
+class Passage:
+    """The way from one frame to the next, as it was expected."""
+
+    elapsed: float  # [s]
+    deviation: Array  # (2,) from constant velocity [m], [rad]
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """What a frame and those before it tell of its motion."""
+
+    R_wc: Array  # (3, 3) of its pose, to whose world velocity and covariance belong
+    velocity: Array  # (6,) along world axes
+    covariance: Array  # (12, 12) of pose and velocity
+    passage: Passage | None  # from the frame before; None: that frame is not known
+
+
 def distorted(H: Array, b: Array) -> tuple[Array, Array]:
     """The normal equations (18, 18), (18,) of pose, velocity and the references' error of velocity, which distorts as the velocity does."""
     both = [*range(6), *range(6, 12), *range(6, 12)]
@@ -89,6 +107,18 @@ def joint_system(depth: RowMoments, images: RowMoments, times: RowTimes) -> tupl
     square = a * a * D[0] + 2 * a * r * D[1] + r * r * D[2] + c * c * C[2]
     H = np.block([[D[0] + C[0], cross], [cross, square]])
     return H, np.concatenate([d[0] + i[0], a * d[0] + r * d[1] + c * i[1]])
+
+
+def transition(elapsed: float) -> Array:
+    """(12, 12) how pose and velocity pass over `elapsed` [s]."""
+    return np.block([[np.eye(6), elapsed * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
+
+
+def process_noise(deviation: Array, elapsed: float) -> Array:
+    """(12, 12) covariance that is added over `elapsed` [s]. deviation (2,): of a pose from constant velocity by then [m], [rad]."""
+    density = np.repeat(3 * deviation**2 / elapsed**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
+    pose, cross, velocity = (np.diag(density * part) for part in (elapsed**3 / 3, elapsed**2 / 2, elapsed))
+    return np.block([[pose, cross], [cross, velocity]])
 
 
 class ContinuousMotion(Stateful):
@@ -137,10 +167,8 @@ class ContinuousMotion(Stateful):
 
     def _transition(self, dt: float) -> tuple[Array, Array]:
         """The transition (12, 12) of pose and velocity over dt [s], and the covariance (12, 12) after it."""
-        F = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
-        density = np.repeat(3 * self._deviation**2 / dt**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
-        Q = np.block([[np.diag(density * dt**3 / 3), np.diag(density * dt**2 / 2)], [np.diag(density * dt**2 / 2), np.diag(density * dt)]])
-        return F, F @ self._covariance @ F.T + Q
+        F = transition(dt)
+        return F, F @ self._covariance @ F.T + process_noise(self._deviation, dt)
 
     def start(self, T_first: Tensor, T_wc: Tensor, elapsed: float) -> None:
         """Takes the velocity from the motion between the poses (4, 4) of the first two frames, `elapsed` [s] apart."""
@@ -185,6 +213,14 @@ class ContinuousMotion(Stateful):
         change = np.concatenate([change_between(self._last[1], T_wc).numpy() - dt * self.velocity, velocity - self.velocity])
         smoothed = self._covariance + gain @ (covariance - predicted) @ gain.T
         return self.velocity + (gain @ change)[6:], smoothed[6:, 6:]
+
+    def filtered(self, T_wc: Tensor, passage: Passage | None) -> Filtered:
+        """What is known of the last frame, at `T_wc` (4, 4), to which this passage led."""
+        return Filtered(T_wc[:3, :3].numpy().copy(), self.velocity.copy(), self._covariance.copy(), passage)
+
+    def passage(self, timestamp: float) -> Passage | None:
+        """From the last frame to the one at `timestamp` [s]; None: the last frame is not known."""
+        return None if self._last is None else Passage(self._elapsed(timestamp), self._deviation.copy())
 
     @property
     def velocity_covariance(self) -> Array:

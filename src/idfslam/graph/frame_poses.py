@@ -60,7 +60,7 @@ class FramePoses(Stateful):
 
     def _refined(self) -> list[int]:
         """The frames that were refined."""
-        return [i for i, frame in enumerate(self._frames) if frame.tracked is not None]
+        return [i for i in range(len(self)) if self.is_refined(i)]
 
     def _tracked(self, i: int) -> tuple[int, Tensor]:
         """Host and pose in it (4, 4) of a frame as it was tracked."""
@@ -76,6 +76,15 @@ class FramePoses(Stateful):
         """Attaches the last frame, which has become a keyframe and was refined, to that keyframe's host."""
         host, T_kc = self.graph.relative_to_host(keyframe.T_wk)
         self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc, tracked=self._tracked(-1))
+
+    def is_refined(self, i: int) -> bool:
+        """Whether the i-th frame was refined after it was tracked, as keyframes are."""
+        return self._frames[i].tracked is not None
+
+    def move(self, i: int, T_wc: Tensor) -> None:
+        """Gives the i-th frame the pose `T_wc` (4, 4)."""
+        frame = self._frames[i]
+        self._frames[i] = replace(frame, T_kc=se3.orthonormal(se3.inverse(self.graph.keyframes[frame.host].T_wk) @ T_wc))
 
     def in_host(self, i: int) -> tuple[int, Tensor]:
         """The host of the i-th frame, and the frame's pose (4, 4) in it."""
@@ -140,12 +149,11 @@ class FramePoses(Stateful):
         turn[:3, :3] = T_refined[:3, :3] @ T_tracked[:3, :3].T
         begun, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
         for i in range(start + 1, end):
-            frame, T_wc = self._frames[i], self.T_wc(i)
-            share = (frame.timestamp - begun) / span if span > 0 else 0.5
+            T_wc = self.T_wc(i)
+            share = (self._frames[i].timestamp - begun) / span if span > 0 else 0.5
             moved = se3.exp(share * se3.log(turn)) @ T_wc
             moved[:3, 3] = T_wc[:3, 3] + share * shift
-            T_kc = se3.inverse(self.graph.keyframes[frame.host].T_wk) @ moved
-            self._frames[i] = replace(frame, T_kc=se3.orthonormal(T_kc))
+            self.move(i, moved)
 
     def trajectory(self) -> NDArray[np.float64]:
         """(N, 4, 4) poses of all frames. A frame outside the first submap has the pose of the last frame before it inside."""

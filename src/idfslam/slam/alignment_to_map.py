@@ -138,6 +138,9 @@ class AlignmentToMap(FrontEnd):
     def row_times(self, keyframe: Keyframe) -> RowTimes:
         return self.compensation.times(keyframe)
 
+    def smooth(self) -> None:
+        self.compensation.smoother.smooth(self.frames)
+
     def undo(self) -> Callable[[], None]:
         kept = [(part, vars(part).copy()) for part in (self.rotation, self.compensation, self.compensation.motion)]
         drawn = [(generator, generator.get_state()) for generator in (self.aligner.generator, self.registration.tracker.generator)]

@@ -30,6 +30,9 @@ class FrontEnd(Stateful, ABC):
         """The times of the rows of a keyframe's images as they were taken, as far as they are known by now."""
         return RowTimes()
 
+    def smooth(self) -> None:
+        """Smooths the poses of the frames after the last one, by what is known of the motion between them."""
+
     def undo(self) -> Callable[[], None]:
         """What makes it forget that a view was tracked again after this call. The view itself is not its concern."""
         return lambda: None

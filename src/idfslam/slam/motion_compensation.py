@@ -15,6 +15,7 @@ from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import ContinuousMotion, MotionPrior, Smoothed
 from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.motion_smoother import MotionSmoother
 from idfslam.alignment.timing_estimation import MovingFrame, TimingEstimator
 from idfslam.frame import Frame, Status
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
@@ -43,7 +44,7 @@ class MotionCompensation(Stateful):
 
     def __init__(self, aligner: MapAligner) -> None:
         self.aligner = aligner
-        self.motion, self.timing = ContinuousMotion(), TimingEstimator()
+        self.motion, self.timing, self.smoother = ContinuousMotion(), TimingEstimator(), MotionSmoother()
         self._raw: Frame | None = None  # the present frame as it was taken; None: its sensor is stated to be synchronised
         self._prior: MotionPrior | None = None  # of the present frame's motion
         self._reference_covariance: Array | None = None  # (6, 6) of the velocities that the present references were rectified with
@@ -127,11 +128,12 @@ class MotionCompensation(Stateful):
             self.motion.stop()
             self._told, self._before = None, None
             return
-        joint = None if tracked.alignment is None else tracked.alignment.joint
+        joint, passage = None if tracked.alignment is None else tracked.alignment.joint, self.motion.passage(view.timestamp)
         if joint is not None:
             smoothed = self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
         else:
             smoothed = self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
+        self.smoother.add(view.index, self.motion.filtered(tracked.T_wc, passage))
         self._learn_from_before(smoothed, references)
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index

@@ -155,6 +155,7 @@ class Slam:
         self.hindsight.run()
         self.back_end.finish()
         self.frames.spread_corrections()
+        self.front_end.smooth()
         self.coverage.place(self.frames.in_host)
         with self.timer.stage("fuse"):
             self._volume = self.surface_fusion.volume()
