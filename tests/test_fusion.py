@@ -14,7 +14,7 @@ from idfslam.fusion.prepared_depth import (
     plain_planes,
     prepared,
 )
-from idfslam.fusion.smoothing import around, denoised
+from idfslam.fusion.smoothing import around, compiled_sums_around, denoised, neighbours_of, plain_sums_around
 from idfslam.fusion.tsdf_volume import STEPS, TsdfVolume
 from idfslam.geometry.blocks import touched_blocks
 from idfslam.geometry.depth_view import DepthView
@@ -134,6 +134,22 @@ def test_the_scatter_tells_how_noisy_the_readings_are() -> None:
         factors.append(float(variance_factor(voxels)))
     assert 0.2 < factors[0] < 1.2  # readings are interpolated between four, which takes out some of it
     assert factors[1] > 2.5 * factors[0] and factors[2] < 0.02
+
+
+def test_sums_are_those_of_the_plain_form_over_the_borders_of_blocks() -> None:
+    random = np.random.default_rng(0)
+    blocks = np.unique(random.integers(-3, 4, (120, 3)), axis=0)
+    blocks = blocks[random.permutation(len(blocks))]
+    rows, values = neighbours_of(blocks), random.normal(size=(len(blocks), BLOCK, BLOCK, BLOCK)).astype(np.float32)
+    assert 0.2 < (rows >= 0).mean() < 0.5 and np.array_equal(rows[:, 1, 1, 1], np.arange(len(blocks)))
+    np.testing.assert_array_equal(compiled_sums_around(rows, values), plain_sums_around(rows, values))
+    one = np.zeros_like(values)
+    one[0, 0, 0, 0] = 64
+    sums = plain_sums_around(rows, one)
+    assert sums[0, 0, 0, 0] == 8 and sums[0, 0, 0, 1] == 4 and sums[0, 0, 1, 1] == 2 and sums[0, 1, 1, 1] == 1
+    for corner in np.ndindex(2, 2, 2):  # the blocks around the voxel in the corner, as far as there are some
+        if (row := rows[(0, *(1 - np.array(corner)))]) >= 0:
+            assert sums[(row, *(7 * np.array(corner)))] == 8 / 2 ** sum(corner)
 
 
 def test_a_plane_is_left_as_it_is_by_smoothing_over_the_borders_of_blocks() -> None:

@@ -6,7 +6,7 @@ where it is).
 
 BLOCK = 8  # voxels along a block's edge. More: fewer blocks, with more voxels away from surfaces. Chosen by hand
 NEAREST = 0.05  # [m] least depth of a voxel in front of a camera. More: what is closer is not fused. Chosen by hand
-EDGE_SHARE = 0.02  # [1] difference of four neighbouring readings, of their depth, up to which depth is interpolated between them. More:
+EDGE_SHARE = 0.02  # [1] difference of neighbouring readings, of their depth, up to which depth is interpolated between them. More:
 # smoother surfaces of far things, and surfaces between things that are close behind one another. Chosen by hand
 ENOUGH = 64  # [1] readings a voxel, on average over a block, after which the block is left as it is, which bounds the time of long stays.
 # More: slower. Less: with 16, walls of redkitchen ripple by 3.1 instead of 2.4 mm within 10 cm. Chosen by hand

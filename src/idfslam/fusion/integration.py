@@ -53,16 +53,18 @@ def integrate(voxels: Voxels, view: PreparedDepth) -> None:
 
 def compiled_integrate(voxels: Voxels, view: PreparedDepth) -> None:
     """`integrate`, compiled by Numba."""
-    from idfslam.fusion.kernels.numba_integration import fill_deepest
+    from idfslam.fusion.kernels.numba_integration import fill_pixels
     from idfslam.fusion.kernels.numba_integration import integrate as add
 
-    T_cw = np.linalg.inv(view.T_wc)[:3].astype(np.float32)
+    T_cw, shape = np.linalg.inv(view.T_wc)[:3], view.depth.shape
     intrinsics = tuple(np.float32(value) for value in intrinsics_of(view.camera))
     origins = (voxels.blocks * (BLOCK * voxels.voxel)).astype(np.float32)
-    images, sizes = (view.depth, view.slope, view.information), (np.float32(voxels.voxel), np.float32(voxels.truncation))
-    deepest = np.zeros([-(-size // TILE) for size in view.depth.shape], np.float32)
-    fill_deepest(*images, sizes[1], deepest)
-    add(origins, *sizes, T_cw, intrinsics, *images, deepest, voxels.distance, voxels.weight, voxels.scatter, voxels.readings)
+    lattice = (T_cw[:, :3] @ (np.indices([BLOCK] * 3).reshape(3, -1) * voxels.voxel)).astype(np.float32)
+    pixels, deepest = np.zeros((view.depth.size + 1, 4), np.float32), np.zeros([-(-size // TILE) for size in shape], np.float32)
+    fill_pixels(view.depth, view.slope, view.information, np.float32(voxels.truncation), pixels, deepest)
+    image = T_cw.astype(np.float32), intrinsics, shape, pixels, deepest
+    distance, weight = (array.reshape(len(origins), -1) for array in (voxels.distance, voxels.weight))
+    add(origins, lattice, np.float32(voxels.truncation), *image, distance, weight, voxels.scatter, voxels.readings)
 
 
 def plain_integrate(voxels: Voxels, view: PreparedDepth) -> None:
@@ -103,8 +105,8 @@ def _measured(voxels: Voxels, view: PreparedDepth) -> tuple[NDArray[np.float64],
     between = inside & (read > 0) & close & (left >= 0) & (left < c.width - 1) & (top >= 0) & (top < c.height - 1)
     left, top = np.where(between, left, 0), np.where(between, top, 0)
     four = np.stack([view.depth[top + j, left + i] for j in range(2) for i in range(2)]).astype(np.float64)
-    smooth = between & (four.min(0) > 0) & (four.max(0) - four.min(0) < EDGE_SHARE * read)
     s, t, inverse = u - left, v - top, 1 / np.where(four > 0, four, 1)
+    smooth = between & (four.min(0) > 0) & ((inverse.max(0) - inverse.min(0)) * read < EDGE_SHARE)
     interpolated = (1 - t) * ((1 - s) * inverse[0] + s * inverse[1]) + t * ((1 - s) * inverse[2] + s * inverse[3])
     read = np.where(smooth, 1 / np.where(smooth, interpolated, 1), read)
     to_plane = (read - ahead) * view.slope[row, column]

@@ -6,6 +6,7 @@ regression of inverse depths.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -90,7 +91,12 @@ def compiled_inverse_depth_slopes(depth: Floats) -> tuple[Floats, Floats, NDArra
     from idfslam.fusion.kernels.numba_slopes import slopes
 
     along_u, along_v, count = np.zeros_like(depth), np.zeros_like(depth), np.zeros(depth.shape, np.int32)
-    slopes(np.ascontiguousarray(depth), REACH, EDGE, EDGE_SHARE, along_u, along_v, count)
+    depth, inverse = np.ascontiguousarray(depth), 1 / np.where(depth > 0, depth, np.float32(1))
+    window, steps = np.ones(2 * REACH + 1, np.float32), np.arange(-REACH, REACH + 1, dtype=np.float32)
+    low, high = (form(depth, np.outer(window, window)) for form in (cv2.erode, cv2.dilate))
+    along = steps / (window.sum() * (steps**2).sum())  # of a regression over a whole window
+    whole = np.stack([cv2.sepFilter2D(inverse, cv2.CV_32F, *kernels) for kernels in ((along, window), (window, along))])
+    slopes(depth, inverse, low, high, whole, REACH, EDGE, EDGE_SHARE, along_u, along_v, count)
     return along_u, along_v, count
 
 

@@ -6,21 +6,24 @@ of local statistics", PAMI 1980). Where many near readings agree, nothing is smo
 """
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from idfslam.compute.backend import pick
+from idfslam.fusion.constants import BLOCK
 from idfslam.geometry.blocks import pack
 
 Floats = NDArray[np.float32]
-
 
 _ROUGHNESS = 0.0005  # [m] by which a surface that looks smooth may still bend. More: less is smoothed. Chosen by hand
 
 
 def denoised(blocks: NDArray[np.int64], values: Floats, variance: Floats, seen: NDArray[np.bool_]) -> Floats:
     """Distances (M, B, B, B) [m] of which noise of a variance (M, B, B, B) [m^2] is taken out."""
-    number = _sum_around(blocks, seen.astype(np.float32))
-    off = _mean_around(blocks, values, seen, number) - values
-    of_shape = np.maximum(_mean_around(blocks, off * off, seen, number) - variance, 0) + np.float32(_ROUGHNESS**2)
+    neighbours = neighbours_of(blocks)
+    number = sums_around(neighbours, seen.astype(np.float32))
+    off = _mean_around(neighbours, values, seen, number) - values
+    of_shape = np.maximum(_mean_around(neighbours, off * off, seen, number) - variance, 0) + np.float32(_ROUGHNESS**2)
     return np.asarray(values + variance / (variance + of_shape) * off)
 
 
@@ -29,37 +32,51 @@ def around(blocks: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_]) -
 
     Information is no weight here: it falls on both sides of a surface, and not alike, which would move the surface.
     """
-    return _mean_around(blocks, values, seen, _sum_around(blocks, seen.astype(np.float32)))
+    neighbours = neighbours_of(blocks)
+    return _mean_around(neighbours, values, seen, sums_around(neighbours, seen.astype(np.float32)))
 
 
-def _mean_around(blocks: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_], number: Floats) -> Floats:
+def _mean_around(neighbours: NDArray[np.int64], values: Floats, seen: NDArray[np.bool_], number: Floats) -> Floats:
     """`around`, where the weighted number (M, B, B, B) of voxels that were seen is known."""
-    total = _sum_around(blocks, np.where(seen, values, np.float32(0)))
+    total = sums_around(neighbours, np.where(seen, values, np.float32(0)))
     return np.divide(total, number, out=np.zeros_like(total), where=number > 0)
 
 
-def _sum_around(blocks: NDArray[np.int64], array: Floats) -> Floats:
-    """The weighted sum (M, B, B, B) of each voxel and those around it."""
-    for axis in range(3):
-        before, after = (_neighbours(blocks, axis, step) for step in (-1, 1))
-        array = _binomial(array, axis + 1, before, after)
-    return array
-
-
-def _neighbours(blocks: NDArray[np.int64], axis: int, step: int) -> NDArray[np.int64]:
-    """(M,) the row of each block's neighbour along an axis; -1: it has none."""
+def neighbours_of(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(M, 3, 3, 3) the rows of the blocks around each block, itself in the middle; -1: there is none."""
     keys = pack(blocks)
     order = np.argsort(keys)
-    wanted = pack(blocks + step * np.eye(3, dtype=np.int64)[axis])
-    found = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
-    return np.where(keys[found] == wanted, found, -1)
+    rows = np.empty((len(blocks), 3, 3, 3), np.int64)
+    for i, j, k in np.ndindex(3, 3, 3):
+        wanted = pack(blocks + np.array([i, j, k]) - 1)
+        found = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)] if len(keys) else order
+        rows[:, i, j, k] = np.where(keys[found] == wanted, found, -1)
+    return rows
 
 
-def _binomial(array: Floats, axis: int, before: NDArray[np.int64], after: NDArray[np.int64]) -> Floats:
-    """(1, 2, 1) / 4 along an axis of (M, B, B, B), over the borders of blocks; what has no neighbour counts as 0."""
-    inner = np.moveaxis(array, axis, 1)
-    sides = (np.where((rows >= 0)[:, None, None], inner[rows, end], 0)[:, None] for rows, end in ((before, -1), (after, 0)))
-    first, last = sides
-    padded = np.concatenate([first, inner, last], 1)
-    smooth = (padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]) / np.float32(4)
-    return np.ascontiguousarray(np.moveaxis(smooth, 1, axis))
+def sums_around(neighbours: NDArray[np.int64], array: Floats) -> Floats:
+    """The weighted sums (M, B, B, B) of each voxel and those around it, by 1, 2, 1 along each axis; what is in no block counts as 0."""
+    return pick(torch.empty(0), compiled=compiled_sums_around, plain=plain_sums_around)(neighbours, array)
+
+
+def compiled_sums_around(neighbours: NDArray[np.int64], array: Floats) -> Floats:
+    """`sums_around`, compiled by Numba."""
+    from idfslam.fusion.kernels.numba_smoothing import sums_around as fill
+
+    sums = np.empty_like(array)
+    fill(neighbours, array, sums)
+    return sums
+
+
+def plain_sums_around(neighbours: NDArray[np.int64], array: Floats) -> Floats:
+    """`sums_around` in numpy."""
+    wide = np.zeros((len(array), *[BLOCK + 2] * 3), np.float32)
+    to = slice(0, 1), slice(1, BLOCK + 1), slice(BLOCK + 1, BLOCK + 2)
+    of = slice(BLOCK - 1, BLOCK), slice(0, BLOCK), slice(0, 1)
+    for i, j, k in np.ndindex(3, 3, 3):
+        rows = neighbours[:, i, j, k]
+        wide[rows >= 0, to[i], to[j], to[k]] = array[rows[rows >= 0], of[i], of[j], of[k]]
+    for axis in range(3):
+        wide = np.moveaxis(wide, axis + 1, 0)
+        wide = np.moveaxis((wide[:-2] + 2 * wide[1:-1] + wide[2:]) / np.float32(4), 0, axis + 1)
+    return np.ascontiguousarray(wide)

@@ -12,21 +12,30 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def slopes(depth, reach, edge, edge_share, along_u, along_v, count):  # type: ignore[no-untyped-def]
-    """Fills the slopes (H, W) [1/(m px)] and the number of readings (H, W): regressions over windows of `reach` pixels each way."""
+def slopes(depth, inverse, low, high, whole, reach, edge, edge_share, along_u, along_v, count):  # type: ignore[no-untyped-def]
+    """Fills the slopes (H, W) [1/(m px)] and the number of readings (H, W): regressions over windows of `reach` pixels each way.
+
+    inverse (H, W) [1/m] of depth. low, high (H, W): least and largest depth in each window. whole (2, H, W): the slopes along columns and
+    rows where all readings of a window count, which they do nearly everywhere.
+    """
     height, width = depth.shape
     for row in prange(height):
         for column in range(width):
             z = depth[row, column]
             if z <= 0:
                 continue
+            most = edge + edge_share * z
+            inside = reach <= row < height - reach and reach <= column < width - reach
+            if inside and low[row, column] > 0 and z - low[row, column] < most and high[row, column] - z < most:
+                along_u[row, column], along_v[row, column] = whole[0, row, column], whole[1, row, column]
+                count[row, column] = (2 * reach + 1) ** 2
+                continue
             n, su, sv, sq, suu, suv, svv, suq, svq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for j in range(max(row - reach, 0), min(row + reach + 1, height)):
                 for i in range(max(column - reach, 0), min(column + reach + 1, width)):
-                    other = depth[j, i]
-                    if other <= 0 or abs(other - z) >= edge + edge_share * z:
+                    if depth[j, i] <= 0 or abs(depth[j, i] - z) >= most:
                         continue
-                    u, v, q = float(i - column), float(j - row), 1.0 / other
+                    u, v, q = float(i - column), float(j - row), inverse[j, i]
                     n += 1
                     su += u
                     sv += v
