@@ -51,8 +51,7 @@ def finished(voxels: Voxels) -> TsdfVolume:
     variance = variance_factor(voxels) / np.where(seen, voxels.weight, 1)
     distance = denoised(voxels.blocks, voxels.distance, variance, seen)
     certain = np.float32(_OF_NETWORK**2) / (variance + np.float32(_OF_NETWORK**2))
-    near = np.clip(2 - 2 * distance / np.float32(voxels.truncation), 0, 1)  # farther before the surface only free space was seen
-    trust = (np.rint(np.where(seen, certain * near, 0) * _LEVELS) * (255 // _LEVELS)).astype(np.uint8)
+    trust = (np.rint(np.where(seen, certain, 0) * _LEVELS) * (255 // _LEVELS)).astype(np.uint8)
     steps = np.rint(np.where(trust > 0, distance, 0) * np.float32(STEPS / voxels.truncation)).astype(np.int16)  # zeros: a small file
     return TsdfVolume(voxels.voxel, voxels.truncation, voxels.blocks, steps, trust)
 
