@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from idfslam.alignment.image_pyramid import pyramid
+from idfslam.alignment.image_pyramid import compiled_sampled, plain_sampled, pyramid
 from idfslam.alignment.landmarks import compiled_steepest, landmarks, plain_steepest
 from test_photometric import CAMERA, EYE, view
 
@@ -36,3 +36,10 @@ def test_the_same_pixels_are_steepest(height: int, cell: int) -> None:
 
 def test_a_plain_image_has_no_landmarks() -> None:
     assert len(landmarks(pyramid(torch.full((72, 96, 3), 0.5), CAMERA, height=72, levels=1), torch.ones(72, 96), count=100).points) == 0
+
+
+def test_the_compiled_samples_are_the_plain_ones_beyond_the_border_too() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(30, 40, generator=generator)
+    uv = torch.rand(500, 2, generator=generator) * torch.tensor([46.0, 36.0]) - 3
+    torch.testing.assert_close(compiled_sampled(image, uv), plain_sampled(image, uv), rtol=0, atol=2e-5)

@@ -21,16 +21,11 @@ class Level:
 
     def at(self, uv: Tensor) -> Tensor:
         """Luminance and its derivatives along u and v [1/px] at pixels (N, 2), bilinear: (3, N). Outside, those of the nearest border."""
-        return self._sampled(with_slopes(self.luminance), uv)
+        return pick(self.luminance, compiled=compiled_sampled, plain=plain_sampled)(self.luminance, uv)
 
     def luminance_at(self, uv: Tensor) -> Tensor:
         """Luminance (N,) at pixels (N, 2), as `at` gives it."""
-        return self._sampled(self.luminance[None], uv)[0]
-
-    def _sampled(self, channels: Tensor, uv: Tensor) -> Tensor:
-        size = uv.new_tensor([self.camera.width, self.camera.height])
-        place = ((uv + 0.5) * (2 / size) - 1)[None, None]
-        return F.grid_sample(channels[None], place, align_corners=False, padding_mode="border")[0, :, 0]
+        return self.at(uv)[0]
 
 
 def pyramid(colour: Tensor, camera: Camera, *, height: int, levels: int, vignette: Vignette | None = None) -> list[Level]:
@@ -83,6 +78,21 @@ def compiled_luminance(colour: Tensor) -> Tensor:
 
     out = torch.empty(colour.shape[:2])
     numba_alignment.luminance_of(colour.numpy(), out.numpy())  # type: ignore[call-arg]
+    return out
+
+
+def plain_sampled(image: Tensor, uv: Tensor) -> Tensor:
+    """An image (h, w) and its slopes at pixels (N, 2), (3, N), in torch, on any device."""
+    place = ((uv + 0.5) * (2 / uv.new_tensor([image.shape[1], image.shape[0]])) - 1)[None, None]
+    return F.grid_sample(with_slopes(image)[None], place, align_corners=False, padding_mode="border")[0, :, 0]
+
+
+def compiled_sampled(image: Tensor, uv: Tensor) -> Tensor:
+    """`plain_sampled` by Numba, on the CPU."""
+    from idfslam.alignment.kernels import numba_alignment
+
+    out = torch.empty(3, len(uv))
+    numba_alignment.sampled(image.numpy(), uv.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
     return out
 
 

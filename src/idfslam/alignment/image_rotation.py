@@ -5,6 +5,7 @@ blur and fine texture are gone there, and a turn of two degrees moves them by a 
 keyframe-based SLAM", ECCV 2008). The alignment starts nearer to the pose, so it takes fewer steps and finds fewer wrong minima.
 """
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -63,12 +64,12 @@ class ImageRotation(Stateful):
 
     def _turned(self, T: Tensor, T_last: Tensor, level: int) -> Tensor:
         """The pose after Gauss-Newton steps of its turn on one level."""
-        prior = torch.eye(3, dtype=torch.float64) / _TURN**2
+        prior, change = np.eye(3) / _TURN**2, np.zeros(6)
         for _ in range(_STEPS):
-            term = self._term(T, T_last, level)
-            turn = torch.linalg.solve(INDEPENDENT * term.H[3:, 3:] + prior, INDEPENDENT * term.b[3:])
-            T = moved(T, torch.cat([torch.zeros_like(turn), turn]))
-            if float(turn.abs().max()) < _CONVERGED:
+            sums = self._term(T, T_last, level).sums
+            change[3:] = np.linalg.solve(INDEPENDENT * sums.H[0, 3:, 3:] + prior, INDEPENDENT * sums.b[0, 3:])
+            T = moved(T, torch.from_numpy(change))
+            if np.abs(change).max() < _CONVERGED:
                 break
         return T
 

@@ -63,7 +63,7 @@ def moved(T: Tensor, change: Tensor) -> Tensor:
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > _TINY else (1.0, 0.5)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    out.numpy()[:3, :3] = (np.eye(3) + sine * K + cosine * K @ K) @ T[:3, :3].numpy()  # Rodrigues
+    out.numpy()[:3, :3] += (sine * K + cosine * K @ K) @ T[:3, :3].numpy()  # Rodrigues
     out[:3, 3] += change[:3]
     return out
 
@@ -71,11 +71,12 @@ def moved(T: Tensor, change: Tensor) -> Tensor:
 def change_between(T: Tensor, other: Tensor) -> Tensor:
     """The change (6,) from a pose to another one, both (4, 4) float64 on the host: moved(T, change) = other."""
     R = other[:3, :3].numpy() @ T[:3, :3].numpy().T
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2  # times the sine of the angle
-    sine, cosine = math.sqrt(float(axis @ axis)), (float(np.trace(R)) - 1) / 2
-    exact = cosine > _OPPOSITE  # beyond, the axis is not
-    turn = axis * (math.atan2(sine, cosine) / sine if sine > _TINY else 1.0) if exact else Rotation.from_matrix(R).as_rotvec()
-    return torch.cat([other[:3, 3] - T[:3, 3], torch.from_numpy(turn)])
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # numbers of Python: numpy takes longer for each operation on three of them
+    x, y, z, cosine = (h - f) / 2, (c - g) / 2, (d - b) / 2, (a + e + i - 1) / 2
+    sine = math.sqrt(x * x + y * y + z * z)  # x, y and z are the axis times the sine of the angle; near 180 degrees they vanish
+    scale = math.atan2(sine, cosine) / sine if sine > _TINY else 1.0
+    turn = [scale * x, scale * y, scale * z] if cosine > _OPPOSITE else Rotation.from_matrix(R).as_rotvec().tolist()
+    return torch.tensor([p - q for p, q in zip(other[:3, 3].tolist(), T[:3, 3].tolist())] + turn, dtype=torch.float64)
 
 
 def image_motion(T: Tensor, other: Tensor, radius: float) -> float:

@@ -50,7 +50,7 @@ class ObservedSpace(Stateful):
         keys = np.unique(corners[:, None] - _MEET)
         new = keys[~self._known(keys)]
         if len(new):
-            self._cells = np.sort(np.concatenate([self._cells, new]))
+            self._cells = np.sort(np.concatenate([self._cells, new]), kind="stable")  # which merges two ascending parts
 
     def contains(self, points: Tensor) -> Tensor:
         """Whether points (N, 3) [m] of the world lie in observed cells, (N,)."""

@@ -116,57 +116,65 @@ def _motions(velocity: Array, times: Array) -> NDArray[np.float32]:
     return np.concatenate([turn, half @ (times[:, None] * velocity[:3])[..., None]], 2).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+_FASTMATH = {"contract", "arcp"}
+
+
+@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
 def _rectified_depth(depth, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W) [m]: for each pixel the raw reading that lands on it, found by fixed-point iteration; 0 where none lands near it."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
+    per_fx, per_fy = np.float32(1) / fx, np.float32(1) / fy
     out = np.zeros_like(depth)
-    for v in prange(height):
+    for row in prange(height):
+        v = np.float32(row)  # numba widens sums of whole and 32-bit numbers to 64 bits
         shift_u, shift_v = np.float32(0), np.float32(0)  # from the pixel to its raw one; that of the neighbour is a good first guess
-        for u in range(width):
-            z = np.float32(0)
+        for column in range(width):
+            u, z = np.float32(column), np.float32(0)
             for _ in range(_STEPS):
                 raw_u, raw_v = u + shift_u, v + shift_v
                 d = _reading(depth, raw_u, raw_v)
                 if d <= 0:
                     break
                 M = motions[min(max(int(raw_v + np.float32(0.5)), 0), height - 1)]
-                x, y = (raw_u - cx) / fx * d, (raw_v - cy) / fy * d
+                x, y = (raw_u - cx) * per_fx * d, (raw_v - cy) * per_fy * d
                 z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * d + M[2, 3]
                 if z <= 0:
                     break
-                error_u = u - ((M[0, 0] * x + M[0, 1] * y + M[0, 2] * d + M[0, 3]) / z * fx + cx)
-                error_v = v - ((M[1, 0] * x + M[1, 1] * y + M[1, 2] * d + M[1, 3]) / z * fy + cy)
+                per_z = np.float32(1) / z
+                error_u = u - ((M[0, 0] * x + M[0, 1] * y + M[0, 2] * d + M[0, 3]) * per_z * fx + cx)
+                error_v = v - ((M[1, 0] * x + M[1, 1] * y + M[1, 2] * d + M[1, 3]) * per_z * fy + cy)
                 shift_u, shift_v = shift_u + error_u, shift_v + error_v
                 if abs(error_u) + abs(error_v) < np.float32(_LANDED):
-                    out[v, u] = z
+                    out[row, column] = z
                     break
                 if abs(error_u) + abs(error_v) < np.float32(_LANDING):
-                    out[v, u] = z
+                    out[row, column] = z
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)
 def _reading(depth, u, v):  # type: ignore[no-untyped-def]
     """The depth at a raw pixel: bilinear on one surface, else the nearest reading; 0 outside."""
     height, width = depth.shape
-    if u < -0.5 or v < -0.5 or u > width - 0.51 or v > height - 0.51:
-        return np.float32(0)
-    x, y = min(max(int(np.floor(u)), 0), width - 2), min(max(int(np.floor(v)), 0), height - 2)
-    a, b = min(max(u - x, np.float32(0)), np.float32(1)), min(max(v - y, np.float32(0)), np.float32(1))
+    half, zero, one = np.float32(0.5), np.float32(0), np.float32(1)
+    if u < -half or v < -half or u > np.float32(width - 0.51) or v > np.float32(height - 0.51):
+        return zero
+    x, y = min(int(max(u, zero)), width - 2), min(int(max(v, zero)), height - 2)
+    a, b = min(max(u - np.float32(x), zero), one), min(max(v - np.float32(y), zero), one)
     p, q, r, s = depth[y, x], depth[y, x + 1], depth[y + 1, x], depth[y + 1, x + 1]
     least, most = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
     if least > 0 and most - least < np.float32(_EDGE) * least:
-        return (p * (1 - a) + q * a) * (1 - b) + (r * (1 - a) + s * a) * b
-    return depth[y + (1 if b >= 0.5 else 0), x + (1 if a >= 0.5 else 0)]
+        return (p * (one - a) + q * a) * (one - b) + (r * (one - a) + s * a) * b
+    return depth[y + (1 if b >= half else 0), x + (1 if a >= half else 0)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
 def _rectified_colour(colour, depth, farthest, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W, 3) in steps of 1/255: for each pixel the raw one at which its point was seen; without depth, a point at the last depth."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
+    per_fx, per_fy, zero, one = np.float32(1) / fx, np.float32(1) / fy, np.float32(0), np.float32(1)
     out = np.empty_like(colour)
     for v in prange(height):
         z = np.float32(farthest)
@@ -174,21 +182,21 @@ def _rectified_colour(colour, depth, farthest, intrinsics, motions):  # type: ig
         for u in range(width):
             if depth[v, u] > 0:
                 z = depth[v, u]
-            x, y = (u - cx) / fx * z, (v - cy) / fy * z
+            x, y = (np.float32(u) - cx) * per_fx * z, (np.float32(v) - cy) * per_fy * z
             raw_u, raw_v = np.float32(u), np.float32(v)
             for _ in range(2):
                 M = motions[row]
-                depth_then = max(M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3], np.float32(0.01))
-                raw_u = (M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]) / depth_then * fx + cx
-                raw_v = (M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]) / depth_then * fy + cy
+                per_depth = one / max(M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3], np.float32(0.01))
+                raw_u = (M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]) * per_depth * fx + cx
+                raw_v = (M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]) * per_depth * fy + cy
                 seen_in = min(max(int(raw_v + np.float32(0.5)), 0), height - 1)
                 if seen_in == row:
                     break
                 row = seen_in
-            i, j = min(max(int(np.floor(raw_u)), 0), width - 2), min(max(int(np.floor(raw_v)), 0), height - 2)
-            a, b = min(max(raw_u - i, np.float32(0)), np.float32(1)), min(max(raw_v - j, np.float32(0)), np.float32(1))
+            i, j = min(int(max(raw_u, zero)), width - 2), min(int(max(raw_v, zero)), height - 2)
+            a, b = min(max(raw_u - np.float32(i), zero), one), min(max(raw_v - np.float32(j), zero), one)
             for k in range(3):
-                upper = colour[j, i, k] * (1 - a) + colour[j, i + 1, k] * a
-                lower = colour[j + 1, i, k] * (1 - a) + colour[j + 1, i + 1, k] * a
-                out[v, u, k] = np.float32(int((upper * (1 - b) + lower * b) * np.float32(255) + np.float32(0.5))) * np.float32(1 / 255)
+                upper = colour[j, i, k] * (one - a) + colour[j, i + 1, k] * a
+                lower = colour[j + 1, i, k] * (one - a) + colour[j + 1, i + 1, k] * a
+                out[v, u, k] = np.float32(int((upper * (one - b) + lower * b) * np.float32(255) + np.float32(0.5))) * np.float32(1 / 255)
     return out

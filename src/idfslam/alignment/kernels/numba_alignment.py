@@ -24,6 +24,7 @@ from idfslam.alignment.constants import (
     ROW_STEPS,
     SLOPE_FLOOR,
 )
+from idfslam.geometry.cholesky import solved
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 Floats = NDArray[np.float32]
@@ -60,34 +61,47 @@ def _mirror(H) -> None:  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def smoothed_normals(points, gradient, patches, reach, alike, coplanar, normal, slope) -> None:  # type: ignore[no-untyped-def]
+def smoothed_normals(  # type: ignore[no-untyped-def] # noqa: C901 (into images, their sums, and back)
+    points, gradient, patches, reach, alike, coplanar, normal, slope
+) -> None:
     """Fills slope (N,) with the lengths of the gradients (N, 3) at points (N, 3), and normal (N, 3) with their smoothed directions.
 
-    A direction is averaged with the similar ones in neighbouring patches (rows, columns): `normals.plain_smoothed`.
+    A direction is averaged with the similar ones in neighbouring patches (rows, columns): `normals.plain_smoothed`. All lie in images with
+    a border, so that the innermost loop has no branches. A patch without a point has the direction 0, which is similar to none.
     """
-    unit = np.empty_like(gradient)
-    for n in range(len(gradient)):
-        slope[n] = np.sqrt(gradient[n, 0] ** 2 + gradient[n, 1] ** 2 + gradient[n, 2] ** 2)
-        for axis in range(3):
-            unit[n, axis] = gradient[n, axis] / max(slope[n], np.float32(1e-9))
     rows, columns = patches.shape
-    for row in range(rows):
-        for column in range(columns):
-            n = patches[row, column]
-            if n < 0:
-                continue
-            a, b, c = unit[n, 0], unit[n, 1], unit[n, 2]
-            x, y, z = np.float32(0), np.float32(0), np.float32(0)
-            for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
-                for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
-                    m = patches[i, j]
-                    if m < 0 or a * unit[m, 0] + b * unit[m, 1] + c * unit[m, 2] < alike:
-                        continue
-                    off = a * (points[m, 0] - points[n, 0]) + b * (points[m, 1] - points[n, 1]) + c * (points[m, 2] - points[n, 2])
-                    if abs(off) < coplanar:
-                        x, y, z = x + unit[m, 0], y + unit[m, 1], z + unit[m, 2]
-            length = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-9))
-            normal[n, 0], normal[n, 1], normal[n, 2] = x / length, y / length, z / length
+    unit = np.zeros((3, rows + 2 * reach, columns + 2 * reach), np.float32)
+    place = np.zeros_like(unit)
+    for i in range(rows):
+        for j in range(columns):
+            n = patches[i, j]
+            if n >= 0:
+                slope[n] = np.sqrt(gradient[n, 0] ** 2 + gradient[n, 1] ** 2 + gradient[n, 2] ** 2)
+                for axis in range(3):
+                    unit[axis, i + reach, j + reach] = gradient[n, axis] / max(slope[n], np.float32(1e-9))
+                    place[axis, i + reach, j + reach] = points[n, axis]
+    total = np.empty((3, columns), np.float32)
+    for i in range(rows):
+        total[:] = np.float32(0)
+        here, at = unit[:, i + reach, reach : reach + columns], place[:, i + reach, reach : reach + columns]
+        a, b, c, x, y, z = here[0], here[1], here[2], at[0], at[1], at[2]
+        for down in range(2 * reach + 1):
+            for right in range(2 * reach + 1):
+                there, at = unit[:, i + down, right : right + columns], place[:, i + down, right : right + columns]
+                d, e, f, u, v, w = there[0], there[1], there[2], at[0], at[1], at[2]
+                for j in range(columns):
+                    off = a[j] * (u[j] - x[j]) + b[j] * (v[j] - y[j]) + c[j] * (w[j] - z[j])
+                    similar = (a[j] * d[j] + b[j] * e[j] + c[j] * f[j] >= alike) & (abs(off) < coplanar)
+                    share = np.float32(1) if similar else np.float32(0)
+                    total[0, j] += share * d[j]
+                    total[1, j] += share * e[j]
+                    total[2, j] += share * f[j]
+        for j in range(columns):
+            n = patches[i, j]
+            if n >= 0:
+                length = max(np.sqrt(total[0, j] ** 2 + total[1, j] ** 2 + total[2, j] ** 2), np.float32(1e-9))
+                for axis in range(3):
+                    normal[n, axis] = total[axis, j] / length
 
 
 @_compiled
@@ -149,6 +163,27 @@ def luminance_of(colour, out) -> None:  # type: ignore[no-untyped-def]
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = (colour[i, j, 0] + colour[i, j, 1] + colour[i, j, 2]) * np.float32(1 / 3)
+
+
+@_compiled
+def sampled(image, uv, out) -> None:  # type: ignore[no-untyped-def]
+    """Fills out (3, N) with an image (h, w) and its slopes at pixels (N, 2): `image_pyramid.plain_sampled`."""
+    h, w = image.shape
+    zero, one = np.float32(0), np.float32(1)
+    for n in range(len(uv)):
+        u, v = min(max(uv[n, 0], zero), np.float32(w - 1)), min(max(uv[n, 1], zero), np.float32(h - 1))
+        left, top = min(int(u), w - 2), min(int(v), h - 2)
+        a, c = u - np.float32(left), v - np.float32(top)
+        value, along_u, along_v = zero, zero, zero
+        for y, share_y in ((top, one - c), (top + 1, c)):
+            for x, share_x in ((left, one - a), (left + 1, a)):
+                share = share_x * share_y
+                value += share * image[y, x]
+                if 0 < x < w - 1:
+                    along_u += share * (image[y, x + 1] - image[y, x - 1]) / 2
+                if 0 < y < h - 1:
+                    along_v += share * (image[y + 1, x] - image[y - 1, x]) / 2
+        out[0, n], out[1, n], out[2, n] = value, along_u, along_v
 
 
 @_compiled
@@ -392,27 +427,6 @@ def median_displacement(  # type: ignore[no-untyped-def]
     return n + hidden, np.median(displaced)
 
 
-@_inlined
-def _solved(A, b):  # type: ignore[no-untyped-def]
-    """x with A x = b for a symmetric positive A (N, N), by Cholesky decomposition in place. numpy's takes three seconds to compile."""
-    n = len(b)
-    for i in range(n):
-        for j in range(i + 1):
-            total = A[i, j]
-            for k in range(j):
-                total -= A[i, k] * A[j, k]
-            A[i, j] = np.sqrt(max(total, 1e-300)) if i == j else total / A[j, j]
-    for i in range(n):
-        for k in range(i):
-            b[i] -= A[i, k] * b[k]
-        b[i] /= A[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            b[i] -= A[k, i] * b[k]
-        b[i] /= A[i, i]
-    return b
-
-
 @_compiled
 def joint_step(depth_H, depth_b, image_H, image_b, times, information, scale, from_prior, delta) -> None:  # type: ignore[no-untyped-def]
     """Fills delta (18,), the change of pose, velocity and the references' error of velocity: `gauss_newton.joint_step`.
@@ -441,7 +455,7 @@ def joint_step(depth_H, depth_b, image_H, image_b, times, information, scale, fr
             right[i] -= information[i, j] * from_prior[j]
             if j >= 12:
                 right[i] -= scale * h * from_prior[j]
-    delta[:] = _solved(left, right)
+    delta[:] = solved(left, right)
 
 
 @_compiled
@@ -469,7 +483,7 @@ def damped_step(H, b, weight, radius, prior_information, change, T) -> float:  #
             prior /= unit[i] * unit[j]
             left[i, j] = H[i, j] + prior
             right[i] -= prior * change[j]
-    delta = _solved(left, right)
+    delta = solved(left, right)
     change += delta
     _move(T, delta)
     return np.abs(delta).max()
