@@ -20,13 +20,13 @@ from idfslam.mapping.mapper import _cast
 from idfslam.mapping.rays import cast
 from idfslam.mapping.training_view import TrainingView
 from idfslam.sensing.light import Light
-from idfslam.sensing.light_comparison import Comparison, compare
+from idfslam.sensing.light_comparison import BRIGHTEST, DARKEST, Comparison, compare, prior
 from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
 from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
 from idfslam.slam.compose import System
-from idfslam.slam.light_estimation import LightEstimation
+from idfslam.slam.light_estimation import LightEstimation, opencv_means, plain_means
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)  # 2 m before a wall: a shift of 1 m moves it by 50 px
 VIGNETTE = Vignette((-0.2, -0.15))  # 70 % of the light at the corner
@@ -68,6 +68,32 @@ def places(gains: tuple[float, float], offsets: tuple[float, float], lens: Vigne
     found = compare(*images, *powers, np.full(3000, 0.005))
     assert found is not None
     return found
+
+
+def test_the_means_of_a_small_image_are_the_plain_ones() -> None:
+    colour = torch.rand(122, 163, 3, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(opencv_means(colour, 4), plain_means(colour, 4), rtol=0, atol=1e-6)
+
+
+def test_the_compiled_comparison_is_that_of_numpy() -> None:
+    rng = np.random.default_rng(0)
+    a, powers = rng.uniform(0.1, 0.9, (400, 3)), [rng.uniform(0, 1, (400, 2)) for _ in range(2)]
+    b, noise = a * np.exp(rng.standard_t(2, (400, 3)) * 0.01), rng.uniform(0.005, 0.02, 400)
+    usable = (np.minimum(a, b) > DARKEST) & (np.maximum(a, b) < BRIGHTEST)
+    found = compare(a, b, *powers, noise)
+    assert found is not None
+    for channel in range(3):
+        k = usable[:, channel]
+        colour, difference = (a + b)[k, channel] / 2, np.log(a / b)[k, channel]
+        J, sigma = np.column_stack([np.ones_like(colour), 1 / colour, (powers[0] - powers[1])[k]]), noise[k] / colour
+        r = (difference - np.median(difference)) / sigma
+        for _ in range(3):
+            scale = max(1.4826 * np.median(np.abs(r)), 0.01 / np.median(sigma))
+            weighted = J / ((1 + (r / (2 * scale)) ** 2) ** 2 * (scale * sigma) ** 2)[:, None]
+            r = (difference - J @ np.linalg.solve(weighted.T @ J + np.diag(prior()), weighted.T @ difference)) / sigma
+        share = min(1.0, 400 / k.sum())
+        np.testing.assert_allclose(found.normal[channel], share * weighted.T @ J, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(found.right[channel], share * weighted.T @ difference, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("lens", [Vignette(), VIGNETTE])

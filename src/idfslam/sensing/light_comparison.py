@@ -11,8 +11,10 @@ is the mean of both), so noise does not draw the gain to one side as it does in 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from idfslam.geometry.cholesky import solved
 from idfslam.sensing.vignette import TERMS
 
 Floats = NDArray[np.float64]
@@ -22,6 +24,7 @@ DARKEST, BRIGHTEST = 0.06, 0.94  # [1] colours that count: black and white are c
 OFFSET = 0.005  # [1] standard deviation of an offset before anything is seen; more: noise of contrast counts as an offset. Chosen by hand
 _VIGNETTE = 1.0  # [1] standard deviation of a coefficient of the vignette before anything is seen; more: none, noise counts. By hand
 _SCATTER = 2.0  # [1] width of the robust kernel, in standard deviations of the differences; more: reflections and errors count. By hand
+_DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 _ROUNDS = 3  # of reweighting; more: slower, and outliers leave more surely. Chosen by hand
 _LEAST_SCATTER = 0.01  # [1] of the logarithms; more: exact images count no more than others. Chosen by hand
 _INDEPENDENT = 400  # places that count as independent, since neighbours err together; more: the prior counts less. Chosen by hand
@@ -45,27 +48,52 @@ def compare(a: Floats, b: Floats, powers_a: Floats, powers_b: Floats, noise: Flo
     usable = (np.minimum(a, b) > DARKEST) & (np.maximum(a, b) < BRIGHTEST)  # (N, 3)
     if usable.sum(0).min() < LEAST_PLACES:
         return None
-    normal, right = np.empty((3, UNKNOWNS, UNKNOWNS)), np.empty((3, UNKNOWNS))
+    normal, right, powers = np.empty((3, UNKNOWNS, UNKNOWNS)), np.empty((3, UNKNOWNS)), powers_a - powers_b
     for channel in range(3):
         k = usable[:, channel]
         colour = middle[k, channel]
-        J = np.column_stack([np.ones_like(colour), 1 / colour, powers_a[k] - powers_b[k]])
+        J = np.empty((len(colour), UNKNOWNS))
+        J[:, 0], J[:, 1], J[:, 2:] = 1, 1 / colour, powers[k]
         normal[channel], right[channel] = _robust(J, np.log(a[k, channel] / b[k, channel]), noise[k] / colour)
     return Comparison(normal, right)
 
 
 def _robust(J: Floats, difference: Floats, sigma: Floats) -> tuple[Floats, Floats]:
     """Normal equations of J x = difference, with robust weights, for differences whose noise is in proportion to sigma (N,)."""
+    normal, right = np.empty((J.shape[1], J.shape[1])), np.empty(J.shape[1])
+    _fill_robust(J, difference, sigma, np.diag(prior()), normal, right)
+    share = min(1.0, _INDEPENDENT / len(difference))
+    return share * normal, share * right
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
+def _fill_robust(J, difference, sigma, of_prior, normal, right) -> None:  # type: ignore[no-untyped-def]
+    """Fills the sums of all places, normal (K, K) and right (K,), for `_robust`. of_prior (K, K): information on x."""
+    n, unknowns = J.shape
     r = (difference - np.median(difference)) / sigma
-    weight, least, of_prior = np.empty_like(r), _LEAST_SCATTER / float(np.median(sigma)), np.diag(prior())
+    least = _LEAST_SCATTER / np.median(sigma)
     for _ in range(_ROUNDS):
-        scale = max(1.4826 * float(np.median(np.abs(r))), least)
-        weight[:] = 1 / ((1 + (r / (_SCATTER * scale)) ** 2) ** 2 * (scale * sigma) ** 2)
-        JtW = (J * weight[:, None]).T
-        x = np.linalg.solve(JtW @ J + of_prior, JtW @ difference)
-        r = (difference - J @ x) / sigma
-    share = min(1.0, _INDEPENDENT / len(r))
-    return share * (JtW @ J), share * (JtW @ difference)
+        scale = max(_DEVIATION * np.median(np.abs(r)), least)
+        normal[:] = 0.0
+        right[:] = 0.0
+        for i in range(n):
+            q, s = r[i] / (_SCATTER * scale), scale * sigma[i]
+            kernel = 1 + q * q
+            weight = 1 / (kernel * kernel * s * s)
+            for a in range(unknowns):
+                scaled = weight * J[i, a]
+                right[a] += scaled * difference[i]
+                for b in range(a + 1):
+                    normal[a, b] += scaled * J[i, b]
+        for a in range(unknowns):
+            for b in range(a):
+                normal[b, a] = normal[a, b]
+        x = solved(normal + of_prior, right.copy())
+        for i in range(n):
+            explained = 0.0
+            for a in range(unknowns):
+                explained += J[i, a] * x[a]
+            r[i] = (difference[i] - explained) / sigma[i]
 
 
 def prior() -> Floats:

@@ -7,11 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
+import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
@@ -154,7 +156,7 @@ class LightEstimation(KeyframeHook):
 def thumbnail(colour: Tensor, depth: Tensor, camera: Camera) -> _Thumbnail:
     """The small image of colour (H, W, 3) and depth (H, W) [m]."""
     shrink = max(1, camera.height // _ROWS)
-    small = F.avg_pool2d(colour.permute(2, 0, 1)[None], shrink)[0]
+    small = pick(colour, compiled=opencv_means, plain=plain_means)(colour, shrink)
     height, width = small.shape[1:]
     rows, columns = ((torch.arange(n, device=depth.device) * shrink + shrink // 2) for n in (height, width))
     z = depth[rows[:, None], columns[None]]
@@ -166,6 +168,18 @@ def thumbnail(colour: Tensor, depth: Tensor, camera: Camera) -> _Thumbnail:
         width, height, *(f / shrink for f in (camera.fx, camera.fy)), *((c + 0.5) / shrink - 0.5 for c in (camera.cx, camera.cy))
     )
     return _Thumbnail(resized, small, z, (_NOISE**2 + (_SLIP * slope) ** 2).sqrt())
+
+
+def plain_means(colour: Tensor, shrink: int) -> Tensor:
+    """The means (3, h, w) of `shrink` x `shrink` pixels of an image (H, W, 3), in torch, on any device."""
+    return F.avg_pool2d(colour.permute(2, 0, 1)[None], shrink)[0]
+
+
+def opencv_means(colour: Tensor, shrink: int) -> Tensor:
+    """The same by OpenCV, on the CPU."""
+    height, width = (size // shrink for size in colour.shape[:2])
+    whole = colour.numpy()[: height * shrink, : width * shrink]
+    return torch.from_numpy(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)).permute(2, 0, 1).contiguous()
 
 
 def sampled(image: Tensor, uv: Tensor) -> Tensor:
