@@ -14,17 +14,17 @@ from torch import Tensor
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.appearances import Appearances
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
-from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
 from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.normals import smoothed_normals
 from idfslam.alignment.photometric import Appearance, photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
-from idfslam.alignment.row_moments import RowMoments
+from idfslam.alignment.row_moments import Array, RowMoments
 from idfslam.alignment.surface import Surface, surface_points
+from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
 from idfslam.alignment.usual_error import UsualError
 from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
@@ -61,11 +61,6 @@ _NOISE_MARGIN = 1.5
 _CONFIRMED = 0.3
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
 _UNMEASURED = 0.1
-
-_Normals = tuple[Tensor, Tensor]  # unit normals (N, 3), and the slope (N,) of the distance along them
-
-MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
 
 
 class MapAligner(Stateful):
@@ -131,31 +126,33 @@ class MapAligner(Stateful):
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
-        coarse, normals, posed = surface.every(_COARSE_STRIDE), None, self._posed(references)
+        posed = self._posed(references)
+        coarse, fine = (self._against_map(part) for part in (surface.every(_COARSE_STRIDE), surface))
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
-        for step in range(first, self.config.iterations):
-            if has_depth and step < coarse_steps:
-                depth, _ = self._depth_term(coarse, T, step, None, solver.motion)
-            elif has_depth:  # the normals of the first fine step are used again: they hardly turn any more
-                depth, normals = self._depth_term(surface, T, step, normals, solver.motion)
-            of_images = self._image_term(appearance, posed, T, self._level(step), solver.motion, recent)
-            T_before = T.clone()
-            largest = solver.step(depth, of_images)
-            if step >= coarse_steps and largest < self.config.converged:
+        step, steps = first, 0
+        while step < self.config.iterations:
+            is_coarse, level = step < coarse_steps, self._level(step)
+            if has_depth:
+                depth = (coarse if is_coarse else fine).term(T, self._robust(step), solver.motion)
+            of_images = self._image_term(appearance, posed, T, level, solver.motion, recent)
+            change, steps = solver.step(depth, of_images), steps + 1
+            if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
+            step += 1
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
         displaced = self._displacement(appearance, T, references, solver.motion)
-        return self._judged(T, T_before, displaced, depth, of_images, step + 1 - first, estimate, focal, has_depth=has_depth)
+        return self._judged(T, change, displaced, depth, of_images, steps, estimate, focal, has_depth=has_depth)
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
         appearance, surface = self.appearances.of(view), self._observed_surface(view.images, view.camera, T_wc)
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
-        depth = self._depth_term(surface, T, step, None, None)[0] if has_depth else self._absent_depth(references, moments=False)
+        robust = self._robust(step)
+        depth = self._against_map(surface).term(T, robust, None) if has_depth else self._absent_depth(references, moments=False)
         images = self._image_term(appearance, self._posed(references), T, self._level(step), None)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
-        return self._judged(T, T, displaced, depth, images, 0, None, focal, has_depth=has_depth)
+        return self._judged(T, np.zeros(6), displaced, depth, images, 0, None, focal, has_depth=has_depth)
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
@@ -207,9 +204,9 @@ class MapAligner(Stateful):
         scale, finest = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
         level = level_of(appearance, _TIMING_ROWS)
-        depth, _ = self._depth_term(surface, T_wc, finest, None, motion)
+        depth = self._against_map(surface).term(T_wc, self._robust(finest), motion)
         posed = self._posed(references)
-        images = _at_its_best(T_wc, lambda T: self._image_term(appearance, posed, T, level, motion).sums)
+        images = _at_its_best(T_wc, lambda T: self._image_term(appearance, posed, T, level, motion).sums, self.config.converged)
         return depth.sums.scaled(scale), images.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
@@ -254,23 +251,12 @@ class MapAligner(Stateful):
             max_guess_error_px, self.config.level_reach
         )
 
-    def _depth_term(
-        self, surface: Surface, T: Tensor, step: int, normals: _Normals | None, motion: FrameMotion | None
-    ) -> tuple[DepthTerm, _Normals]:
-        """Normal equations of the points' distances to the map along its normals. The robust scale narrows over the first steps.
+    def _against_map(self, surface: Surface) -> SurfaceDistances:
+        return SurfaceDistances(surface, self.query, self.truncation, self.config.robust_widest)
 
-        normals: of an earlier step; None: they are computed at the points' present places. motion: within the frame; with it, the sums
-        have moments. Returns the normals too.
-        """
-        T32 = T.float().to(surface.points)
-        turned = surface.points @ T32[:3, :3].T
-        if motion is not None:
-            turned = motion.depth_at_stamp(turned, surface.rows)
-        distance, gradient = self.query(turned + T32[:3, 3])
-        robust = self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
-        normals = normals or smoothed_normals(turned, gradient, surface.patches)
-        rows = None if motion is None else surface.rows
-        return depth_term(turned, distance, *normals, surface.sigma, self.truncation, robust, self.config.robust_widest, rows), normals
+    def _robust(self, step: int) -> float:
+        """[m] the scale of the robust weights of distances. It narrows over the first steps."""
+        return self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
 
     def _posed(self, references: Sequence[Keyframe]) -> list[tuple[Landmarks, Tensor]]:
         """The landmarks of each reference, and its pose (4, 4)."""
@@ -285,7 +271,10 @@ class MapAligner(Stateful):
         motion: FrameMotion | None,
         recent: tuple[Landmarks, Tensor] | None = None,
     ) -> ImageTerm:
-        """The brightness of the references' `posed` landmarks, on a level of the pyramid. motion: as for `_depth_term`."""
+        """The brightness of the references' `posed` landmarks, on a level of the pyramid.
+
+        motion: within the frame; with it, the sums have moments.
+        """
         moments, noise, widest = motion is not None, self.config.colour_noise, self.config.colour_robust
         terms = [
             photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
@@ -308,7 +297,7 @@ class MapAligner(Stateful):
     def _judged(
         self,
         T: Tensor,
-        T_before: Tensor,
+        last_step: Array,
         displaced: float,
         depth: DepthTerm,
         images: ImageTerm,
@@ -329,7 +318,7 @@ class MapAligner(Stateful):
             status = Status.DEGENERATE if confirmed else Status.LOST
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
         covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
-        covariance = covariance * variance_factor(depth, images, change_between(T_before, T).numpy(), self.config.depth_noise)
+        covariance = covariance * variance_factor(depth, images, last_step, self.config.depth_noise)
         return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
@@ -344,13 +333,15 @@ class MapAligner(Stateful):
         return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H) + torch.diag(prior))
 
 
-def _at_its_best(T_wc: Tensor, sums_at: Callable[[Tensor], RowMoments]) -> RowMoments:
-    """Sums at the pose near `T_wc` (4, 4) where they are least, carried to `T_wc`."""
+def _at_its_best(T_wc: Tensor, sums_at: Callable[[Tensor], RowMoments], converged: float) -> RowMoments:
+    """Sums at the pose near `T_wc` (4, 4) where they are least, carried to `T_wc`. A step below `converged` [m, rad] is not taken."""
     T, sums = T_wc, sums_at(T_wc)
     for _ in range(_ALONE):
         if not sums.H[0].any():
             return sums
-        ridge = _RIDGE * np.trace(sums.H[0]) * np.eye(6)
-        T = moved(T, torch.from_numpy(np.linalg.solve(sums.H[0] + ridge, sums.b[0])))
+        step = np.linalg.solve(sums.H[0] + _RIDGE * np.trace(sums.H[0]) * np.eye(6), sums.b[0])
+        if np.abs(step).max() < converged:
+            break
+        T = moved(T, torch.from_numpy(step))
         sums = sums_at(T)
     return sums.carried(change_between(T_wc, T).numpy())

@@ -37,8 +37,8 @@ class Solver(Protocol):
         """The present motion within the frame; None: all its rows have one time."""
         ...
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
-        """Moves the pose; returns the largest entry of its change."""
+    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
+        """Moves the pose; returns its change (6,)."""
         ...
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate | None:
@@ -56,17 +56,11 @@ class PoseSolver:
     def motion(self) -> None:
         """None: all rows of the frame have one time."""
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
-        sums = depth.sums + images.sums
-        return damped_step(
-            torch.from_numpy(sums.H[0]),
-            torch.from_numpy(sums.b[0]),
-            depth.weight,
-            depth.radius,
-            self.prior_information,
-            self.change,
-            self.T,
-        )
+    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
+        sums, before = depth.sums + images.sums, self.change.numpy().copy()
+        H, b = torch.from_numpy(sums.H[0]), torch.from_numpy(sums.b[0])
+        damped_step(H, b, depth.weight, depth.radius, self.prior_information, self.change, self.T)
+        return np.asarray(self.change.numpy() - before)
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> None:
         """None: the velocity is not estimated."""
@@ -89,12 +83,12 @@ class JointSolver:
         """The present velocity, and the rows' times."""
         return FrameMotion(self.times, self.velocity)
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> float:
+    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
         from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
         delta = joint_step(depth.sums, images.sums, self.times, self._information, self.scale, np.concatenate(from_prior))
         self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))
         self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]
-        return float(np.abs(delta[:6]).max())
+        return np.asarray(delta[:6])
 
     def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
         """The velocity, and the covariance of pose and velocity."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -81,8 +82,13 @@ def change_between(T: Tensor, other: Tensor) -> Tensor:
 
 def image_motion(T: Tensor, other: Tensor, radius: float) -> float:
     """About how far the image moves between two poses (4, 4) [rad]. radius: the scene's distance [m]."""
-    change = change_between(T, other)
-    return float(change[3:].norm() + change[:3].norm() / max(radius, LEAST_RADIUS))
+    return motion_in_image(change_between(T, other).numpy(), radius)
+
+
+def motion_in_image(change: NDArray[np.float64], radius: float) -> float:
+    """About how far the image moves with a change (6,) of the pose [rad]. radius: the scene's distance [m]."""
+    x, y, z, *turn = change.tolist()
+    return math.hypot(*turn) + math.hypot(x, y, z) / max(radius, LEAST_RADIUS)
 
 
 class MotionModel(Stateful):

@@ -1,0 +1,64 @@
+"""The distances of a frame's points to the surface of the map, step by step.
+
+A signed distance is nearly linear over a few millimetres. So the map is asked at the first step, and again only where the points have moved
+farther than that. In between, distances are carried along their gradients.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.normals import smoothed_normals
+from idfslam.alignment.surface import Surface
+
+# [m] Root mean square of the points' motion since the map was asked, up to which distances are linear. More: the map is asked less often,
+# and distances near edges are less exact. Chosen by hand.
+_LINEAR = 0.002
+
+MapQuery = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Points (N, 3) [m] in the world -> signed distance (N,) [m] and its gradient (N, 3)."""
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the map has said of N points."""
+
+    points: Tensor  # (N, 3) [m] in the world
+    distance: Tensor  # (N,) [m]
+    gradient: Tensor  # (N, 3)
+    normal: Tensor  # (N, 3) smoothed
+    slope: Tensor  # (N,) length of the gradient
+
+
+class SurfaceDistances:
+    """The points of a frame, whose distances to the map give normal equations of its pose."""
+
+    def __init__(self, surface: Surface, query: MapQuery, truncation: float, widest: float) -> None:
+        """truncation [m]: of the map. widest: the largest noise of a point, over the sensor's best, that widens the robust kernel [1]."""
+        self.surface, self.query, self.truncation, self.widest = surface, query, truncation, widest
+        self._asked: _Asked | None = None
+
+    def term(self, T: Tensor, robust: float, motion: FrameMotion | None) -> DepthTerm:
+        """The equations at a pose T (4, 4). robust [m]: scale of the robust kernel. motion: within the frame; with it, with moments."""
+        T = T.float().to(self.surface.points)
+        turned = self.surface.points @ T[:3, :3].T
+        if motion is not None:
+            turned = motion.depth_at_stamp(turned, self.surface.rows)
+        points = turned + T[:3, 3]
+        asked, distance = self._distance(points, turned)
+        rows = None if motion is None else self.surface.rows
+        sigma = self.surface.sigma
+        return depth_term(turned, distance, asked.normal, asked.slope, sigma, self.truncation, robust, self.widest, rows)
+
+    def _distance(self, points: Tensor, turned: Tensor) -> tuple[_Asked, Tensor]:
+        """What the map has said near points (N, 3) of the world, and their distances (N,). turned: the same from the camera's centre."""
+        if self._asked is not None:
+            moved = points - self._asked.points
+            if float(moved.square().sum()) < _LINEAR**2 * len(points):
+                return self._asked, self._asked.distance + (moved * self._asked.gradient).sum(-1)
+        distance, gradient = self.query(points)
+        self._asked = _Asked(points, distance, gradient, *smoothed_normals(turned, gradient, self.surface.patches))
+        return self._asked, distance
