@@ -53,14 +53,20 @@ def test_the_image_decides_between_map_and_tracker() -> None:
     assert registered().refutes(aligned(0.0, Status.LOST))
 
 
-def test_a_registration_that_fits_the_image_much_better_replaces_an_alignment() -> None:
-    """The displacement left at the registered pose is 8 mrad: less than 0.8 times that of the alignment, or more; 0 says nothing."""
+def test_poses_by_map_and_tracker_are_apart_from_five_centimetres_on() -> None:
+    assert not registered().is_apart(aligned(0.04))
+    assert registered().is_apart(aligned(0.06))
+
+
+def test_the_displacement_at_a_registration_is_compared_with_that_of_the_alignment() -> None:
+    """8 mrad are left at the registered pose, 10 at the alignment; 0 says nothing."""
     front_end = Slam(FAST).front_end
     assert isinstance(front_end, AlignmentToMap)
     front_end._references = list  # type: ignore[method-assign,assignment]
-    for at_registered, at_aligned, better in ((0.008, 0.011, True), (0.008, 0.0095, False), (0.0, 0.011, False)):
+    for at_registered, at_aligned, ratio in ((8e-3, 0.01, 0.8), (0, 0.01, 1), (8e-3, 0, 1)):
         front_end.aligner.displacement = lambda *_, value=at_registered: value  # type: ignore[method-assign,assignment]
-        assert front_end._fits_better(keyframe(1, 0.0), registered(), replace(aligned(0.02), displacement=at_aligned)) is better
+        displaced = front_end._displaced(keyframe(1, 0.0), registered(), replace(aligned(0.02), displacement=at_aligned))
+        assert displaced == pytest.approx(ratio)
 
 
 @pytest.mark.parametrize("weak", [registered(patches=19), registered(status=Status.LOST)])

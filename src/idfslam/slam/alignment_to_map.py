@@ -35,8 +35,9 @@ from idfslam.storage.state import State
 # where all guesses score about the same. Chosen by hand.
 _BETTER = 1.05
 # [1] Ratio of the image's displacement at a registered pose, whose patches refute the aligned one, to that at the aligned pose, below which
-# the registered one is taken. More: wrong alignments are left sooner, and registrations that are no better are taken. From the passage of
-# fr1/rpy where alignments ran away: 0.5 to 0.6 before, 0.9 where both were about right.
+# the registered one is taken. Above its inverse the aligned one stands, and between them the image decides nothing. More: wrong alignments
+# are left sooner, and registrations that are no better are taken. From the passage of fr1/rpy where alignments ran away: 0.5 to 0.6 before,
+# 0.9 where both were about right.
 _DISPLACED = 0.8
 
 
@@ -80,17 +81,25 @@ class AlignmentToMap(FrontEnd):
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
-        if registered is not None and registered.refutes(aligned) and (wide or self._fits_better(view, registered, aligned)):
-            return self._registered(view, registered, wide=wide)
+        undecided = False
+        if registered is not None and registered.refutes(aligned):
+            displaced = self._displaced(view, registered, aligned)
+            if wide or displaced < _DISPLACED:
+                return self._registered(view, registered, wide=wide)
+            undecided = displaced <= 1 / _DISPLACED and registered.is_apart(aligned)
         self.compensation.follow(view, aligned)
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
-        return self._aligned(view, aligned, confirmed=wide and registered is not None and registered.confirms(aligned))
+        confirmed = wide and registered is not None and registered.confirms(aligned)
+        return self._aligned(view, aligned, confirmed=confirmed, undecided=undecided)
 
-    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool) -> Tracked:
-        """The aligned pose, and whether it is in doubt. confirmed: a registration in a wide step says that it is right."""
+    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, undecided: bool) -> Tracked:
+        """The aligned pose, and whether it is in doubt.
+
+        confirmed: a registration in a wide step says that it is right. undecided: one says that it is wrong, and the image says neither.
+        """
         view.registered = confirmed
-        doubtful = self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed
+        doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)
         clear = confirmed or self.aligner.is_clear(aligned)
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
         return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
@@ -111,10 +120,10 @@ class AlignmentToMap(FrontEnd):
             return 0.0
         return max(image_motion(T, T_wc, radius) for T in (view.T_wk, self._last_pose(view)))
 
-    def _fits_better(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment) -> bool:
-        """Whether the image is displaced by much less at the registered pose than at the aligned one."""
-        displaced = self.aligner.displacement(view, registered.T_wc, self._references())
-        return 0 < displaced < _DISPLACED * aligned.displacement
+    def _displaced(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment) -> float:
+        """The image's displacement at a registered pose over that at an aligned one; 1 if either is unknown."""
+        at_registered = self.aligner.displacement(view, registered.T_wc, self._references())
+        return at_registered / aligned.displacement if at_registered and aligned.displacement else 1.0
 
     def _registered(self, view: Keyframe, registered: RegisteredPose, *, wide: bool) -> Tracked:
         """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors."""

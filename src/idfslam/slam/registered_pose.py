@@ -1,15 +1,21 @@
 """The pose of a view that the tracker registered with a keyframe, as evidence beside that of the map."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.tracking.tracker import TrackingResult
+
+# [m], [rad] Difference of a registered pose from an aligned one above which one of the two is wrong. More: wrong poses are noticed later,
+# and fewer right ones are doubtful. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
+_APART = 0.05, math.radians(2)
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,11 @@ class RegisteredPose:
     def refutes(self, aligned: Alignment) -> bool:
         """Whether many patches confirm this pose, and do not confirm that of an alignment, or the alignment is lost."""
         return self.result.convinces and not self._agrees(aligned)
+
+    def is_apart(self, aligned: Alignment) -> bool:
+        """Whether this pose and that of an alignment are so far apart that one of them is wrong."""
+        change = change_between(aligned.T_wc, self.T_wc)
+        return float(change[:3].norm()) > _APART[0] or float(change[3:].norm()) > _APART[1]
 
     def _agrees(self, aligned: Alignment) -> bool:
         T_kc = se3.inverse(self.reference.T_wk) @ aligned.T_wc
