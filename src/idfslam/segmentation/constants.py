@@ -12,3 +12,4 @@ CONTRAST = 0.05  # [1] difference of brightness beyond what a place and its neig
 LEAST_AROUND = 6  # cells of 3 x 3 that must have depth for free space to be known. More: less free space near holes
 EVERYTHING = 0.85  # [1] share of violations beyond which a pose is wrong, not the scene in motion. More: larger movers, and wrong poses too
 NEAREST_SEEN = 0.05  # [m] least depth of a point in another view. More: what is close to its camera is not compared
+NEVER = 2**30  # [frames] age of a cell that never showed what moves: a bound that no run reaches

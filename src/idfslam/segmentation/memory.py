@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
+from idfslam.segmentation.blind_zone import blind
 from idfslam.segmentation.carrying import carried
 from idfslam.segmentation.coarse_view import CoarseView
-from idfslam.segmentation.constants import SLACK
+from idfslam.segmentation.constants import NEVER, SLACK
 from idfslam.segmentation.free_space import PosedView, votes
 from idfslam.segmentation.region_growing import grown
 from idfslam.segmentation.remembered import Remembered, Segmented
@@ -22,6 +23,7 @@ from idfslam.storage.state import State
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
+Ages = NDArray[np.int32]
 
 # All of them were chosen by hand on generated rooms.
 _EVERY = 6  # [frames] between views that are remembered besides keyframes. More: slow movements are found, and all of them later
@@ -100,7 +102,16 @@ class Memory:
         age = np.where(fresh, np.minimum(age, 0), age)
         if self._suspected is not None:
             age[self._suspected] = -_SUSPECTED
+        age = np.where(view.depth > 0, age, self._blind(view, age <= _LASTS))
         return Segmented(view, T_wc, age <= _LASTS, age.astype(np.int32)), dict(zip(asked, found.by))
+
+    def _blind(self, view: CoarseView, moving: Cells) -> Ages:
+        """(h, w) [frames] the ages of the holes of a view that show a body nearer than the sensor reads."""
+        before = np.full(moving.shape, NEVER, np.int32)
+        if self._last is not None:
+            holes = self._last.moving & (self._last.view.depth <= 0)
+            before[holes] = self._last.age[holes]
+        return blind(view.depth, moving, before)
 
     def _carried(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere. And the ages of its cells."""

@@ -169,8 +169,8 @@ def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
     """The result for a view: degenerate, with a larger covariance, if what moves leaves little of it."""
     if view.moving is None:
         return tracked
-    readings = view.taken_unmasked.frame.depth > 0
-    share = float((view.moving & readings).sum() / max(readings.sum(), 1))
+    shown = view.moving | (view.taken_unmasked.frame.depth > 0)
+    share = float(view.moving.sum() / shown.sum())
     if share < _CROWDED or tracked.status is not Status.OK:
         return tracked
     covariance = None if tracked.covariance is None else tracked.covariance / (1 - share) ** 2
