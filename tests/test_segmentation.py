@@ -9,9 +9,9 @@ from idfslam.compute.backend import plain_torch
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.segmentation.carrying import carried
+from idfslam.segmentation.carrying import BESIDE, carried
 from idfslam.segmentation.coarse_view import CoarseView, cell_size, cells_camera, coarse_view, in_pixels, thinned
-from idfslam.segmentation.constants import SIGMAS, SLACK
+from idfslam.segmentation.constants import NEVER, SIGMAS, SLACK
 from idfslam.segmentation.free_space import PosedView, plain_vote, sigma, votes
 from idfslam.segmentation.memory import Memory
 from idfslam.segmentation.region_growing import grown
@@ -211,11 +211,11 @@ def test_regions_grow_over_what_does_not_stay() -> None:
     depth, stays, seeds = np.full((40, 60), 2.0, np.float32), np.zeros((40, 60), np.bool_), np.zeros((40, 60), np.bool_)
     depth[:, 30:] = 3.0  # an edge
     stays[:10] = True
-    seeds[19:25, 25:29] = True  # 24, as many as a region must have
+    seeds[19:27, 25:29] = True  # 32, as many as a region must have
     found = grown(seeds, stays, depth)
     with plain_torch():
         np.testing.assert_array_equal(found, grown(seeds, stays, depth))
-    assert found[11:33, 25:29].all()  # eight cells up and down
+    assert found[11:35, 25:29].all()  # eight cells up and down
     assert not found[:, 30:].any() and not found[:10].any()
 
 
@@ -242,6 +242,8 @@ def test_cells_are_carried_to_where_another_camera_sees_them() -> None:
     assert (v.min(), v.max(), u.min(), u.max()) == (39, 41, 46, 48)  # from (53.0 - 50) 2 / 1.5 = 4 cells left of the middle, two more
     assert near[40, 47] == pytest.approx(1.5)
     assert out[40, 47] == 7
+    assert out[39, 46] == 7 + BESIDE
+    assert out[0, 0] == NEVER
     with plain_torch():
         plain = carried(view, np.eye(4), cells, view.camera, T_wc, ages=ages)
     np.testing.assert_array_equal(plain[0], near)
@@ -266,6 +268,18 @@ def test_who_stands_still_is_masked_for_three_seconds_and_is_then_part_of_the_sc
     assert shares[29] == 0.0
     assert min(shares[30:120]) == 1.0
     assert max(shares[140:]) == 0.0
+
+
+def test_who_stops_where_no_view_saw_stays_masked_for_a_second() -> None:
+    """She walks along the rays, so that she hid her later places herself: no view ever saw through them."""
+    memory, shares = Memory(lambda k: np.eye(4)), list[float]()
+    for i in range(90):
+        cells = memory.segment(wall(3.0, body=1.0 + 0.03 * min(max(i - 10, 0), 20)), np.eye(4))
+        memory.remember(i // 10, np.eye(4), stored=i % 10 == 0)
+        shares.append(float(cells[20:60, 40:60].mean()))
+    assert max(shares[:10]) == 0.0
+    assert min(shares[15:48]) > 0.8  # she stops at frame 30, and was found to move last at about 20
+    assert max(shares[55:]) == 0.0
 
 
 def test_a_view_at_its_predicted_pose_need_not_be_segmented_again() -> None:

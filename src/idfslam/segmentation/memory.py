@@ -15,9 +15,10 @@ from idfslam.segmentation.blind_zone import blind
 from idfslam.segmentation.carrying import carried
 from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.constants import NEVER, SLACK
-from idfslam.segmentation.free_space import PosedView, votes
+from idfslam.segmentation.free_space import PosedView, Votes, votes
 from idfslam.segmentation.region_growing import grown
 from idfslam.segmentation.remembered import Remembered, Segmented
+from idfslam.segmentation.smooth_continuation import continued
 from idfslam.segmentation.witnesses import Witnesses
 from idfslam.storage.state import State
 
@@ -39,7 +40,9 @@ _AT_PLACE = 0.02  # [m] from what moves that a keyframe shows something at its p
 # Share of a cell, and of the slack, by which a predicted pose may be off. More: more views need no second segmentation, with rougher masks
 _OFF = 0.3
 _TURNS = 2  # frames in which each recent view is compared once with what moves. More: faster, and all of it later
-_LASTS = 6  # [frames] that a cell stays masked without fresh evidence. More: masks flicker less, and false ones last longer
+# [frames] that a cell stays masked while nothing tells that it stays. More: who stands where no view saw through stays masked for longer,
+# and false masks do. 60 gave no more
+_LASTS = 30
 
 
 class Memory:
@@ -93,11 +96,12 @@ class Memory:
         near, before = self._carried(view.camera, T_wc)
         carried_on = np.abs(view.depth - near) < _SAME
         pauses = carried_on & (found.through > 0) & ~found.stands  # one who stands still where views of her have gathered
-        goes_on = carried_on & (~found.held | (before < 0))
-        stays = (found.held | (found.stays & ~carried_on)) & ~pauses
+        scene = self._scene(found, found.moves | pauses, view)
+        goes_on = carried_on & (~(found.held | scene) | (before < 0))
+        stays = (found.held | scene | (found.stays & ~carried_on)) & ~pauses
         fresh = grown(found.moves | pauses, stays, view.depth)
         for cells in near_left:
-            fresh |= cells & ~found.stays
+            fresh |= cells & ~found.stays & ~scene
         age = np.where(goes_on, before + 1, _LASTS + 1)
         age = np.where(fresh, np.minimum(age, 0), age)
         if self._suspected is not None:
@@ -112,6 +116,12 @@ class Memory:
             holes = self._last.moving & (self._last.view.depth <= 0)
             before[holes] = self._last.age[holes]
         return blind(view.depth, moving, before)
+
+    def _scene(self, found: Votes, moves: Cells, view: CoarseView) -> Cells:
+        """(h, w) the cells of a view that go on from what is held, where nothing was seen through: such as what a body uncovers."""
+        if self.still or self._suspected is not None:
+            return np.zeros_like(moves)
+        return continued(found.held & ~moves, ~moves & (found.through == 0), view.depth) & ~moves
 
     def _carried(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere. And the ages of its cells."""

@@ -139,8 +139,8 @@ def look(means, depth, near, far, camera, T, number, through, seen, free, first,
 
 
 @_compiled
-def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
-    """`memory.carried`: a cell covers the 3 x 3 cells around the one that its point is seen in."""
+def carry(cells, ages, beside, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
+    """`carrying.plain_carry`: a cell covers the 3 x 3 cells around the one that its point is seen in."""
     for i in range(depth.shape[0]):
         for j in range(depth.shape[1]):
             if not cells[i, j]:
@@ -148,8 +148,8 @@ def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-de
             row, column, r = _seen_at(i, j, float(depth[i, j]), a, b, T, near.shape)
             for v in range(max(row - 1, 0), min(row + 2, near.shape[0]) if row >= 0 else 0):
                 for u in range(max(column - 1, 0), min(column + 2, near.shape[1])):
-                    if r < near[v, u]:
-                        near[v, u], out[v, u] = r, ages[i, j]
+                    near[v, u] = min(near[v, u], r)
+                    out[v, u] = min(out[v, u], ages[i, j] if v == row and u == column else ages[i, j] + beside)
 
 
 @_compiled
@@ -186,6 +186,63 @@ def grow(seeds, stays, depth, friends, reach, jump, slope, out) -> None:  # type
             distance[v, u] = far
             queue[tail] = v, u
             tail += 1
+
+
+@_compiled
+def continue_smoothly(out, may, inverse, span, bend, step, passes) -> None:  # type: ignore[no-untyped-def]
+    """`smooth_continuation.continued`: adds to `out` cells of `may` whose inverse depth goes on from three cells of it in a row."""
+    rows, columns = out.shape
+    for turn in range(2 * passes):
+        changed = False
+        for n in range(rows * columns):
+            at = n if turn % 2 == 0 else rows * columns - 1 - n
+            i, j = at // columns, at % columns
+            if not may[i, j] or out[i, j]:
+                continue
+            for k in range(4):
+                di, dj = (k == 0) - (k == 1), (k == 2) - (k == 3)
+                v, u = i + 2 * span * di, j + 2 * span * dj
+                if v < 0 or u < 0 or v >= rows or u >= columns:
+                    continue
+                y, x = i + span * di, j + span * dj
+                if not (out[i + di, j + dj] and out[y, x] and out[v, u]):
+                    continue
+                near = abs(inverse[i, j] - inverse[i + di, j + dj]) < step
+                if near and abs(inverse[i, j] - 2 * inverse[y, x] + inverse[v, u]) < bend:
+                    out[i, j] = changed = True
+                    break
+        if not changed:
+            return
+
+
+@_compiled
+def drop_minorities(out, stays, inverse, step, share) -> None:  # type: ignore[no-untyped-def]
+    """Clears in `out` what was added to `stays` in connected regions of which too few cells are among these; neighbours touch by sides."""
+    rows, columns = out.shape
+    visited, queue = np.zeros((rows, columns), np.bool_), np.empty((rows * columns, 2), np.int32)
+    for i in range(rows):
+        for j in range(columns):
+            if not out[i, j] or visited[i, j]:
+                continue
+            queue[0] = i, j
+            visited[i, j] = True
+            head, tail, known = 0, 1, 0
+            while head < tail:
+                y, x = queue[head]
+                head += 1
+                known += stays[y, x]
+                for k in range(4):
+                    v, u = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
+                    if v < 0 or u < 0 or v >= rows or u >= columns or visited[v, u] or not out[v, u]:
+                        continue
+                    if abs(inverse[v, u] - inverse[y, x]) < step:
+                        visited[v, u] = True
+                        queue[tail] = v, u
+                        tail += 1
+            if known < share * tail:
+                for k in range(tail):
+                    y, x = queue[k]
+                    out[y, x] = stays[y, x]
 
 
 @_compiled
