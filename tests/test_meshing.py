@@ -99,8 +99,8 @@ def test_votes() -> None:
     assert not kept(3.0) and not kept(1.0) and not kept(0.0)
     assert kept(1.5, 3, 3)  # two views through it are too few
     assert not kept(3.0, 3, 3)
-    assert kept(1.5, 3, 3, 3, 3)  # four times as many
-    assert not kept(1.5, 3, 3, 3, 3, 3)
+    assert kept(1.5, 3, 3, 3)  # three times as many
+    assert not kept(1.5, 3, 3, 3, 3)
     assert kept(1.5, 1, 1, 1, 0, 0)
     behind = DepthView(looking_at_origin(np.array([1.5, 0, 0])), np.full((120, 160), 1.5, np.float32), CAMERA)
     assert not observed(np.array([[3.0, 0, 0]]), [behind], 0.05)[0]

@@ -30,8 +30,9 @@ _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more 
 # [cells], [tr] Their sum is the largest distance of a vertex from a reading. More: surfaces extend beyond what was seen. Chosen by hand.
 _CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3
 # [1] views that look through a vertex, over those that observed it, above which it is removed. Less: outlines are ragged where images
-# and poses are off by pixels; more: what was wrongly read, and what lies behind an outline, stays. Chosen on pictures of a kitchen
-_LOOKED_THROUGH = 4
+# and poses are off by pixels. More: what was wrongly read, what lies behind an outline, and ghosts of what moved stay. Chosen on pictures
+# of a kitchen, and on ghosts of people in a generated room (docs/diary.md)
+_LOOKED_THROUGH = 3
 _SLANT = 4 / 3  # [1] length of a ray at an image's corner over its depth, since the tolerance is in depth. More: more blocks are evaluated
 
 
@@ -174,7 +175,7 @@ def observed(vertices: NDArray[np.float64], views: Iterable[DepthView], toleranc
     """Which vertices (N, 3) [m] the views observed: at least one view has a reading within `tolerance` [m] of the vertex's depth.
 
     The reading may be at any of the four pixels around the projection, so surface at a grazing angle counts. A view looked through the
-    vertex if all its readings there are behind it. A vertex is removed if three or more views, and more than four times as many as
+    vertex if all its readings there are behind it. A vertex is removed if three or more views, and more than three times as many as
     observed it, looked through it. At fewer, chance would decide about the vertices at outlines.
     """
     near, through = np.zeros(len(vertices), np.int32), np.zeros(len(vertices), np.int32)
