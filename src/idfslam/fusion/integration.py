@@ -63,7 +63,7 @@ def compiled_integrate(voxels: Voxels, view: PreparedDepth) -> None:
     pixels, deepest = np.zeros((view.depth.size + 1, 4), np.float32), np.zeros([-(-size // TILE) for size in shape], np.float32)
     fill_pixels(view.depth, view.slope, view.information, np.float32(voxels.truncation), pixels, deepest)
     image = T_cw.astype(np.float32), intrinsics, shape, pixels, deepest
-    distance, weight = (array.reshape(len(origins), -1) for array in (voxels.distance, voxels.weight))
+    distance, weight = (array.reshape(-1, BLOCK**3) for array in (voxels.distance, voxels.weight))
     add(origins, lattice, np.float32(voxels.truncation), *image, distance, weight, voxels.scatter, voxels.readings)
 
 
