@@ -23,8 +23,8 @@ from idfslam.storage.state import State, Stateful
 # [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
 _UNUSUAL = 1.15
 # [1] Photometric error of what lies behind the nearest layer at the pose found without the layer, over that at the pose found with it, up
-# to which the layer moves if this is so in two frames in a row. Where people began to walk it was 0.68 to 0.79; in redkitchen, where
-# nothing moves, 0.79 once and else 0.85 and more. More: more layers move.
+# to which the layer moves. Where people began to walk it was 0.68 to 0.79; in redkitchen, where nothing moves, 0.79 once and else 0.85 and
+# more. Without this a near table that was blurred passed for moving at once. More: more layers move.
 _BETTER = 0.8
 # [1] Photometric error without the layer, over that with it, up to which the layer moves: in two frames in a row (likewise), and at once.
 # In redkitchen it was 0.66 and more. The last one is over the usual error. More: more layers move.
@@ -100,8 +100,6 @@ class NearestLayerTrial(Stateful):
         radius = 1.0 if without.alignment is None else without.alignment.radius
         if image_motion(tracked.T_wc, without.T_wc, radius) <= _DRAWN:
             return False
-        if self._is_clear(tracked, without):
-            return True
         less = _photometric_error(without) < _LESS * _photometric_error(tracked)
         return less and front_end.misfit(view, without.T_wc) < _BETTER * front_end.misfit(view, tracked.T_wc)
 
