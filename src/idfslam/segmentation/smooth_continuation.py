@@ -29,5 +29,5 @@ def continued(stays: Cells, may: Cells, depth: NDArray[np.float32]) -> Cells:
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     out = stays.copy()
     form(numba_segmentation.continue_smoothly)(out, may & (depth > 0), inverse, _SPAN, np.float32(_BEND), np.float32(_STEP), _PASSES)
-    form(numba_segmentation.drop_minorities)(out, stays, inverse, np.float32(_STEP), _MAJORITY)
+    form(numba_segmentation.drop_regions)(out, stays, stays, inverse, np.float32(_STEP), False, 0, _MAJORITY)
     return out

@@ -216,8 +216,11 @@ def continue_smoothly(out, may, inverse, span, bend, step, passes) -> None:  # t
 
 
 @_compiled
-def drop_minorities(out, stays, inverse, step, share) -> None:  # type: ignore[no-untyped-def]
-    """Clears in `out` what was added to `stays` in connected regions of which too few cells are among these; neighbours touch by sides."""
+def drop_regions(out, known, kept, inverse, step, corners, least, share) -> None:  # type: ignore[no-untyped-def]
+    """Sets `out` to `kept` in its connected regions that have fewer known cells than `least`, or than a share of all of theirs.
+
+    Neighbours touch by sides, with `corners` by these too, and their inverse depths differ by less than `step`.
+    """
     rows, columns = out.shape
     visited, queue = np.zeros((rows, columns), np.bool_), np.empty((rows * columns, 2), np.int32)
     for i in range(rows):
@@ -226,47 +229,19 @@ def drop_minorities(out, stays, inverse, step, share) -> None:  # type: ignore[n
                 continue
             queue[0] = i, j
             visited[i, j] = True
-            head, tail, known = 0, 1, 0
+            head, tail, found = 0, 1, 0
             while head < tail:
                 y, x = queue[head]
                 head += 1
-                known += stays[y, x]
-                for k in range(4):
-                    v, u = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
-                    if v < 0 or u < 0 or v >= rows or u >= columns or visited[v, u] or not out[v, u]:
-                        continue
-                    if abs(inverse[v, u] - inverse[y, x]) < step:
-                        visited[v, u] = True
-                        queue[tail] = v, u
-                        tail += 1
-            if known < share * tail:
-                for k in range(tail):
-                    y, x = queue[k]
-                    out[y, x] = stays[y, x]
-
-
-@_compiled
-def drop_unfounded(out, seeds, least) -> None:  # type: ignore[no-untyped-def]
-    """Clears connected regions with fewer seeds than `least`; neighbours touch by sides or corners."""
-    rows, columns = out.shape
-    visited, queue = np.zeros((rows, columns), np.bool_), np.empty((rows * columns, 2), np.int32)
-    for i in range(rows):
-        for j in range(columns):
-            if not out[i, j] or visited[i, j]:
-                continue
-            queue[0] = i, j
-            visited[i, j] = True
-            head, tail, founded = 0, 1, 0
-            while head < tail:
-                y, x = queue[head]
-                head += 1
-                founded += seeds[y, x]
+                found += known[y, x]
                 for v in range(max(y - 1, 0), min(y + 2, rows)):
                     for u in range(max(x - 1, 0), min(x + 2, columns)):
-                        if out[v, u] and not visited[v, u]:
+                        beside = (corners | (v == y) | (u == x)) & (abs(inverse[v, u] - inverse[y, x]) < step)
+                        if beside & out[v, u] & (not visited[v, u]):
                             visited[v, u] = True
                             queue[tail] = v, u
                             tail += 1
-            if founded < least:
+            if found < max(least, share * tail):
                 for k in range(tail):
-                    out[queue[k, 0], queue[k, 1]] = False
+                    y, x = queue[k]
+                    out[y, x] = kept[y, x]
