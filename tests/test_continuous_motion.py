@@ -49,6 +49,28 @@ def test_the_next_frame_improves_a_velocity() -> None:
     assert 0.3 < filtered < 0.6 and smoothed < filtered / 2
 
 
+@pytest.mark.parametrize(("hertz", "continuous"), [(1.0, True), (4.0, True), (9.0, False)])
+def test_a_hand_that_turns_back_from_frame_to_frame_has_no_velocity(hertz: float, continuous: bool) -> None:
+    """Up to a sixth of the frame rate (5 Hz) constant velocity is nearer to the next pose of a swing than the last pose is."""
+    motion = ContinuousMotion()
+    for i in range(40):
+        T = moved(EYE, torch.tensor([0, 0, 0, 0, 0.02 * np.sin(2 * np.pi * hertz * i / 30), 0], dtype=torch.float64))
+        motion.accept_pose(i / 30, T, motion.predict(i / 30, EYE))
+    assert motion.is_continuous == continuous
+
+
+def test_photographs_have_no_velocity() -> None:
+    """Steps of 17 degrees in any direction, stamped as a video's. A restored motion knows as much."""
+    motion, T, generator = ContinuousMotion(), EYE, torch.Generator().manual_seed(0)
+    for i in range(20):
+        turn = torch.randn(3, generator=generator, dtype=torch.float64)
+        T = moved(T, torch.cat([torch.zeros(3, dtype=torch.float64), 0.3 * turn / turn.norm()]))
+        motion.accept_pose(i / 30, T, motion.predict(i / 30, EYE))
+    restored = ContinuousMotion()
+    restored.restore(motion.state())
+    assert not motion.is_continuous and not restored.is_continuous
+
+
 def test_a_missing_frame_takes_two_intervals() -> None:
     motion = ContinuousMotion()
     T = walked(motion, VELOCITY, 30)

@@ -14,13 +14,14 @@ from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.keyframe_selection import WIDE
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded
 from idfslam.slam.nearest_layer_trial import nearest_layer
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.tracked import Source, Tracked
+from idfslam.slam.tracked import Evidence, Source, Tracked
 
 
 def half(shown: Keyframe, share: float = 0.5) -> np.ndarray:
@@ -139,6 +140,20 @@ def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error
         results.append(segmentation.check(shown, tracked, Trial()))
         assert (shown.moving is not None) == (results[-1] is without)
     assert next((i + 1 for i, result in enumerate(results) if result is without), None) == after
+
+
+def test_no_layer_is_tried_in_a_wide_step() -> None:
+    """Photographs round a chair: it is near, and looks different from each side."""
+    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation.trial.usual_error.restore({"mean": 0.02})
+    found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
+    tracked = Tracked(EYE, Status.OK, Source.ALIGNED, Evidence(step=1.1 * WIDE), replace(found, photometric_error=0.05))
+
+    class Untried(FrontEnd):
+        def track(self, view: Keyframe) -> Tracked:
+            raise AssertionError("tracked again")
+
+    assert segmentation.check(view(CORNER, EYE), tracked, Untried()) is tracked
 
 
 def test_it_can_be_switched_off() -> None:

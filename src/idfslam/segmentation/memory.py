@@ -170,7 +170,7 @@ class Memory:
         self._suspected = cells
 
     def forget_last(self) -> None:
-        """What moved is not known any more: the camera was lost."""
+        """What moved is not known any more: the camera was lost, or its pose is not exact enough to tell."""
         self._last = self._expected = None
 
     def remember(self, host: int, T_kc: Array, *, stored: bool) -> None:

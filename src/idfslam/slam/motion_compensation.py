@@ -137,7 +137,7 @@ class MotionCompensation(Stateful):
         self._learn_from_before(smoothed, references)
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
-        tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK
+        tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
         if tells and None in vars(self._raw.timing).values():
             self._told = self._told_by(view, tracked.T_wc, references)
 

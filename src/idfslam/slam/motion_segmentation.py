@@ -20,7 +20,7 @@ from idfslam.sensing.rectification import rectified
 from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.nearest_layer_trial import NearestLayerTrial
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.tracked import Tracked
+from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State, Stateful
 
 # [1] Share of the readings that show what moves from which a pose is called degenerate: little of the scene is left, and a body that is
@@ -113,6 +113,9 @@ class FreeSpaceSegmentation(MotionSegmentation):
             view.hide(None)
             return tracked
         self.trial.accept(tracked)
+        if tracked.source is Source.REGISTERED:  # such poses are off by up to a centimetre and a degree, which would pass for movement
+            self.memory.forget_last()
+            return tracked
         if self.memory.still and self._passed_over < _PASSED_OVER:
             self._passed_over += 1
             self.memory.pass_over()
@@ -142,7 +145,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self._masked(keyframe)
 
     def remember(self, view: Keyframe, tracked: Tracked) -> None:
-        if not self.graph.keyframes or not tracked.status.trusted:
+        if not self.graph.keyframes or not tracked.status.trusted or tracked.source is Source.REGISTERED:
             return
         with self.timer.stage("segment"):
             stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view

@@ -14,6 +14,7 @@ from torch import Tensor
 from idfslam.alignment.motion import image_motion
 from idfslam.alignment.usual_error import UsualError
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_selection import WIDE
 from idfslam.segmentation.coarse_view import in_pixels
 from idfslam.sensing.rectification import Rectification
 from idfslam.slam.front_end import FrontEnd
@@ -66,6 +67,8 @@ class NearestLayerTrial(Stateful):
         """
         error, self._waits = _photometric_error(tracked), max(self._waits - 1, 0)
         usual = self.usual_error
+        if tracked.evidence.step > WIDE:
+            return tracked, None  # near things differ most then, since they were seen from elsewhere
         if not usual.is_known or (usual.is_within(error, _UNUSUAL) and not tracked.is_lost):
             self._found_once = False
             self._next_wait = max(self._next_wait - usual.is_within(error, _AS_USUAL), _WAITS)
