@@ -28,6 +28,11 @@ def view(x: float, turn: float = 0.0, noise: float = 0.0, seed: int = 0) -> Dept
     return DepthView(T, depth.astype(np.float32), CAMERA)
 
 
+def facing(depth: float) -> DepthView:
+    """A view of a wall, `depth` [m] before the camera."""
+    return DepthView(np.eye(4), np.full((CAMERA.height, CAMERA.width), depth, np.float32), CAMERA)
+
+
 def test_slopes_are_those_of_the_plain_form_and_of_a_plane() -> None:
     depth = view(0.1, 0.3, 0.002).depth
     depth[np.random.default_rng(1).random(depth.shape) < 0.1] = 0
@@ -64,6 +69,16 @@ def test_integration_is_that_of_the_plain_form() -> None:
     )
     assert same.mean() > 0.999  # a voxel on the border of two pixels may get either
     np.testing.assert_allclose(found.scatter.sum(0), expected.scatter.sum(0), rtol=0.01)
+
+
+def test_a_voxel_is_as_free_before_a_far_surface_as_before_a_near_one() -> None:
+    """It has a tenth of the weight that a surface in it would have, and at most the reading's own."""
+    information = {depth: prepared(facing(depth)).information[60, 80] for depth in (0.9, 1.0, 1.5, 4.0)}
+    for depth, expected in ((1.0, 0.1 * information[0.9]), (1.5, 0.1 * information[0.9]), (4.0, information[4.0])):
+        for integrated in (compiled_integrate, plain_integrate):
+            voxels = Voxels.empty(0.01, 0.03, np.array([[0, 0, 11]]))
+            integrated(voxels, prepared(facing(depth)))
+            assert voxels.weight[0, 0, 0, 2] == pytest.approx(expected, rel=1e-3)  # 0.9 m before the camera
 
 
 def fused_at(volume: TsdfVolume, points: np.ndarray) -> np.ndarray:

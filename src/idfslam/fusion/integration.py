@@ -3,7 +3,8 @@
 Each voxel has the mean of its distances to the surfaces that the images show along its rays, weighted by information: 1 / sigma^2, where
 sigma grows with the square of depth, times the squared cosine between ray and normal. Distances are to the surface's plane, not along the
 ray. Behind a surface the weights fall to zero at the truncation: what lies there is hidden, and may be the back of something thin. Before
-it they fall to a tenth: a voxel that some images see past may be part of something thin that others show.
+it they fall to a tenth of what a reading of a surface in the voxel would have: a voxel that some images see past may be part of something
+thin that others show. The voxel is as free if the surface behind it is far away or slanted; but no reading tells more than its information.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from idfslam.compute.backend import pick
 from idfslam.fusion.constants import BLOCK, EDGE_SHARE, ENOUGH, FREE, NEAREST, TILE
 from idfslam.fusion.prepared_depth import PreparedDepth
 from idfslam.geometry.projection import intrinsics_of
+from idfslam.sensing.depth_noise import noise_ratio
 
 Floats = NDArray[np.float32]
 
@@ -108,8 +110,14 @@ def _measured(voxels: Voxels, view: PreparedDepth) -> tuple[NDArray[np.float64],
     s, t, inverse = u - left, v - top, 1 / np.where(four > 0, four, 1)
     smooth = between & (four.min(0) > 0) & ((inverse.max(0) - inverse.min(0)) * read < EDGE_SHARE)
     interpolated = (1 - t) * ((1 - s) * inverse[0] + s * inverse[1]) + t * ((1 - s) * inverse[2] + s * inverse[3])
-    read = np.where(smooth, 1 / np.where(smooth, interpolated, 1), read)
-    to_plane = (read - ahead) * view.slope[row, column]
-    place = to_plane / truncation
-    w = view.information[row, column] * np.minimum(np.clip(1 + place, 0, 1), np.maximum(FREE, 2 - 2 * place))
+    to_plane = (np.where(smooth, 1 / np.where(smooth, interpolated, 1), read) - ahead) * view.slope[row, column]
+    place, slope = to_plane / truncation, np.where(read > 0, view.slope[row, column], 1)
+    free = FREE * (_noise(read) / (_noise(ahead) * slope)) ** 2
+    share = np.where(place <= 0.5, 1 + place, np.maximum(2 - 2 * place, free)).clip(0, 1)
+    w = view.information[row, column] * share
     return to_plane, np.where(read > 0, w, 0)
+
+
+def _noise(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`noise_ratio` of arrays."""
+    return np.asarray(noise_ratio(torch.from_numpy(depth)).numpy())

@@ -4,11 +4,13 @@ import numpy as np
 from numba import njit, prange
 
 from idfslam.fusion.constants import BLOCK, EDGE_SHARE, ENOUGH, FREE, NEAREST, TILE
+from idfslam.sensing.depth_noise import GROWTH
+from idfslam.sensing.depth_noise import NEAREST as SHARPEST
 
 _FASTMATH = {"contract", "nsz", "arcp"}
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _NEAREST, _EDGE_SHARE = np.float32(NEAREST), np.float32(EDGE_SHARE)
-_FREE = np.float32(FREE)
+_FREE, _GROWTH, _SHARPEST = np.float32(FREE), np.float32(GROWTH), np.float32(SHARPEST)
 _ROUNDING = 1e-4  # [1] share of a depth by which its float32 arithmetic is off at most. A bound. More: slower
 _DEEPER = np.float32((1 + _ROUNDING) / (1 - EDGE_SHARE))  # [1] bound of a depth interpolated on a surface over a reading there, likewise
 
@@ -71,6 +73,15 @@ def _interpolated(pixels, shape, u, v, read):  # type: ignore[no-untyped-def]
 
 
 @_inlined
+def _share(place, read, ahead, slope):  # type: ignore[no-untyped-def]
+    """Weight over the reading's information, of a voxel at depth `ahead` [m], `place` [truncations] before the surface that is `read`."""
+    if place <= _HALF:
+        return min(_ONE, _ONE + place)
+    ratio = (_ONE + _GROWTH * max(read - _SHARPEST, _ZERO) ** 2) / ((_ONE + _GROWTH * max(ahead - _SHARPEST, _ZERO) ** 2) * slope)
+    return min(_ONE, max(_TWO - _TWO * place, _FREE * ratio * ratio))
+
+
+@_inlined
 def _project(first, lattice, intrinsics, shape, ahead, uv, at):  # type: ignore[no-untyped-def]
     """Fills depth (V,) [m], pixels (2, V) and the nearest pixel's place (V,) of a block's voxels: `first` + `lattice` (3, V) [m].
 
@@ -126,7 +137,7 @@ def integrate(  # type: ignore[no-untyped-def]
             place = to_plane / truncation
             if place <= -_ONE:
                 continue
-            w = information * min(min(_ONE, _ONE + place), max(_FREE, _TWO - _TWO * place))
+            w = information * _share(place, read, ahead[n], slope)
             before, off = weight[m, n], min(to_plane, truncation) - distance[m, n]
             share = w / (w + before)
             if before > _ZERO and abs(to_plane) < _HALF * truncation:
