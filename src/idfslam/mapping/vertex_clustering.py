@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 # [cells] root mean square distance of the vertices in a cell from the plane through them. More: fewer triangles, coarser shape. Chosen on
 # generated rooms
-_OFF_PLANE = 0.03
+_OFF_PLANE = 0.05
 # [1] length of the mean normal in a cell. More: fewer cells are flat; less: the two sides of something thin become one. Chosen by hand
 _ALIKE = 0.95
 # [1] most times that cells whose triangles would turn over are left as they are (as Garland and Heckbert, "Surface simplification using
