@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -24,6 +25,14 @@ def test_culling_and_covisibility_by_hand(x: float, stored: bool, connected: boo
 
 def test_without_culling_all_are_stored() -> None:
     assert len(wall_graph(KeyframeConfig(cull=1.0), places=(0.0, 0.0, 0.1)).keyframes) == 3
+
+
+@pytest.mark.parametrize(("hidden", "stored"), [(20, False), (36, True)])  # of 64 columns; shares 0.94 - 20 / 64 = 0.62, and 0.38
+def test_a_keyframe_covers_nothing_that_moving_things_hid_in_it(hidden: int, stored: bool) -> None:
+    frames, moving = wall_frames(places=(0.0,)), np.zeros((48, 64), bool)
+    moving[:, :hidden] = True
+    frames.graph.keyframes[0].hide(moving)
+    assert insert(frames, keyframe(1, -0.2)) is stored
 
 
 def test_a_culled_frame_is_the_last_keyframe_and_hangs_on_the_one_that_covers_it() -> None:

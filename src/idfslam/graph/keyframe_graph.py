@@ -17,6 +17,7 @@ from idfslam.graph.path_length import path_lengths
 from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.storage.state import State
 
+_HIDING = 1e-3  # [m] depth that stands for what hides all behind it. More: nothing, up to the nearest surface
 _CANDIDATES = 4  # stored keyframes whose mutual covisibility is tested. More: a better choice, at two tests each. Chosen by hand
 
 Revive = Callable[[State], Keyframe]
@@ -104,7 +105,16 @@ class KeyframeGraph:
         covering = [i for i in keyframe.edges if float(scores[i]) > self.config.cull and i >= (self.unverified_from or 0)]
         if self.config.cull_reach:
             covering = [i for i in covering if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
+        covering = [i for i in covering if self._unhidden(keyframe, self.keyframes[i]) > self.config.cull]
         return max(covering, key=lambda i: float(scores[i]), default=None)
+
+    def _unhidden(self, keyframe: Keyframe, stored: Keyframe) -> float:
+        """The covisibility of a keyframe with a stored one, without what moving things hid in that: it learnt nothing there."""
+        if stored.moving is None:
+            return 1.0
+        hiding = torch.from_numpy(stored.moving).to(keyframe.depth) * _HIDING
+        T_kn = (se3.inverse(stored.T_wk) @ keyframe.T_wk).to(keyframe.depth)
+        return float(covisibility(keyframe.depth, keyframe.camera, T_kn[None], [stored.camera], [hiding]))
 
     def _covisibility(self, keyframe: Keyframe) -> Tensor:
         """Covisibility (K,) of a keyframe with all stored ones (Eq. 5)."""
