@@ -64,6 +64,22 @@ def test_a_window_has_what_its_keyframes_see(tracks: GrowingTracks, poses: Array
     assert set(seen.landmark) == set(seen.landmark[seen.keyframe == 3])
 
 
+def test_what_moves_is_forgotten_and_the_rest_stays(tracks: GrowingTracks, room: SyntheticRoom, poses: Array) -> None:
+    points, before = everything(tracks, poses)
+    moving = np.zeros((240, 320), bool)
+    moving[:, :160] = True
+    tracks.hide(1, moving)
+    after_points, after = everything(tracks, poses)
+    assert not (after.uv[after.keyframe == 1, 0] < 159.5).any()
+    right = before.uv[(before.keyframe == 1) & (before.uv[:, 0] > 159.5)]
+    assert len(right) > 20
+    assert {tuple(uv) for uv in after.uv[after.keyframe == 1]} >= {tuple(uv) for uv in right}
+    assert {tuple(p) for p in after_points} <= {tuple(p) for p in points}
+    off = residuals(CameraModel.as_stated(room.camera), poses, after_points, after)
+    pixels = np.linalg.solve(after.root, off[:, :2, None])[:, :, 0]
+    assert np.median(np.linalg.norm(pixels, axis=1)) < 0.15  # each is still paired with its own point
+
+
 @pytest.mark.parametrize("forget", [lambda tracks: tracks.forget(1), lambda tracks: tracks.separate([0, 1, 0, 0])])
 def test_what_is_forgotten_is_seen_no_more(tracks: GrowingTracks, poses: Array, forget: Callable[[GrowingTracks], None]) -> None:
     before = everything(tracks, poses)[1]

@@ -1,6 +1,7 @@
 """Landmarks of a recording that still runs: each new keyframe is searched for those of earlier keyframes, and hosts new ones.
 
-Nothing is forgotten or moved: a landmark lies where its host saw it, and what was found stays. So poses may change at any time.
+Nothing is moved: a landmark lies where its host saw it, and what was found stays, unless it turns out to move. So poses may change at any
+time.
 """
 
 from collections.abc import Sequence
@@ -118,6 +119,22 @@ class GrowingTracks(Stateful):
         self._seen.pop(k, None)
         self._viewers = {host: [viewer for viewer in viewers if viewer != k] for host, viewers in self._viewers.items()}
 
+    def hide(self, k: int, moving: NDArray[np.bool_]) -> None:
+        """Forgets what a keyframe hosts and sees where its `grey` image (H, W) shows what moves. What it hosts is numbered anew."""
+        if (hosted := self._hosted.get(k)) is None:
+            return
+        self._seen[k] = self._seen[k][~_at(moving, self._seen[k].uv)]
+        kept = np.flatnonzero(~_at(moving, hosted.patches.uv.numpy()))
+        arrays = {name: vars(hosted)[name][kept] for name in _ARRAYS}
+        self._hosted[k] = _Hosted(hosted.patches[torch.from_numpy(kept)], first=self._count, **arrays)
+        for viewer in self._viewers.get(k, []):
+            seen = self._seen[viewer]
+            place = seen.landmark - hosted.first
+            of_host = (place >= 0) & (place < len(hosted.patches))
+            numbers = np.where(of_host, self._count + np.searchsorted(kept, place), seen.landmark)
+            self._seen[viewer] = replace(seen, landmark=numbers)[~of_host | np.isin(place, kept)]
+        self._count += len(kept)
+
     def separate(self, group: Sequence[int]) -> None:
         """Forgets what keyframes see of landmarks of other groups, whose number `group` has for each keyframe."""
         for host, viewers in self._viewers.items():
@@ -161,6 +178,12 @@ class GrowingTracks(Stateful):
             p = hosted.patches.points.numpy()[landmarks[first:end] - hosted.first]
             points[first:end] = p @ T[:3, :3].T + T[:3, 3]
         return points
+
+
+def _at(pixels: NDArray[np.bool_], uv: Array) -> NDArray[np.bool_]:
+    """(N,) the pixels (H, W) nearest to uv (N, 2)."""
+    u, v = np.rint(uv).astype(np.int64).T
+    return np.asarray(pixels[v.clip(0, pixels.shape[0] - 1), u.clip(0, pixels.shape[1] - 1)])
 
 
 def joined(parts: Sequence[Observations]) -> Observations:

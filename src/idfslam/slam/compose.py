@@ -178,6 +178,8 @@ class System:
         """Has all parts take up the changed mask of a stored keyframe."""
         if self.aligns:
             self.aligner.appearances.forget(keyframe)
+        if self.local_adjustment is not None:
+            self.local_adjustment.hide(keyframe)
         self.coverage.replace(keyframe)
         self.relearn.add([keyframe])
 

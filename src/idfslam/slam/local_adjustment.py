@@ -6,6 +6,7 @@ camera is as stated. Where the images do not agree, nothing moves (`global_adjus
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.keyframe_motion import KeyframeMotions
 from idfslam.storage.state import State
-from idfslam.tracking.frame_features import subsampled_depth
+from idfslam.tracking.frame_features import grey_size, subsampled_depth
 
 # All of these were chosen by hand.
 _WINDOW = 8  # newest keyframes that are adjusted. More: slower, and errors are mended that were made longer ago
@@ -87,6 +88,13 @@ class LocalAdjustment(KeyframeHook):
             if times != _rectified(self.graph.keyframes[number]):
                 self.tracks.forget(number)
                 del self._images[number]
+
+    def hide(self, keyframe: Keyframe) -> None:
+        """Forgets the landmarks that a stored keyframe shows on what moves, as is known by now."""
+        if keyframe.moving is not None:
+            columns, rows = grey_size(keyframe.camera)[::-1]
+            moving = cv2.resize(keyframe.moving.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST)
+            self.tracks.hide(keyframe.host, moving > 0)
 
     def _add(self, keyframe: Keyframe, poses: Array) -> None:
         """Looks for landmarks in a new keyframe."""

@@ -87,12 +87,17 @@ def reduced(frame: Frame, height: int) -> tuple[NDArray[np.float32], NDArray[np.
 
 def brightness(frame: Frame) -> NDArray[np.uint8]:
     """The brightness (H, W) of a frame's colour image, of at most `_IMAGE_ROWS` rows."""
-    rows = frame.camera.height
     colour: NDArray[Any] = frame.colour
-    if rows > _IMAGE_ROWS:
-        colour = cv2.resize(colour, (round(frame.camera.width * _IMAGE_ROWS / rows), _IMAGE_ROWS), interpolation=cv2.INTER_AREA)
+    if (size := grey_size(frame.camera)) != colour.shape[:2]:
+        colour = cv2.resize(colour, size[::-1], interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(colour.astype(np.float32, copy=False), cv2.COLOR_RGB2GRAY)
     return cv2.convertScaleAbs(grey, alpha=255.0).astype(np.uint8, copy=False)
+
+
+def grey_size(camera: Camera) -> tuple[int, int]:
+    """Rows and columns of `brightness`."""
+    rows = min(camera.height, _IMAGE_ROWS)
+    return rows, round(camera.width * rows / camera.height)
 
 
 def averaged_depth(depth: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
