@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from idfslam.alignment import image_rotation
 from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image
 from idfslam.alignment.photometric import Appearance
 from test_displacement import EYE, appearance, turned, wall
@@ -29,6 +30,13 @@ def degrees_off(T: Tensor, T_true: Tensor) -> float:
 def test_a_turn_that_the_prediction_missed_is_found_to_a_tenth_of_a_degree(turn: float, blur: float) -> None:
     T = after(wall(EYE)).correct(wall(turned(turn), blur=blur), EYE, EYE)
     assert degrees_off(T, turned(turn)) < 0.1
+
+
+def test_a_pose_is_turned_as_a_keyframe_shows_wherever_the_last_frame_was() -> None:
+    seen, small = pixels_of(small_image(wall(EYE))), small_image(wall(turned(3.0)))
+    for wrong in (0.0, 5.0):
+        T = image_rotation.turned(small, seen, turned(wrong), EYE)
+        assert degrees_off(T, turned(3.0)) < 0.1
 
 
 def test_the_predicted_shift_is_kept_and_a_change_of_exposure_does_not_matter() -> None:

@@ -47,18 +47,31 @@ def test_what_is_usual_follows_the_recording_and_no_jump() -> None:
     assert not doubt.has_usual
     doubt.accept(0.01)
     assert doubt.has_usual and doubt.state() == {"usual": 0.01, "frames": 1}
-    for displacement in (0.02, 1.0, 0.012):  # however much it is: a third, a quarter, a fifth
+    for displacement in (0.02, 1.0, 0.012):  # up by a third, not for a wrong pose, down by a fifth
         doubt.accept(displacement)
-    assert doubt.state()["usual"] == pytest.approx(0.01 * (4 / 3) * (5 / 4) / (6 / 5))
+    assert doubt.state()["usual"] == pytest.approx(0.01 * (4 / 3) / (6 / 5))
     for _ in range(200):
         doubt.accept(0.02)
     before = doubt.state()["usual"]
-    doubt.accept(1.0)  # one hundredth a frame, later on
+    doubt.accept(2 * before)  # one hundredth a frame, later on
     assert doubt.state()["usual"] == pytest.approx(1.01 * before)
     doubt.accept(0.0)  # says nothing
     again = PoseDoubt()
     again.restore(doubt.state())
     assert again.state() == doubt.state()
+
+
+def test_a_doubtful_displacement_counts_by_the_probability_that_its_pose_is_right(known: PoseDoubt) -> None:
+    for _ in range(200):
+        known.accept(USUAL)
+    before = known.state()["usual"]
+    even = before * math.exp(5.7 / 5)  # 5 ln 3.1 - 5.7 = 0: right and wrong are equally probable
+    assert known.is_doubtful(even)
+    known.accept(even)
+    assert known.state()["usual"] == pytest.approx(1.005 * before)
+    for _ in range(30):
+        known.accept(6 * before)  # a second of wrong poses
+    assert known.state()["usual"] < 1.03 * before
 
 
 @pytest.fixture(scope="module")

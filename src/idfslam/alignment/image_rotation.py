@@ -49,33 +49,40 @@ class ImageRotation(Stateful):
         The prediction is kept if the images do not agree better at the turned pose.
         """
         self._small = small_image(frame)
-        if self._last is None:
-            return T_predicted
-        T = T_predicted
-        for level in reversed(range(len(self._small.levels))):
-            T = self._turned(T, T_last, level)
-        before, after = self._term(T_predicted, T_last, 0), self._term(T, T_last, 0)
-        return T if after.seen >= _LEAST_SEEN and after.noise < before.noise else T_predicted
+        return T_predicted if self._last is None else turned(self._small, self._last, T_predicted, T_last)
 
     def accept(self, *, lost: bool) -> None:
         """The present frame becomes the last one. lost: it has no pose, so that the next frame is not compared with it."""
         self._last = None if lost or self._small is None else pixels_of(self._small)
         self._small = None
 
-    def _turned(self, T: Tensor, T_last: Tensor, level: int) -> Tensor:
-        """The pose after Gauss-Newton steps of its turn on one level."""
-        prior, change = np.eye(3) / _TURN**2, np.zeros(6)
-        for _ in range(_STEPS):
-            sums = self._term(T, T_last, level).sums
-            change[3:] = np.linalg.solve(INDEPENDENT * sums.H[0, 3:, 3:] + prior, INDEPENDENT * sums.b[0, 3:])
-            T = moved(T, torch.from_numpy(change))
-            if np.abs(change).max() < _CONVERGED:
-                break
-        return T
 
-    def _term(self, T: Tensor, T_last: Tensor, level: int) -> Term:
-        assert self._last is not None and self._small is not None
-        return photometric_term(self._small, self._last, T_last, T, level, floor=_NOISE, widest=_ROBUST)
+def turned(small: Appearance, seen: Landmarks, T_wc: Tensor, T_seen: Tensor) -> Tensor:
+    """A small image's pose, turned as the pixels `seen` by another view at `T_seen` show; its shift is kept. All (4, 4) float64.
+
+    It is kept as a whole if the images do not agree better at the turned pose.
+    """
+    T = T_wc
+    for level in reversed(range(len(small.levels))):
+        T = _turned_on(small, seen, T, T_seen, level)
+    before, after = _term(small, seen, T_wc, T_seen, 0), _term(small, seen, T, T_seen, 0)
+    return T if after.seen >= _LEAST_SEEN and after.noise < before.noise else T_wc
+
+
+def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Tensor:
+    """The pose after Gauss-Newton steps of its turn on one level."""
+    prior, change = np.eye(3) / _TURN**2, np.zeros(6)
+    for _ in range(_STEPS):
+        sums = _term(small, seen, T, T_seen, level).sums
+        change[3:] = np.linalg.solve(INDEPENDENT * sums.H[0, 3:, 3:] + prior, INDEPENDENT * sums.b[0, 3:])
+        T = moved(T, torch.from_numpy(change))
+        if np.abs(change).max() < _CONVERGED:
+            break
+    return T
+
+
+def _term(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Term:
+    return photometric_term(small, seen, T_seen, T, level, floor=_NOISE, widest=_ROBUST)
 
 
 def small_image(frame: Appearance) -> Appearance:

@@ -62,10 +62,11 @@ class PoseDoubt(Stateful):
             self._usual, self._frames = measured[len(measured) // 2], len(measured)
 
     def accept(self, displacement: float) -> None:
-        """Learns from the displacement [rad] of an accepted pose, trusted or not."""
+        """Learns from the displacement [rad] of an accepted pose. A doubtful one counts by the probability that it is right."""
         if displacement > 0:
+            right = 1 - self.probability(displacement) if self.has_usual and self.is_doubtful(displacement) else 1.0
             self._frames += 1
-            step = max(1 / (self._frames + 1), _STEP)
+            step = right * max(1 / (self._frames + 1), _STEP)
             self._usual = self._usual * (1 + step) ** math.copysign(1, displacement - self._usual) or displacement
 
     @property

@@ -14,7 +14,7 @@ from torch import Tensor
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import MotionPrior
-from idfslam.alignment.image_rotation import ImageRotation
+from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image, turned
 from idfslam.alignment.motion import image_motion
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
@@ -47,6 +47,7 @@ class _Guess(Enum):
     PREDICTED = "predicted"  # by the motion model
     REGISTERED = "registered"  # by the neural tracker
     LAST = "last"  # of the frame before
+    TURNED = "turned"  # the best pose so far, turned as the image of the last keyframe shows, wherever the frame before was
 
 
 class AlignmentToMap(FrontEnd):
@@ -188,6 +189,10 @@ class AlignmentToMap(FrontEnd):
                 if registered is None:
                     continue
                 T_guess = registered.T_wc
+            if guess is _Guess.TURNED:
+                if best is None or not self.aligner.contradicts_images(best):
+                    break
+                T_guess = self._turned(view, best.T_wc)
             aligned = self._align(view, T_guess, max_guess_error_px, motion)
             if best is None or self._is_better(view, aligned, best, registered):
                 best = aligned
@@ -209,7 +214,14 @@ class AlignmentToMap(FrontEnd):
         """The guesses in order, each with a bound on its error [px]: the predicted pose with and without a bound, registered, last pose."""
         expected = self.aligner.expected
         nearby = [] if expected is None else [(_Guess.PREDICTED, expected)]
-        return [*nearby, (_Guess.PREDICTED, None), (_Guess.REGISTERED, None), (_Guess.LAST, None)]
+        return [*nearby, (_Guess.PREDICTED, None), (_Guess.REGISTERED, None), (_Guess.LAST, None), (_Guess.TURNED, None)]
+
+    def _turned(self, view: Keyframe, T_wc: Tensor) -> Tensor:
+        """A view's pose (4, 4), turned as the small images of it and of the last keyframe show."""
+        last, appearances = self._references()[0], self.aligner.appearances
+        seen = pixels_of(small_image(appearances.of(last)))
+        appearances.release(last)
+        return turned(small_image(appearances.as_taken(view)), seen, T_wc, last.T_wk)
 
     def _references(self) -> Sequence[Keyframe]:
         return self.graph.references(self.aligner.config.references)
