@@ -17,7 +17,9 @@ from helpers.box_room import BOX_FRAMES
 from helpers.flat_wall import PAPER, at, keyframe, wall_frames
 from helpers.known_run import known_log
 from helpers.small_config import small
+from idfslam.alignment.alignment import Alignment
 from idfslam.cli.tables import print_evaluation, print_run
+from idfslam.config import FAST
 from idfslam.datasets import open_recording
 from idfslam.evaluation.doubt import DoubtRates
 from idfslam.evaluation.evaluate import evaluate_poses
@@ -31,6 +33,9 @@ from idfslam.runs.lost_frames import leave_out_lost
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.runner import run as run_recording
 from idfslam.slam import FrontEnd, Slam, Source, Tracked
+from idfslam.slam.alignment_to_map import AlignmentToMap
+from idfslam.slam.registered_pose import RegisteredPose
+from idfslam.tracking.tracker import TrackingResult
 
 COVARIANCE = torch.diag(torch.tensor([1e-4, 4e-4, 4e-4, 1e-5, 2e-5, 3e-5], dtype=torch.float64))
 
@@ -73,6 +78,33 @@ def test_a_frame_in_doubt_is_never_mapped(box_recording: Path) -> None:
     assert {k.index for k in slam.stored_keyframes()} | mapped <= set(range(6)) and 5 in mapped  # `finish` maps no last frame
     _, _, without_doubt = run(box_recording, doubtful=())
     assert 13 in without_doubt and len(without_doubt & set(range(6, 13))) >= 3
+
+
+@pytest.mark.parametrize(
+    ("displaced", "in_view", "patches", "ends"),
+    [
+        (1.1, 0.4, 0, True),
+        (1.1, 0.2, 0, False),  # few landmarks are in view
+        (0.0, 0.4, 0, False),  # none of them tells anything
+        (0.0, 0.02, 40, True),  # the tracker agrees
+        (2.6, 0.4, 40, False),  # the image contradicts
+    ],
+)
+def test_a_doubt_ends_where_keyframes_confirm_the_pose(displaced: float, in_view: float, patches: int, ends: bool) -> None:
+    """displaced: the image, over what is usual. patches: of a registration that agrees."""
+    front_end = Slam(FAST).front_end
+    assert isinstance(front_end, AlignmentToMap)
+    front_end.aligner.doubt.expect([0.01])
+    T_wc = at(0.1, 0)
+    found = Alignment(T_wc, Status.OK, 1.0, 0.001, 0.1, 0.01, in_view, None, 5, displacement=0.01 * displaced)
+    result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, patches=patches)
+    front_end._begin = lambda view: None  # type: ignore[method-assign]
+    front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    statuses = []
+    for before in (Status.OK, Status.DOUBTFUL):
+        front_end.frames.append(0.0, T_wc, before)
+        statuses.append(front_end.track(keyframe(2, 0.1)).status)
+    assert statuses == [Status.DOUBTFUL if displaced > 2.5 else Status.OK, Status.OK if ends else Status.DOUBTFUL]
 
 
 def test_the_covariance_is_reported(box_recording: Path) -> None:

@@ -17,7 +17,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.recovery import Relocalisation
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.tracked import Source, Tracked
+from idfslam.slam.tracked import Evidence, Source, Tracked
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 
@@ -82,3 +82,15 @@ def test_a_camera_in_doubt_for_long_is_elsewhere(recovery: Relocalisation, asked
     for _ in range(15):
         assert not recovery.recover(view, Tracked(view.T_wk, Status.DOUBTFUL, Source.ALIGNED)).is_lost
     assert asked.places == [[], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]
+
+
+def test_a_camera_in_doubt_where_no_keyframe_tells_begins_a_submap(recovery: Relocalisation) -> None:
+    """The fifteenth doubtful frame is the first of the thirty. One that sees the keyframes may be confirmed yet, and goes on."""
+    recovery.config = LoopConfig(submap_after=30)
+    view = view_at(5.0, 6)
+    for in_view, began in ((0.5, None), (0.1, 44)):
+        doubtful = Tracked(view.T_wk, Status.DOUBTFUL, Source.ALIGNED, Evidence(in_view=in_view), clear=False)
+        recovery._doubted = recovery._searched = 0
+        found = [recovery.recover(view, doubtful) for _ in range(44)]
+        assert next((i + 1 for i, tracked in enumerate(found) if tracked.source is Source.NEW_SUBMAP), None) == began
+    assert found[-1].status is Status.OK and found[-1].clear and recovery.graph.starts_submap

@@ -39,6 +39,9 @@ _BETTER = 1.05
 # are left sooner, and registrations that are no better are taken. From the passage of fr1/rpy where alignments ran away: 0.5 to 0.6 before,
 # 0.9 where both were about right.
 _DISPLACED = 0.8
+# [1] Least share of the references' landmarks in view for a doubt to end without a registration that confirms the pose. More: doubts last
+# longer in new ground, and fewer end at a wrong pose. As a relocalisation needs it.
+_CONFIRMED = 0.3
 
 
 class _Guess(Enum):
@@ -91,13 +94,16 @@ class AlignmentToMap(FrontEnd):
         self.compensation.follow(view, aligned)
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
-        confirmed = wide and registered is not None and registered.confirms(aligned)
-        return self._aligned(view, aligned, confirmed=confirmed, undecided=undecided)
+        confirmed = registered is not None and registered.confirms(aligned)
+        if self._in_doubt and not confirmed:
+            undecided |= not aligned.displacement or aligned.in_view < _CONFIRMED  # nothing ends the doubt
+        return self._aligned(view, aligned, confirmed=confirmed and wide, undecided=undecided)
 
     def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, undecided: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.
 
-        confirmed: a registration in a wide step says that it is right. undecided: one says that it is wrong, and the image says neither.
+        confirmed: a registration in a wide step says that it is right. undecided: one says that it is wrong, and the image says neither,
+        or nothing ends a doubt.
         """
         view.registered = confirmed
         doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)
@@ -131,7 +137,8 @@ class AlignmentToMap(FrontEnd):
         view.registered = wide
         found = self.aligner.evidence(view, registered.T_wc, self._references())
         evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
-        return Tracked(registered.T_wc, Status.OK, Source.REGISTERED, evidence, found, covariance=registered.covariance)
+        status = Status.DOUBTFUL if self._in_doubt and not wide else Status.OK  # nothing else confirms it yet
+        return Tracked(registered.T_wc, status, Source.REGISTERED, evidence, found, covariance=registered.covariance)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
@@ -196,7 +203,7 @@ class AlignmentToMap(FrontEnd):
             aligned = self._align(view, T_guess, max_guess_error_px, motion)
             if best is None or self._is_better(view, aligned, best, registered):
                 best = aligned
-            if guess is _Guess.PREDICTED and self.aligner.is_far(aligned, T_guess):
+            if guess is _Guess.PREDICTED and (self._in_doubt or self.aligner.is_far(aligned, T_guess)):
                 continue  # the tracker is asked in any case
             if not self.aligner.is_doubtful(best) and not self.aligner.unexpected(aligned, T_guess, max_guess_error_px):
                 break
@@ -225,6 +232,11 @@ class AlignmentToMap(FrontEnd):
 
     def _references(self) -> Sequence[Keyframe]:
         return self.graph.references(self.aligner.config.references)
+
+    @property
+    def _in_doubt(self) -> bool:
+        """Whether the frame before was doubtful."""
+        return len(self.frames) > 0 and self.frames.last_status is Status.DOUBTFUL
 
     def _last_pose(self, view: Keyframe) -> Tensor:
         return self.frames.T_wc(-1) if len(self.frames) else view.T_wk

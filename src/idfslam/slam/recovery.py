@@ -25,6 +25,9 @@ _DOUBTED = 15  # doubtful frames in a row from which the camera is looked for el
 # it walked on fast, and look-alike places pass more easily. This and the next: chosen by hand
 _NEARBY = 1.5
 _STILL_NEAR = 15  # [frames with depth] for which that holds. More: likewise
+# [1] Share of the references' landmarks in view below which a camera that has been in doubt for that long counts as lost: no keyframe will
+# tell whether its pose is right. More: new submaps are started sooner. As a relocalisation needs it.
+_UNSEEN = 0.3
 EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
@@ -89,7 +92,7 @@ class Relocalisation(Recovery):
         super().__init__(graph, frames)
         self.config, self.relocaliser, self.check, self.timer = config, relocaliser, check, timer
         self.relocalisations = 0
-        self._searched = 0  # number of frames with depth since the camera was lost
+        self._searched = 0  # number of frames with depth since the camera was lost, or is astray
         self._doubted = 0  # number of doubtful frames in a row
 
     def state(self) -> State:
@@ -111,7 +114,7 @@ class Relocalisation(Recovery):
         if not self._trusts(tracked):
             lost = tracked if self.mode is Mode.TRACKING else tracked.lost(view.T_wk)
             tracked = self._relocalised(view) or lost
-        self._searched = self._searched + view.has_depth if tracked.is_lost else 0
+        self._searched = self._searched + view.has_depth if tracked.is_lost or self._is_astray(tracked) else 0
         return self._new_submap(view, tracked) if 0 < self.config.submap_after <= self._searched else tracked
 
     def close_gap(self, index: int, mode: Mode) -> None:
@@ -127,6 +130,10 @@ class Relocalisation(Recovery):
         if self.mode is Mode.TRACKING:
             return not tracked.is_lost and tracked.confident and self._doubted < _DOUBTED
         return tracked.alignment is not None and self.relocaliser.convincing(tracked.alignment)
+
+    def _is_astray(self, tracked: Tracked) -> bool:
+        """Whether the camera has been in doubt for long, where no keyframe tells whether its pose is right."""
+        return self._doubted >= _DOUBTED and tracked.status is Status.DOUBTFUL and tracked.evidence.in_view < _UNSEEN
 
     def _relocalised(self, view: Keyframe) -> Tracked | None:
         """Relocalises a view among the keyframes with the most similar descriptors; None if no pose is convincing."""
@@ -159,4 +166,4 @@ class Relocalisation(Recovery):
     def _new_submap(self, view: Keyframe, tracked: Tracked) -> Tracked:
         T_wc = self.graph.start_submap()
         log.info("not found for %d frames: mapping goes on in a new submap from frame %d on", self._searched, view.index)
-        return replace(tracked, T_wc=T_wc, status=Status.OK, source=Source.NEW_SUBMAP)
+        return replace(tracked.lost(T_wc), status=Status.OK, source=Source.NEW_SUBMAP)
