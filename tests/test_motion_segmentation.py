@@ -192,6 +192,20 @@ def test_no_layer_is_tried_in_a_wide_step() -> None:
     assert segmentation.check(shown, tracked, Untried()) is tracked
 
 
+@pytest.mark.parametrize(("status", "masked"), [(Status.OK, True), (Status.DOUBTFUL, False)])
+def test_a_still_scene_does_not_begin_to_move_at_a_doubtful_pose(status: Status, masked: bool) -> None:
+    """A view that is 20 cm off lies in space that the first one saw through."""
+    graph = KeyframeGraph(FAST.keyframes)
+    graph.keyframes.append(view(CORNER, EYE))
+    segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
+    for index, (T_wc, told) in enumerate([(EYE, Status.OK), *[(EYE, Status.OK)] * 2, (pose(0, 0, -0.2, 0, 0, 0), status)]):
+        shown = view(CORNER, EYE)
+        segmentation.segment(shown, Tracked(T_wc, told, Source.ALIGNED))
+        if not index:
+            segmentation.memory.remember(0, np.eye(4), stored=True)
+    assert (shown.moving is not None) is masked
+
+
 def test_it_can_be_switched_off() -> None:
     assert isinstance(Slam(FAST).segmentation, FreeSpaceSegmentation)
     assert isinstance(Slam(replace(FAST, movers="off")).segmentation, NoSegmentation)

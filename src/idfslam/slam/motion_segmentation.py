@@ -116,8 +116,9 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if tracked.source is Source.REGISTERED:  # such poses are off by up to a centimetre and a degree, which would pass for movement
             self.memory.forget_last()
             return tracked
-        if self.memory.still and self._passed_over < _PASSED_OVER:
-            self._passed_over += 1
+        doubtful = tracked.status is Status.DOUBTFUL  # at a wrong pose, the scene itself seems to move
+        if self.memory.still and (doubtful or self._passed_over < _PASSED_OVER):
+            self._passed_over = min(self._passed_over + 1, _PASSED_OVER)
             self.memory.pass_over()
             view.hide(None)
             return tracked
