@@ -43,6 +43,10 @@ _TURNS = 2  # frames in which each recent view is compared once with what moves.
 # [frames] that a cell stays masked while nothing tells that it stays. More: who stands where no view saw through stays masked for longer,
 # and false masks do. 60 gave no more
 _LASTS = 30
+# [cells] that a region of the newest view grows from what was seen through and what follows what has left: a part that is missed draws the
+# pose. With 8 cells 2.1 % of the images of rooms 0, 4 and 6 were missed and 1.1 % masked wrongly, with 16 cells 1.4 and 1.3 %. More: the
+# same
+_WHOLE = 16
 
 
 class Memory:
@@ -99,9 +103,8 @@ class Memory:
         scene = self._scene(found, found.moves | pauses, view)
         goes_on = carried_on & (~(found.held | scene) | (before < 0))
         stays = (found.held | scene | (found.stays & ~carried_on)) & ~pauses
-        fresh = grown(found.moves | pauses, stays, view.depth)
-        for cells in near_left:
-            fresh |= cells & ~found.stays & ~scene
+        followed = np.logical_or.reduce([np.zeros_like(stays), *near_left]) & ~found.stays & ~scene
+        fresh = grown(found.moves | pauses | followed, stays, view.depth, _WHOLE) | followed
         age = np.where(goes_on, before + 1, _LASTS + 1)
         age = np.where(fresh, np.minimum(age, 0), age)
         if self._suspected is not None:
