@@ -29,6 +29,7 @@ class Keyframe(KeyframeImages):
         self.covisible_references: list[int] = []  # stored keyframes that see most of what it sees, the oldest first
         self.velocity: NDArray[np.float64] | None = None  # (6,) along the camera's axes [m/s, rad/s]; None: not estimated
         self.velocity_covariance: NDArray[np.float64] | None = None  # (6, 6) of it
+        self.colour_since = frame.index  # the frame that showed its colour image first: an earlier one if the image is repeated
         self.registered = False  # whether a registration gave or confirmed its pose in a wide step: the map does not move it
 
     def state(self) -> State:

@@ -42,6 +42,9 @@ _DISPLACED = 0.8
 # [1] Least share of the references' landmarks in view for a doubt to end without a registration that confirms the pose. More: doubts last
 # longer in new ground, and fewer end at a wrong pose. As a relocalisation needs it.
 _CONFIRMED = 0.3
+# [rad] Motion of the image since a repeated colour image was new, below which it still shows what the camera sees: a pixel and a half of
+# 320. More: a pose follows depth later while colour is repeated. Chosen by hand.
+_STANDS = 0.005
 
 
 class _Guess(Enum):
@@ -82,6 +85,8 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
+        if view.colour_since < view.index and (by_depth := self._by_depth(view, motion)) is not None:
+            return by_depth
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
@@ -98,6 +103,19 @@ class AlignmentToMap(FrontEnd):
         if self._in_doubt and not confirmed:
             undecided |= not aligned.displacement or aligned.in_view < _CONFIRMED  # nothing ends the doubt
         return self._aligned(view, aligned, confirmed=confirmed and wide, undecided=undecided)
+
+    def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
+        """The result of depth alone for a view whose colour image is an older one: nothing confirms it, so it is in doubt.
+
+        None where the camera has not moved since the image was new, or depth does not tell.
+        """
+        with self.timer.stage("align"):
+            aligned = self.aligner.align(view, view.T_wk, [], motion=motion)
+        moved = image_motion(self.frames.T_wc(view.colour_since), aligned.T_wc, aligned.radius)
+        if aligned.status is Status.LOST or moved < _STANDS:
+            return None
+        self.compensation.follow(view, aligned)
+        return Tracked.aligned(aligned, doubtful=True, clear=False)
 
     def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, undecided: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.

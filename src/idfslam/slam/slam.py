@@ -25,6 +25,7 @@ from idfslam.slam.compose import BackEnd, FrontEnd, Map, System
 from idfslam.slam.frame_order import FrameOrder
 from idfslam.slam.history import History
 from idfslam.slam.recovery import EXAMPLES, Mode
+from idfslam.slam.repeated_images import RepeatedImages
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of
 from idfslam.views.image_archive import ImageArchive, archive_of
@@ -70,7 +71,7 @@ class Slam:
         self._finished = False
         self._archive: ImageArchive | None = None  # once the poses are final
         self._volume: TsdfVolume | None = None  # likewise
-        self.order = FrameOrder()
+        self.order, self.repeated = FrameOrder(), RepeatedImages()
 
     def process(self, frame: Frame) -> FrameResult:
         """Tracks a frame. Then maps it if it becomes a keyframe, and otherwise updates the map or finetunes the tracker.
@@ -78,7 +79,8 @@ class Slam:
         Raises FrameError if the frame's index is not the number of frames before it, or if its camera is another than theirs.
         """
         self.order.check(frame)
-        view, mode = self._view(frame, self._predicted_pose()), self.recovery.mode
+        view, mode = self._view(self.repeated.check(frame), self._predicted_pose()), self.recovery.mode
+        view.colour_since = self.repeated.colour_since
         self.segmentation.predict(view)
         tracked = self._track(view, mode)  # Sec. V
         if is_held_out(frame.index, self.config.hold_out):
