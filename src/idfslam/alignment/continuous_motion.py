@@ -10,6 +10,7 @@ A velocity is a 6-vector of shift [m/s] and turn [rad/s], both along world axes,
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 import torch
@@ -255,7 +256,7 @@ class ContinuousMotion(Stateful):
     def _elapsed(self, timestamp: float) -> float:
         """[s] since the last frame, in whole frames: the stamps' jitter is that of their transport, not of the exposures."""
         assert self._last is not None
-        interval = float(np.median(self._intervals)) if self._intervals else 1 / FPS
+        interval = median(self._intervals) if self._intervals else 1 / FPS
         return max(round((timestamp - self._last[0]) / interval), 1) * interval
 
 

@@ -5,6 +5,7 @@ The map learns colours that are brought to one exposure. Otherwise it would lear
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -36,13 +37,31 @@ _SLIP = 0.7  # [px] of such an image by which two views miss one another. More: 
 
 
 @dataclass(frozen=True)
+class _Places:
+    """N pixels of a small image that are compared with others."""
+
+    points: Tensor  # (N, 3) [m] in the keyframe's frame
+    colour: Tensor  # (N, 3)
+    powers: Tensor  # (N, TERMS) `even_powers`
+    uncertainty: Tensor  # (N,)
+
+
+@dataclass(frozen=True)
 class _Thumbnail:
-    """A small image of a keyframe, and the points of its pixels."""
+    """A small image of a keyframe."""
 
     camera: Camera
     colour: Tensor  # (3, h, w)
     depth: Tensor  # (h, w) [m], 0: no reading
     uncertainty: Tensor  # (h, w) standard deviation of the colour at a place that another image sees there
+
+    @cached_property
+    def places(self) -> _Places:
+        """Every `_STRIDE`-th pixel with depth."""
+        v, u = (axis[::_STRIDE] for axis in torch.nonzero(self.depth > 0, as_tuple=True))
+        uv = torch.stack([u, v], -1).to(self.depth)
+        points = self.camera.rays(uv) * self.depth[v, u][:, None]
+        return _Places(points, self.colour[:, v, u].T, even_powers(uv, self.camera), self.uncertainty[v, u])
 
 
 class LightEstimation(KeyframeHook):
@@ -133,18 +152,18 @@ class LightEstimation(KeyframeHook):
 
     def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
         """Compares the places that keyframe a sees and keyframe b sees too."""
-        of_a, of_b = self._thumbnail(a), self._thumbnail(b)
-        v, u = (axis[::_STRIDE] for axis in torch.nonzero(of_a.depth > 0, as_tuple=True))
-        uv = torch.stack([u, v], -1).to(of_a.depth)
-        T_ba = (se3.inverse(b.T_wk) @ a.T_wk).to(of_a.depth)
-        points = se3.transform(T_ba, of_a.camera.rays(uv) * of_a.depth[v, u][:, None])
-        uv_b, z = of_b.camera.project(points)
-        u_b, v_b = (uv_b[:, axis].round().long().clamp(0, size - 1) for axis, size in ((0, of_b.camera.width), (1, of_b.camera.height)))
-        seen = of_b.camera.inside(uv_b, z) & ((of_b.depth[v_b, u_b] - z).abs() < EDGE + EDGE_SHARE * z)
-        noise = (of_a.uncertainty[v, u] ** 2 + of_b.uncertainty[v_b, u_b] ** 2).sqrt()
-        colour = of_a.colour[:, v, u].T, sampled(of_b.colour, uv_b)
-        powers = even_powers(uv, of_a.camera), even_powers(uv_b, of_b.camera)
-        return compare(*(column[seen].double().cpu().numpy() for column in (*colour, *powers, noise)))
+        places, of_b = self._thumbnail(a).places, self._thumbnail(b)
+        T_ba = (se3.inverse(b.T_wk) @ a.T_wk).to(places.points)
+        uv, z = of_b.camera.project(se3.transform(T_ba, places.points))
+        seen = torch.nonzero(of_b.camera.inside(uv, z))[:, 0]
+        u, v = uv[seen].round().long().unbind(-1)
+        near = (of_b.depth[v, u] - z[seen]).abs() < EDGE + EDGE_SHARE * z[seen]
+        seen, u, v = seen[near], u[near], v[near]
+        uv = uv[seen]
+        noise = (places.uncertainty[seen] ** 2 + of_b.uncertainty[v, u] ** 2).sqrt()
+        colour = places.colour[seen], sampled(of_b.colour, uv)
+        powers = places.powers[seen], even_powers(uv, of_b.camera)
+        return compare(*(column.double().cpu().numpy() for column in (*colour, *powers, noise)))
 
     def _thumbnail(self, keyframe: Keyframe) -> _Thumbnail:
         images = keyframe.images
