@@ -36,28 +36,34 @@ _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy",
 
 
 @_inlined
-def _add(H, b, J, w, r, row) -> None:  # type: ignore[no-untyped-def]
-    """H[0] += w J J^T (upper triangle), b[0] -= w r J; with moments H[1] and b[1] the same times `row`, and H[2] times its square."""
+def _fill_sums(J, w, r, rows, H, b) -> None:  # type: ignore[no-untyped-def]
+    """Fills H[0] = sum w J J^T and b[0] = -sum w r J from the columns J (6, N), w (N,), r (N,).
+
+    With moments H[1] and b[1] are the same times `rows` (N,), and H[2] times their squares. Each sum is a loop over columns that lie one
+    after another, which the compiler vectorises.
+    """
     for i in range(6):
-        scaled = w * J[i]
-        b[0, i] -= scaled * r
+        weighted = w * J[i]
         for j in range(i, 6):
-            H[0, i, j] += scaled * J[j]
-    if len(H) > 1:
-        for i in range(6):
-            scaled = w * row * J[i]
-            b[1, i] -= scaled * r
-            for j in range(i, 6):
-                H[1, i, j] += scaled * J[j]
-                H[2, i, j] += scaled * row * J[j]
-
-
-@_inlined
-def _mirror(H) -> None:  # type: ignore[no-untyped-def]
-    for k in range(len(H)):
-        for i in range(6):
-            for j in range(i):
-                H[k, i, j] = H[k, j, i]
+            total, first, second = 0.0, 0.0, 0.0
+            if len(H) > 1:
+                for k in range(len(w)):
+                    product = weighted[k] * J[j, k]
+                    total += product
+                    first += product * rows[k]
+                    second += product * rows[k] * rows[k]
+                H[1, i, j], H[1, j, i], H[2, i, j], H[2, j, i] = first, first, second, second
+            else:
+                for k in range(len(w)):
+                    total += weighted[k] * J[j, k]
+            H[0, i, j], H[0, j, i] = total, total
+        total, first = 0.0, 0.0
+        for k in range(len(w)):
+            total -= weighted[k] * r[k]
+            first -= weighted[k] * r[k] * rows[k]
+        b[0, i] = total
+        if len(b) > 1:
+            b[1, i] = first
 
 
 @_compiled
@@ -111,27 +117,28 @@ def depth_system(turned, distance, normal, slope, sigma, rows, truncation, robus
     Returns the sum of the weights, the sum of the weighted squares [m^2], the sum of the weights of the robust kernel alone, the number of
     points near a mapped surface, and the mean distance of all points from the camera [m].
     """
-    J = np.empty(6)
+    n = len(distance)
+    J, w, residuals, row = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n)
     total, squares, robustly, known, radius = 0.0, 0.0, 0.0, 0, 0.0
-    for n in range(len(distance)):
-        radius += np.sqrt(turned[n, 0] ** 2 + turned[n, 1] ** 2 + turned[n, 2] ** 2)
-        if abs(distance[n]) >= MAPPED * truncation or slope[n] <= LEAST_SLOPE:
+    for i in range(n):
+        x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
+        radius += np.sqrt(x * x + y * y + z * z)
+        if abs(distance[i]) >= MAPPED * truncation or slope[i] <= LEAST_SLOPE:
             continue
-        known += 1
-        x, y, z = turned[n, 0], turned[n, 1], turned[n, 2]
-        nx, ny, nz = normal[n, 0], normal[n, 1], normal[n, 2]
-        r = distance[n] / max(slope[n], SLOPE_FLOOR)
-        scale = robust * min(sigma[n], widest)
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        r = distance[i] / max(slope[i], SLOPE_FLOOR)
+        scale = robust * min(sigma[i], widest)
         kernel = 1 + (r / scale) ** 2
-        w = 1 / (kernel * kernel * sigma[n] * sigma[n])
-        J[0], J[1], J[2] = nx, ny, nz
-        J[3], J[4], J[5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-        _add(H, b, J, w, r, rows[n])
-        total += w
-        squares += w * r * r
+        w[known] = 1 / (kernel * kernel * sigma[i] * sigma[i])
+        J[0, known], J[1, known], J[2, known] = nx, ny, nz
+        J[3, known], J[4, known], J[5, known] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        residuals[known], row[known] = r, rows[i]
+        total += w[known]
+        squares += w[known] * r * r
         robustly += 1 / (kernel * kernel)
-    _mirror(H)
-    return total, squares, robustly, known, radius / len(distance)
+        known += 1
+    _fill_sums(J[:, :known], w[:known], residuals[:known], row[:known], H, b)
+    return total, squares, robustly, known, radius / n
 
 
 @_compiled
@@ -268,46 +275,60 @@ def carry_points(points, seconds, velocity, out) -> None:  # type: ignore[no-unt
 
 
 @_inlined
+def _numbers(R):  # type: ignore[no-untyped-def]
+    """The numbers of R (3, 3), row by row. Unlike those of an array, a loop that fills arrays need not read them again at each step."""
+    return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
+
+
+@_inlined
 def _along_axes(R, x, y, z):  # type: ignore[no-untyped-def]
-    """R (3, 3) times a point."""
-    return R[0, 0] * x + R[0, 1] * y + R[0, 2] * z, R[1, 0] * x + R[1, 1] * y + R[1, 2] * z, R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+    """A matrix of numbers R times a point."""
+    return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
 
 
 @_inlined
-def _landmarks_at_rows(points, R_cw, T_wk, T_wc, times, velocity, fy, cy, height, d, camera):  # type: ignore[no-untyped-def]
-    """Fills d (M, 3), landmarks from the camera's centre along world axes, and camera (M, 3), R_cw d, along its own axes.
+def _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height):  # type: ignore[no-untyped-def]
+    """Landmarks from the camera's centre along world axes, d (3, M), and along its own axes, camera (3, M), as the rows of colour see them.
 
-    Both are as the rows of colour see them. Returns the landmarks as the rows of depth see them (M, 3): `photometric.at_their_rows`.
+    The third result is the latter as the rows of depth see them: `photometric.at_their_rows`.
     """
-    moves = times[0] != 0 or times[1] != 0 or times[2] != 0
-    of_depth = np.empty_like(camera) if moves else camera
-    shift = T_wk[:3, 3] - T_wc[:3, 3]
-    for i in range(len(points)):
-        x, y, z = _along_axes(T_wk, points[i, 0], points[i, 1], points[i, 2])
-        X, Y, Z = x + shift[0], y + shift[1], z + shift[2]
-        d[i, 0], d[i, 1], d[i, 2] = X, Y, Z
-        camera[i, 0], camera[i, 1], camera[i, 2] = _along_axes(R_cw, X, Y, Z)
-        if moves:
-            for _ in range(ROW_STEPS):
-                row = _row(camera[i], fy, cy, height)
-                d[i, 0], d[i, 1], d[i, 2] = _carry(X, Y, Z, -times[0] * row, velocity)
-                camera[i, 0], camera[i, 1], camera[i, 2] = _along_axes(R_cw, d[i, 0], d[i, 1], d[i, 2])
-            x, y, z = _carry(X, Y, Z, -(times[2] + times[1] * _row(camera[i], fy, cy, height)), velocity)
-            of_depth[i, 0], of_depth[i, 1], of_depth[i, 2] = _along_axes(R_cw, x, y, z)
-    return of_depth
+    m = len(points)
+    d, camera = np.empty((3, m)), np.empty((3, m))
+    R_wk, R_cw, v = _numbers(T_wk), _numbers(T_wc[:3, :3].T), (velocity[0], velocity[1], velocity[2], velocity[3], velocity[4], velocity[5])
+    shift_x, shift_y, shift_z = T_wk[0, 3] - T_wc[0, 3], T_wk[1, 3] - T_wc[1, 3], T_wk[2, 3] - T_wc[2, 3]
+    for i in range(m):
+        x, y, z = _along_axes(R_wk, points[i, 0], points[i, 1], points[i, 2])
+        d[0, i], d[1, i], d[2, i] = x + shift_x, y + shift_y, z + shift_z
+        camera[0, i], camera[1, i], camera[2, i] = _along_axes(R_cw, d[0, i], d[1, i], d[2, i])
+    readout, depth_readout, delay = times[0], times[1], times[2]
+    if readout == 0 and depth_readout == 0 and delay == 0:
+        return d, camera, camera
+    of_depth = np.empty((3, m))
+    for i in range(m):
+        X, Y, Z = d[0, i], d[1, i], d[2, i]
+        x, y, z = X, Y, Z
+        a, b, c = camera[0, i], camera[1, i], camera[2, i]
+        for _ in range(ROW_STEPS):
+            x, y, z = _carry(X, Y, Z, -readout * _row(b, c, fy, cy, height), v)
+            a, b, c = _along_axes(R_cw, x, y, z)
+        d[0, i], d[1, i], d[2, i] = x, y, z
+        camera[0, i], camera[1, i], camera[2, i] = a, b, c
+        x, y, z = _carry(X, Y, Z, -(delay + depth_readout * _row(b, c, fy, cy, height)), v)
+        of_depth[0, i], of_depth[1, i], of_depth[2, i] = _along_axes(R_cw, x, y, z)
+    return d, camera, of_depth
 
 
 @_inlined
-def _row(point, fy, cy, height):  # type: ignore[no-untyped-def]
-    """The row that sees a point (3,), from -0.5 at the top of the image to 0.5 at its bottom."""
-    return min(max((point[1] / max(point[2], NEAREST) * fy + cy + 0.5) / height, 0.0), 1.0) - 0.5
+def _row(y, z, fy, cy, height):  # type: ignore[no-untyped-def]
+    """The row that sees a point, from -0.5 at the top of the image to 0.5 at its bottom."""
+    return min(max((y / max(z, NEAREST) * fy + cy + 0.5) / height, 0.0), 1.0) - 0.5
 
 
 @_inlined
-def _hidden(point, depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):  # type: ignore[no-untyped-def]
-    """Whether the frame's depth contradicts a point (3,): something is in front of it, or there is nothing."""
-    z = max(point[2], NEAREST)
-    u, v = min(max(point[0] / z * fx + cx, 0.0), width - 1.0), min(max(point[1] / z * fy + cy, 0.0), height - 1.0)
+def _hidden(x, y, z, depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):  # type: ignore[no-untyped-def]
+    """Whether the frame's depth contradicts a point: something is in front of it, or there is nothing."""
+    z = max(z, NEAREST)
+    u, v = min(max(x / z * fx + cx, 0.0), width - 1.0), min(max(y / z * fy + cy, 0.0), height - 1.0)
     measured = depth[int((v + 0.5) * ratio_v), int((u + 0.5) * ratio_u)]
     return measured > 0 and abs(measured - z) >= OCCLUSION + OCCLUSION_SHARE * z
 
@@ -320,7 +341,7 @@ def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes over landmarks)
+def photometric_system(  # type: ignore[no-untyped-def]
     points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
 ):
     """Fills the normal equations of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
@@ -332,54 +353,47 @@ def photometric_system(  # type: ignore[no-untyped-def] # noqa: C901 (two passes
     along each axis as the image. times (3,) [s]: read-out of colour and of depth, and delay of depth; velocity (6,): with them, landmarks
     are seen where the camera is when their rows are read.
     """
-    m = len(points)
-    values, d = np.empty((m, 3)), np.empty((m, 3))
-    inside = np.zeros(m, np.bool_)
     height, width = image.shape
+    d, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
+    seen, values = np.empty(len(points), np.int64), np.empty((3, len(points)))
     n, sum_t, sum_v, sum_tt, sum_vv = 0, 0.0, 0.0, 0.0, 0.0
-    camera, R_cw = np.empty((m, 3)), T_wc[:3, :3].T
-    rows_of_depth = _landmarks_at_rows(points, R_cw, T_wk, T_wc, times, velocity, fy, cy, height, d, camera)
-    for i in range(m):
-        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
+    for i in range(len(points)):
+        x, y, z = camera[0, i], camera[1, i], camera[2, i]
         if z < NEAREST:
             continue
         u, v = x / z * fx + cx, y / z * fy + cy
         if u < 1 or v < 1 or u > width - 2 or v > height - 2:
             continue
-        if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
+        if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             continue
-        inside[i] = True
-        values[i, 0], values[i, 1], values[i, 2] = _brightness(image, u, v)
-        n += 1
+        seen[n] = i
+        values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
         sum_t += target[i]
-        sum_v += values[i, 0]
+        sum_v += values[0, n]
         sum_tt += target[i] * target[i]
-        sum_vv += values[i, 0] * values[i, 0]
+        sum_vv += values[0, n] * values[0, n]
+        n += 1
     if n == 0:
         return 0, 0.0
     mean_t, mean_v = sum_t / n, sum_v / n
     gain = _gain(sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
-    residuals = np.empty(n)
-    k = 0
-    for i in range(m):
-        if inside[i]:
-            residuals[k] = abs(values[i, 0] - mean_v - gain * (target[i] - mean_t))
-            k += 1
-    scale = max(DEVIATION * np.median(residuals), floor)
-    J = np.empty(6)
-    for i in range(m):
-        if not inside[i]:
-            continue
-        r = values[i, 0] - mean_v - gain * (target[i] - mean_t)
-        kernel = 1 + (r / (widest * scale)) ** 2
-        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
-        su, sv = values[i, 1] * fx / z, values[i, 2] * fy / z
-        sz = -(su * x + sv * y) / z
-        for a in range(3):
-            J[a] = -(R_cw[0, a] * su + R_cw[1, a] * sv + R_cw[2, a] * sz)
-        J[3], J[4], J[5] = d[i, 1] * J[2] - d[i, 2] * J[1], d[i, 2] * J[0] - d[i, 0] * J[2], d[i, 0] * J[1] - d[i, 1] * J[0]
-        _add(H, b, J, 1 / (kernel * kernel * scale * scale), r, (y / z * fy + cy + 0.5) / height - 0.5)
-    _mirror(H)
+    J, w, r, rows = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        r[k] = values[0, k] - mean_v - gain * (target[seen[k]] - mean_t)
+    scale = max(DEVIATION * np.median(np.abs(r)), floor)
+    R_wc = _numbers(T_wc)
+    for k in range(n):
+        i = seen[k]
+        x, y, z = camera[0, i], camera[1, i], camera[2, i]
+        per_z = 1 / z
+        su, sv = values[1, k] * fx * per_z, values[2, k] * fy * per_z
+        a, b_, c = _along_axes(R_wc, -su, -sv, (su * x + sv * y) * per_z)
+        J[0, k], J[1, k], J[2, k] = a, b_, c
+        J[3, k], J[4, k], J[5, k] = d[1, i] * c - d[2, i] * b_, d[2, i] * a - d[0, i] * c, d[0, i] * b_ - d[1, i] * a
+        kernel = 1 + (r[k] / (widest * scale)) ** 2
+        w[k] = 1 / (kernel * kernel * scale * scale)
+        rows[k] = (y * per_z * fy + cy + 0.5) / height - 0.5
+    _fill_sums(J, w, r, rows, H, b)
     return n, scale
 
 
@@ -392,11 +406,11 @@ def median_displacement(  # type: ignore[no-untyped-def]
     slopes (2, M): the derivatives of the keyframe's brightness. All else is as for `photometric_system`.
     """
     height, width = image.shape
-    d, camera, found = np.empty((len(points), 3)), np.empty((len(points), 3)), np.empty((len(points), 4))
-    rows_of_depth = _landmarks_at_rows(points, T_wc[:3, :3].T, T_wk, T_wc, times, velocity, fy, cy, height, d, camera)
+    _, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
+    found = np.empty((len(points), 4))
     n, hidden, sum_t, sum_v, sum_tt, sum_vv = 0, 0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(points)):
-        x, y, z = camera[i, 0], camera[i, 1], camera[i, 2]
+        x, y, z = camera[0, i], camera[1, i], camera[2, i]
         if z < NEAREST:
             continue
         u, v = x / z * fx + cx, y / z * fy + cy
@@ -404,7 +418,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
             continue
         if _masked(u, v, depth, ratio_u, ratio_v):
             continue
-        if _hidden(rows_of_depth[i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
+        if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             hidden += 1
             continue
         found[n, 0], found[n, 1], found[n, 2] = _brightness(image, u, v)
