@@ -1,12 +1,16 @@
 """The distances of a frame's points to the map: asked where the points have moved far, linear in between."""
 
+import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
 from helpers.three_walls import CORNER, EYE, aligner, taught, view
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import moved
-from idfslam.alignment.surface_distances import SurfaceDistances
+from idfslam.alignment.surface_distances import SurfaceDistances, carried_distance, placed, plain_carried_distance, plain_placed
 from idfslam.mapping.mapper import Mapper
+from idfslam.sensing.rectification import RowTimes
 
 
 def shifted(metres: float) -> Tensor:
@@ -31,3 +35,19 @@ def test_the_map_is_asked_again_beyond_two_millimetres() -> None:
     assert abs(near.rmse - exact.rmse) < 0.0002
     distances.term(shifted(0.003), 0.01, None)
     assert asked[0] == 2
+
+
+def test_the_compiled_forms_are_the_plain_ones() -> None:
+    seen, of_map = view(CORNER, EYE), aligner(taught(CORNER))
+    surface, T = of_map.surface(seen.images, seen.camera), moved(EYE, torch.tensor([0.1, -0.2, 0.3, 0.1, 0.2, -0.3], dtype=torch.float64))
+    for motion in (None, FrameMotion(RowTimes(0.03, 0.02, 0.01), np.array([0.4, -0.3, 0.2, 1.0, 2.0, -1.5]))):
+        for found, plain in zip(placed(surface, T, motion), plain_placed(surface, T, motion)):
+            torch.testing.assert_close(found, plain, rtol=0, atol=2e-6)
+    generator = torch.Generator().manual_seed(0)
+    asked, gradient = (torch.randn(len(surface.points), 3, generator=generator) for _ in range(2))
+    distance = torch.randn(len(asked), generator=generator)
+    (squares, found), (plain_squares, plain) = (
+        form(surface.points, asked, distance, gradient) for form in (carried_distance, plain_carried_distance)
+    )
+    assert squares == pytest.approx(plain_squares, rel=1e-5)
+    torch.testing.assert_close(found, plain, rtol=0, atol=1e-5)

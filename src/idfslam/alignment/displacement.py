@@ -9,12 +9,11 @@ than a pixel.
 
 import math
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from idfslam.alignment.constants import LEAST_GRADIENT, NEAREST
-from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.frame_motion import FrameMotion, numbers_of
 from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.photometric import Appearance, at_their_rows, exposure, masked, unoccluded
 from idfslam.compute.backend import pick
@@ -49,9 +48,8 @@ def compiled_displacement(
 
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
-    times, velocity = (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
     seen, pixels = median_displacement(
-        marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy(), T_wk.numpy(), T_wc.numpy(), times, velocity,
+        marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy(), T_wk.numpy(), T_wc.numpy(), *numbers_of(motion),
         image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio,
     )  # fmt: skip
     return int(seen), float(pixels)

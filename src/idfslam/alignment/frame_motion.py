@@ -37,6 +37,11 @@ class FrameMotion:
         return carried(points, -self.times.readout * rows, self.velocity)
 
 
+def numbers_of(motion: FrameMotion | None) -> tuple[Array, Array]:
+    """The times (3,) [s] and the velocity (6,) of a motion for compiled loops; zero for none."""
+    return (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
+
+
 def carried(points: Tensor, seconds: Tensor, velocity: Array) -> Tensor:
     """Points (N, 3), as a camera sees them `seconds` (N,) before, from its centre along world axes: exp(seconds velocity) p."""
     return pick(points, compiled=compiled_carried, plain=plain_carried)(points, seconds, velocity)

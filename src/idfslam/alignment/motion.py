@@ -59,25 +59,31 @@ class Information:
 
 def moved(T: Tensor, change: Tensor) -> Tensor:
     """The pose (4, 4) after a change (6,), both float64 on the host."""
-    out = T.clone()
-    x, y, z = change[3:].tolist()
+    out = T.numpy().copy()
+    *shift, x, y, z = change.tolist()  # numbers of Python: numpy takes longer for each operation on three of them
     angle = math.sqrt(x * x + y * y + z * z)
-    sine, cosine = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > _TINY else (1.0, 0.5)
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    out.numpy()[:3, :3] += (sine * K + cosine * K @ K) @ T[:3, :3].numpy()  # Rodrigues
-    out[:3, 3] += change[:3]
-    return out
+    a, c = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > _TINY else (1.0, 0.5)
+    p, q, r = c * x * y, c * x * z, c * y * z
+    turn = [
+        [-c * (y * y + z * z), p - a * z, q + a * y],
+        [p + a * z, -c * (x * x + z * z), r - a * x],
+        [q - a * y, r + a * x, -c * (x * x + y * y)],
+    ]
+    out[:3, :3] += np.array(turn) @ out[:3, :3]  # Rodrigues
+    out[:3, 3] += shift
+    return torch.from_numpy(out)
 
 
 def change_between(T: Tensor, other: Tensor) -> Tensor:
     """The change (6,) from a pose to another one, both (4, 4) float64 on the host: moved(T, change) = other."""
-    R = other[:3, :3].numpy() @ T[:3, :3].numpy().T
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # numbers of Python: numpy takes longer for each operation on three of them
+    of_T, of_other = T.numpy(), other.numpy()
+    R = of_other[:3, :3] @ of_T[:3, :3].T
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     x, y, z, cosine = (h - f) / 2, (c - g) / 2, (d - b) / 2, (a + e + i - 1) / 2
     sine = math.sqrt(x * x + y * y + z * z)  # x, y and z are the axis times the sine of the angle; near 180 degrees they vanish
     scale = math.atan2(sine, cosine) / sine if sine > _TINY else 1.0
     turn = [scale * x, scale * y, scale * z] if cosine > _OPPOSITE else Rotation.from_matrix(R).as_rotvec().tolist()
-    return torch.tensor([p - q for p, q in zip(other[:3, 3].tolist(), T[:3, 3].tolist())] + turn, dtype=torch.float64)
+    return torch.tensor([*(of_other[:3, 3] - of_T[:3, 3]).tolist(), *turn], dtype=torch.float64)
 
 
 def image_motion(T: Tensor, other: Tensor, radius: float) -> float:

@@ -5,7 +5,6 @@ The images of earlier keyframes constrain directions that the shape of the map l
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +19,7 @@ from idfslam.alignment.constants import (
     OCCLUSION_SHARE,
     ROW_STEPS,
 )
-from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.frame_motion import FrameMotion, numbers_of
 from idfslam.alignment.image_pyramid import Level
 from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.row_moments import PoseEquations, RowMoments
@@ -86,9 +85,8 @@ def compiled_photometric_term(
     image, camera = frame.levels[level].luminance, frame.levels[level].camera
     sums = RowMoments.zeros(moments=moments)
     ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
-    times, velocity = (np.zeros(3), np.zeros(6)) if motion is None else (motion.times.array, motion.velocity)
     seen, noise = photometric_system(
-        marks.points.numpy(), marks.luminance[level].numpy(), T_wk.numpy(), T_wc.numpy(), times, velocity,
+        marks.points.numpy(), marks.luminance[level].numpy(), T_wk.numpy(), T_wc.numpy(), *numbers_of(motion),
         image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio, floor, widest,
         sums.H, sums.b,
     )  # fmt: skip

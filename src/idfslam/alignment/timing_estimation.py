@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from idfslam.alignment.continuous_motion import distorted, joint_system
 from idfslam.alignment.row_moments import RowMoments
@@ -151,7 +150,8 @@ class TimingEstimator(Stateful):
         square = np.array([[u @ C[2] @ u, 0, 0], [0, u @ D[2] @ u, u @ D[1] @ u], [0, u @ D[1] @ u, u @ D[0] @ u]])
         b = b - H[:, 6:12] @ corrected
         gradient = np.array([u @ frame.images.b[1], u @ frame.depth.b[1], u @ frame.depth.b[0]]) - by_velocity.T @ corrected
-        prior = block_diag(_LEAST_INFORMATION * np.eye(6), np.linalg.inv(velocity_covariance), np.linalg.inv(frame.reference_covariance))
+        prior = np.diag(np.repeat([_LEAST_INFORMATION, 0.0, 0.0], 6))
+        prior[6:12, 6:12], prior[12:, 12:] = np.linalg.inv(velocity_covariance), np.linalg.inv(frame.reference_covariance)
         gain = np.linalg.solve(H + prior, cross)
         information = square - cross.T @ gain
         at = np.array([times.readout, times.depth_readout, times.depth_delay - frame.lag])

@@ -286,6 +286,33 @@ def _along_axes(R, x, y, z):  # type: ignore[no-untyped-def]
     return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
 
 
+@_compiled
+def place(points, rows, T, times, velocity, turned, world) -> None:  # type: ignore[no-untyped-def]
+    """Fills turned (N, 3), points (N, 3) that depth's rows (N,) read, at a pose T (4, 4), from the camera's centre, and world (N, 3).
+
+    times (3,), velocity (6,): as for `photometric_system`. They are as at the time stamp.
+    """
+    R, shift_x, shift_y, shift_z = _numbers(T), T[0, 3], T[1, 3], T[2, 3]
+    v = velocity[0], velocity[1], velocity[2], velocity[3], velocity[4], velocity[5]
+    readout, delay = times[1], times[2]
+    for n in range(len(points)):
+        x, y, z = _along_axes(R, points[n, 0], points[n, 1], points[n, 2])
+        x, y, z = _carry(x, y, z, delay + readout * rows[n], v)
+        turned[n, 0], turned[n, 1], turned[n, 2] = x, y, z
+        world[n, 0], world[n, 1], world[n, 2] = x + shift_x, y + shift_y, z + shift_z
+
+
+@_compiled
+def carry_distance(points, asked, distance, gradient, out) -> float:  # type: ignore[no-untyped-def]
+    """Fills out (N,) with distances carried along their gradients, and returns the sum of squares: `surface_distances.carried_distance`."""
+    squares = 0.0
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - asked[n, 0], points[n, 1] - asked[n, 1], points[n, 2] - asked[n, 2]
+        squares += x * x + y * y + z * z
+        out[n] = distance[n] + x * gradient[n, 0] + y * gradient[n, 1] + z * gradient[n, 2]
+    return squares
+
+
 @_inlined
 def _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height):  # type: ignore[no-untyped-def]
     """Landmarks from the camera's centre along world axes, d (3, M), and along its own axes, camera (3, M), as the rows of colour see them.
