@@ -13,7 +13,7 @@ from idfslam.alignment.displacement import compiled_displacement, displacement, 
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.image_pyramid import pyramid
 from idfslam.alignment.landmarks import Landmarks, landmarks
-from idfslam.alignment.photometric import Appearance
+from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.rectification import RowTimes
@@ -77,7 +77,9 @@ def test_a_ramp_by_hand() -> None:
 @pytest.mark.parametrize("motion", [None, FrameMotion(RowTimes(0.02, 0.025, 0.01), np.array([0.3, -0.2, 0.1, 0.5, 1.0, -0.4]))])
 def test_the_compiled_one_is_the_plain_one(marks: Landmarks, degrees: float, motion: FrameMotion | None) -> None:
     frame = wall(EYE, gain=0.8)
-    compiled, plain = (form(frame, marks, EYE, turned(degrees), 2, motion) for form in (compiled_displacement, plain_displacement))
+    compiled, plain = (
+        form(Sighting(frame, marks, EYE, turned(degrees), 2, motion)) for form in (compiled_displacement, plain_displacement)
+    )
     assert compiled[0] == plain[0] and compiled[1] == pytest.approx(plain[1], rel=1e-4, abs=1e-5)
 
 
@@ -90,4 +92,4 @@ def test_it_grows_with_the_error_and_not_with_blur_or_exposure(marks: Landmarks)
 
 def test_without_a_landmark_in_view_it_is_unknown(marks: Landmarks) -> None:
     assert displacement(wall(EYE), marks, EYE, turned(180.0)) == (0, 0.0)
-    assert plain_displacement(wall(EYE), marks, EYE, turned(180.0), 2) == (0, 0.0)
+    assert plain_displacement(Sighting(wall(EYE), marks, EYE, turned(180.0), 2)) == (0, 0.0)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from idfslam.alignment import image_rotation
 from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image
-from idfslam.alignment.photometric import Appearance
+from idfslam.alignment.sighting import Appearance
 from test_displacement import EYE, appearance, turned, wall
 
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.image_pyramid import pyramid
 from idfslam.alignment.landmarks import Landmarks, landmarks
-from idfslam.alignment.photometric import Appearance, photometric_term, plain_photometric_term
+from idfslam.alignment.photometric import photometric_term, plain_photometric_term
+from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.rectification import RowTimes
@@ -55,8 +56,8 @@ def test_the_compiled_term_is_the_plain_one(level: int, noise: float) -> None:
     depth[:20] = 0  # holes in the frame's depth hide nothing,
     depth[:, 70:] = 1.0  # an obstacle does
     frame = replace(frame, depth=depth)
-    found = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0)
-    plain = plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0)
+    found = photometric_term(Sighting(frame, marks, T_wk, T_wc, level), floor=0.002, widest=3.0)
+    plain = plain_photometric_term(Sighting(frame, marks, T_wk, T_wc, level), floor=0.002, widest=3.0)
     assert found.seen == plain.seen
     assert 50 < found.seen < len(marks.points) - 20
     assert found.noise == pytest.approx(plain.noise, rel=2e-3)
@@ -70,9 +71,9 @@ def test_the_compiled_term_of_a_moving_frame_is_the_plain_one(level: int) -> Non
     T_wk, T_wc = pose(0.1, 0.02, 0, 0.01, 0.05, 0), pose(0.13, 0, 0.04, 0.0, 0.03, 0.02)
     marks, frame = marks_at(T_wk), appearance(pose(0.14, 0, 0.04, 0.0, 0.035, 0.02))
     motion = FrameMotion(RowTimes(0.03, 0.02, -0.01), np.array([0.3, -0.2, 0.1, 0.8, -1.0, 1.5]))
-    found = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True, motion=motion)
-    plain = plain_photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True, motion=motion)
-    still = photometric_term(frame, marks, T_wk, T_wc, level, floor=0.002, widest=3.0, moments=True)
+    found = photometric_term(Sighting(frame, marks, T_wk, T_wc, level, motion), floor=0.002, widest=3.0, moments=True)
+    plain = plain_photometric_term(Sighting(frame, marks, T_wk, T_wc, level, motion), floor=0.002, widest=3.0, moments=True)
+    still = photometric_term(Sighting(frame, marks, T_wk, T_wc, level), floor=0.002, widest=3.0, moments=True)
     assert found.seen == plain.seen
     assert found.noise == pytest.approx(plain.noise, rel=2e-3)
     for k in range(3):
@@ -96,7 +97,7 @@ def test_jacobian_against_finite_differences() -> None:
     checked = 0
     for i in range(0, len(marks.points), 7):
         one = Landmarks(marks.points[i : i + 1], [x[i : i + 1] for x in marks.luminance], [x[:, i : i + 1] for x in marks.slopes])
-        term = photometric_term(frame, one, T_wk, T_wc, 0, floor=1.0, widest=3.0)
+        term = photometric_term(Sighting(frame, one, T_wk, T_wc, 0), floor=1.0, widest=3.0)
         if term.seen == 0:
             continue
 
@@ -117,7 +118,7 @@ def test_the_step_goes_back_to_the_true_pose() -> None:
     frame, marks = appearance(truth), marks_at(T_wk)
     T = moved(truth, torch.tensor([0.01, -0.01, 0.0, 0.004, 0.006, -0.005], dtype=torch.float64))
     for _ in range(8):
-        term = photometric_term(frame, marks, T_wk, T, 0, floor=0.002, widest=3.0)
+        term = photometric_term(Sighting(frame, marks, T_wk, T, 0), floor=0.002, widest=3.0)
         T = moved(T, torch.linalg.solve(term.H, term.b))
     error = se3.inverse(truth) @ T
     assert float(error[:3, 3].norm()) < 0.003
@@ -127,20 +128,20 @@ def test_the_step_goes_back_to_the_true_pose() -> None:
 def test_exposure_is_taken_out() -> None:
     T_wk, T_wc = EYE, pose(0.03, 0, 0.02, 0, 0.01, 0)
     marks = marks_at(T_wk)
-    same = photometric_term(appearance(T_wc), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)
-    other = photometric_term(appearance(T_wc, gain=1.2, offset=-0.1), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)
+    same = photometric_term(Sighting(appearance(T_wc), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)
+    other = photometric_term(Sighting(appearance(T_wc, gain=1.2, offset=-0.1), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)
     assert other.seen == same.seen
     assert other.noise == pytest.approx(1.2 * same.noise, rel=0.05)
-    far = photometric_term(appearance(T_wc, gain=3.0), marks, T_wk, T_wc, 0, floor=1e-4, widest=3.0)  # no exposure goes that far
+    far = photometric_term(Sighting(appearance(T_wc, gain=3.0), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)  # no exposure goes that far
     assert far.noise > 10 * same.noise
 
 
 def test_noise_is_that_of_the_images() -> None:
     # Noise of 0.03 a pixel, weighted by bilinear interpolation: its standard deviation lies between 0.03 / 2 and 0.03.
     marks, T_wc = marks_at(EYE), pose(0.031, 0, 0.02, 0, 0.01, 0)
-    noisy = photometric_term(appearance(T_wc, noise=0.03), marks, EYE, T_wc, 0, floor=0.001, widest=3.0)
+    noisy = photometric_term(Sighting(appearance(T_wc, noise=0.03), marks, EYE, T_wc, 0), floor=0.001, widest=3.0)
     assert 0.015 < noisy.noise < 0.03
-    assert photometric_term(appearance(T_wc), marks, EYE, T_wc, 0, floor=0.01, widest=3.0).noise == 0.01  # the floor
+    assert photometric_term(Sighting(appearance(T_wc), marks, EYE, T_wc, 0), floor=0.01, widest=3.0).noise == 0.01  # the floor
 
 
 @pytest.mark.parametrize("build", [photometric_term, plain_photometric_term])
@@ -152,14 +153,14 @@ def test_a_blurred_image_counts_for_less(build) -> None:  # type: ignore[no-unty
     for width in (1, 3, 7):  # pixels of a sideways motion
         blurred = torch.from_numpy(cv2.blur(colour.numpy(), (width, 1)))
         frame = Appearance(pyramid(blurred, CAMERA, height=72, levels=1), depth, CAMERA)
-        information.append(float(build(frame, marks, EYE, EYE, 0, floor=0.02, widest=3.0).H.trace()))
+        information.append(float(build(Sighting(frame, marks, EYE, EYE, 0), floor=0.02, widest=3.0).H.trace()))
     assert information[1] < information[0] / 10
     assert information[2] < information[1]
 
 
 @pytest.mark.parametrize("build", [photometric_term, plain_photometric_term])
 def test_a_camera_turned_away_sees_nothing(build) -> None:  # type: ignore[no-untyped-def]
-    term = build(appearance(EYE), marks_at(EYE), EYE, pose(0, 0, 0, 0, 3.1, 0), 0, floor=0.01, widest=3.0)
+    term = build(Sighting(appearance(EYE), marks_at(EYE), EYE, pose(0, 0, 0, 0, 3.1, 0), 0), floor=0.01, widest=3.0)
     assert term.seen == 0
     assert not term.H.any()
     assert not term.b.any()

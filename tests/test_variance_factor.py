@@ -5,7 +5,8 @@ import pytest
 
 from idfslam.alignment import variance_factor as module
 from idfslam.alignment.depth_term import DepthTerm
-from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm
+from idfslam.alignment.gauss_newton import INDEPENDENT
+from idfslam.alignment.image_term import ImageTerm
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.variance_factor import variance_factor
 

@@ -17,12 +17,13 @@ from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm, JointSolver, PoseSolver, Solver
-from idfslam.alignment.landmarks import Landmarks
+from idfslam.alignment.gauss_newton import INDEPENDENT, JointSolver, PoseSolver, Solver
+from idfslam.alignment.image_term import ImageTerm, Posed, image_term
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.photometric import Appearance, photometric_term
+from idfslam.alignment.photometric import photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
 from idfslam.alignment.row_moments import Array, RowMoments
+from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.surface import Surface, surface_points
 from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
 from idfslam.alignment.usual_error import UsualError
@@ -103,7 +104,7 @@ class MapAligner(Stateful):
         max_guess_error_px: float | None = None,
         registered: bool = False,
         motion: MotionPrior | None = None,
-        recent: tuple[Landmarks, Tensor] | None = None,
+        recent: Posed | None = None,
     ) -> Alignment:
         """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4).
 
@@ -135,7 +136,7 @@ class MapAligner(Stateful):
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(T, self._robust(step), solver.motion)
-            of_images = self._image_term(appearance, posed, T, level, solver.motion, recent)
+            of_images = image_term(appearance, posed, T, level, solver.motion, self.config, recent)
             change, steps = solver.step(depth, of_images), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
@@ -150,7 +151,7 @@ class MapAligner(Stateful):
         has_depth, T, step = len(surface.points) >= self.config.min_points, T_wc.double(), self.config.iterations
         robust = self._robust(step)
         depth = self._against_map(surface).term(T, robust, None) if has_depth else self._absent_depth(references, moments=False)
-        images = self._image_term(appearance, self._posed(references), T, self._level(step), None)
+        images = image_term(appearance, self._posed(references), T, self._level(step), None, self.config)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
         return self._judged(T, np.zeros(6), displaced, depth, images, 0, None, focal, has_depth=has_depth)
 
@@ -206,7 +207,7 @@ class MapAligner(Stateful):
         level = level_of(appearance, _TIMING_ROWS)
         depth = self._against_map(surface).term(T_wc, self._robust(finest), motion)
         posed = self._posed(references)
-        images = _at_its_best(T_wc, lambda T: self._image_term(appearance, posed, T, level, motion).sums, self.config.converged)
+        images = _at_its_best(T_wc, lambda T: image_term(appearance, posed, T, level, motion, self.config).sums, self.config.converged)
         return depth.sums.scaled(scale), images.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
@@ -258,40 +259,14 @@ class MapAligner(Stateful):
         """[m] the scale of the robust weights of distances. It narrows over the first steps."""
         return self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
 
-    def _posed(self, references: Sequence[Keyframe]) -> list[tuple[Landmarks, Tensor]]:
+    def _posed(self, references: Sequence[Keyframe]) -> list[Posed]:
         """The landmarks of each reference, and its pose (4, 4)."""
         return [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
-
-    def _image_term(
-        self,
-        frame: Appearance,
-        posed: Sequence[tuple[Landmarks, Tensor]],
-        T: Tensor,
-        level: int,
-        motion: FrameMotion | None,
-        recent: tuple[Landmarks, Tensor] | None = None,
-    ) -> ImageTerm:
-        """The brightness of the references' `posed` landmarks, on a level of the pyramid.
-
-        motion: within the frame; with it, the sums have moments.
-        """
-        moments, noise, widest = motion is not None, self.config.colour_noise, self.config.colour_robust
-        terms = [
-            photometric_term(frame, marks, T_wk, T, level, floor=noise, widest=widest, moments=moments, motion=motion)
-            for marks, T_wk in [*posed, *([] if recent is None else [recent])]
-        ]
-        parts = tuple(term.sums.scaled(self.config.depth_noise**2) for term in terms if term.seen >= self.config.min_landmarks)
-        evidence = terms[: len(posed)]  # without the recent frame
-        enough = [term for term in evidence if term.seen >= self.config.min_landmarks]
-        error = sum(term.seen * term.noise for term in enough) / max(sum(term.seen for term in enough), 1)
-        count = sum(len(marks.points) for marks, _ in posed)
-        in_view = sum(term.seen for term in evidence) / count if count else 1.0
-        return ImageTerm(sum(parts, RowMoments.zeros(moments=moments)), error, in_view, parts)
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""
         marks, noise, widest = self.appearances.landmarks(reference), self.config.colour_noise, self.config.colour_robust
-        term = photometric_term(self.appearances.of(view), marks, reference.T_wk, T_wc, 0, floor=noise, widest=widest)
+        term = photometric_term(Sighting(self.appearances.of(view), marks, reference.T_wk, T_wc, 0), floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
 
     def _judged(

@@ -8,7 +8,7 @@ from torch import Tensor
 from idfslam.alignment.constants import MASKED
 from idfslam.alignment.image_pyramid import pyramid
 from idfslam.alignment.landmarks import Landmarks, landmarks
-from idfslam.alignment.photometric import Appearance
+from idfslam.alignment.sighting import Appearance
 from idfslam.config import AlignmentConfig
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe

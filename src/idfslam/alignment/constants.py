@@ -4,7 +4,7 @@ Numba compiles their values into the kernels, and its cache does not notice a ch
 where it is).
 """
 
-# Distances to the map (`aligner.depth_system`)
+# Distances to the map (`depth_term.depth_term`)
 MAPPED = 0.9  # [1] share of the truncation distance within which a point takes part. Raised to 1: points in free space take part too
 LEAST_SLOPE = 0.2  # [1] least length of the distance's gradient at a point that takes part. More: badly learnt places drop out
 SLOPE_FLOOR = 0.7  # [1] least slope by which a distance is divided. Less: distances at flat places of the field become larger

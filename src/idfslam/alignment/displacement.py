@@ -12,12 +12,12 @@ import math
 import torch
 from torch import Tensor
 
-from idfslam.alignment.constants import LEAST_GRADIENT, NEAREST
-from idfslam.alignment.frame_motion import FrameMotion, numbers_of
+from idfslam.alignment.constants import LEAST_GRADIENT
+from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.landmarks import Landmarks
-from idfslam.alignment.photometric import Appearance, at_their_rows, exposure, masked, unoccluded
+from idfslam.alignment.photometric import exposure
+from idfslam.alignment.sighting import Appearance, Sighting, masked
 from idfslam.compute.backend import pick
-from idfslam.geometry import se3
 
 # Rows of the image that displacements are measured on. More: smaller errors show, and blur and noise pass for errors.
 # Chosen by hand on generated hand-held recordings and fr1/rpy: with 120 and 30 rows right and wrong poses are told apart less well.
@@ -34,41 +34,29 @@ def displacement(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor
 
     Differences of exposure are taken out. The displacement is 0 if no landmark lies within the frame. motion: of the camera within it.
     """
-    level = level_of(frame)
-    measure = pick(marks.points, compiled=compiled_displacement, plain=plain_displacement)
-    seen, pixels = measure(frame, marks, T_wk, T_wc, level, motion)
-    return seen, pixels / frame.levels[level].camera.fx
+    sighting = Sighting(frame, marks, T_wk, T_wc, level_of(frame), motion)
+    seen, pixels = pick(marks.points, compiled=compiled_displacement, plain=plain_displacement)(sighting)
+    return seen, pixels / sighting.image.camera.fx
 
 
-def compiled_displacement(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, motion: FrameMotion | None = None
-) -> tuple[int, float]:
+def compiled_displacement(sighting: Sighting) -> tuple[int, float]:
     """Number of landmarks and their median displacement [px], by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import median_displacement
 
-    image, camera = frame.levels[level].luminance, frame.levels[level].camera
-    ratio = frame.camera.width / camera.width, frame.camera.height / camera.height
-    seen, pixels = median_displacement(
-        marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy(), T_wk.numpy(), T_wc.numpy(), *numbers_of(motion),
-        image.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, frame.depth.numpy(), *ratio,
-    )  # fmt: skip
+    marks, level = sighting.marks, sighting.level
+    landmarks = marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy()
+    seen, pixels = median_displacement(*landmarks, *sighting.numbers())
     return int(seen), float(pixels)
 
 
-def plain_displacement(
-    frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, level: int, motion: FrameMotion | None = None
-) -> tuple[int, float]:
+def plain_displacement(sighting: Sighting) -> tuple[int, float]:
     """The same in torch, on any device."""
-    T_wk, T_wc = T_wk.to(marks.points), T_wc.to(marks.points)
-    image, d = frame.levels[level], se3.transform(T_wk, marks.points) - T_wc[:3, 3]
-    d, depth_points = (d, d) if motion is None else at_their_rows(d, motion, T_wc, image.camera)
-    uv, z = image.camera.project(d @ T_wc[:3, :3])
-    size = uv.new_tensor([image.camera.width - 2, image.camera.height - 2])
-    inside = (z >= NEAREST) & (uv >= 1).all(-1) & (uv <= size).all(-1) & ~masked(frame, uv, image.camera)
-    seen = inside & unoccluded(frame, *image.camera.project(depth_points @ T_wc[:3, :3]), image.camera)
+    image, level, marks, places = sighting.image, sighting.level, sighting.marks, sighting.places()
+    inside = places.within & ~masked(sighting.frame, places.uv, image.camera)
+    seen = inside & places.in_sight
     if not bool(inside.any()):
         return 0, 0.0
-    value, *slopes = image.at(uv)
+    value, *slopes = image.at(places.uv)
     gain, offset = exposure(marks.luminance[level], value, seen)
     du, dv = ((of_frame + gain * of_keyframe) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level]))
     off = (value - gain * marks.luminance[level] - offset).abs() / torch.hypot(du, dv).clamp(min=LEAST_GRADIENT)

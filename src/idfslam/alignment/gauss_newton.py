@@ -1,6 +1,5 @@
 """Gauss-Newton steps of the alignment: of a pose alone, or of a pose and a velocity together."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -10,23 +9,15 @@ from torch import Tensor
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, distorted, joint_system
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.image_term import ImageTerm
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
+from idfslam.alignment.row_moments import Array, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.sensing.rectification import RowTimes
 
 # [1] Share of the points and landmarks that err independently: neighbours share the errors of the map. More: velocities follow the
 # images more, and the prior of the motion less. Chosen by hand on generated hand-held recordings.
 INDEPENDENT = 0.02
-
-
-@dataclass(frozen=True)
-class ImageTerm(PoseEquations):
-    """The photometric part of the normal equations, in units of the depth's."""
-
-    photometric_error: float  # scale of the brightness differences [1]
-    in_view: float  # share of the references' landmarks that are in view
-    parts: tuple[RowMoments, ...] = ()  # of each reference, and of the recent frame; `sums` is their sum
 
 
 class Solver(Protocol):

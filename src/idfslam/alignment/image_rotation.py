@@ -15,7 +15,8 @@ from idfslam.alignment.gauss_newton import INDEPENDENT
 from idfslam.alignment.image_pyramid import Level
 from idfslam.alignment.landmarks import Landmarks, pixels_in_depth
 from idfslam.alignment.motion import moved
-from idfslam.alignment.photometric import Appearance, Term, photometric_term
+from idfslam.alignment.photometric import Term, photometric_term
+from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.
@@ -82,7 +83,7 @@ def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, le
 
 
 def _term(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Term:
-    return photometric_term(small, seen, T_seen, T, level, floor=_NOISE, widest=_ROBUST)
+    return photometric_term(Sighting(small, seen, T_seen, T, level), floor=_NOISE, widest=_ROBUST)
 
 
 def small_image(frame: Appearance) -> Appearance:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.alignment.depth_term import DepthTerm
-from idfslam.alignment.gauss_newton import INDEPENDENT, ImageTerm
+from idfslam.alignment.gauss_newton import INDEPENDENT
+from idfslam.alignment.image_term import ImageTerm
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The normal equations of a pose on the CPU, compiled by Numba. The plain forms are in `aligner.py`, `normals.py` and `photometric.py`.
+"""The normal equations of a pose on the CPU, compiled by Numba. The plain forms are in the modules that call these.
 
 The alignment of a frame builds them ten times from a few thousand points. In torch the calls would cost more than the arithmetic.
 """
@@ -317,7 +317,7 @@ def carry_distance(points, asked, distance, gradient, out) -> float:  # type: ig
 def _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height):  # type: ignore[no-untyped-def]
     """Landmarks from the camera's centre along world axes, d (3, M), and along its own axes, camera (3, M), as the rows of colour see them.
 
-    The third result is the latter as the rows of depth see them: `photometric.at_their_rows`.
+    The third result is the latter as the rows of depth see them: `sighting.at_their_rows`.
     """
     m = len(points)
     d, camera = np.empty((3, m)), np.empty((3, m))
