@@ -268,6 +268,18 @@ def test_doubt(corner: Mapper) -> None:
     assert judge.is_doubtful(replace(good, status=Status.LOST))
 
 
+@pytest.mark.parametrize(
+    ("shift", "turn", "unsure"),
+    [(0.02, 0.01, False), (0.03, 0.01, True), (0.02, 0.021, True)],  # [m], [rad] standard deviation along each of three axes
+)
+def test_an_alignment_is_unsure_from_five_centimetres_or_two_degrees_on(shift: float, turn: float, unsure: bool) -> None:
+    """In all: 3.5 cm and 1 degree, 5.2 cm, 2.1 degrees. One whose covariance is not known is not unsure."""
+    found = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)
+    variances = torch.tensor([shift**2] * 3 + [turn**2] * 3, dtype=torch.float64)
+    assert replace(found, covariance=torch.diag(variances)).is_unsure is unsure
+    assert not found.is_unsure
+
+
 def test_the_usual_photometric_error(corner: Mapper) -> None:
     judge = aligner(corner, replace(CONFIG, doubtful_brightness=1.5, colour_noise=0.01))
     good = Alignment(EYE, Status.OK, 0.9, 0.004, 0.1, 0.02, 0.8, None, 5)

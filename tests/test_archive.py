@@ -3,6 +3,7 @@
 import errno
 import os
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,16 @@ def test_images_are_rectified_when_they_are_asked_for() -> None:
     made.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, -3.0])))  # from the raw images again
     assert made.taken is taken
     assert not torch.equal(made.colour, first)
+
+
+@pytest.mark.parametrize(("rows", "columns", "enough"), [(48, 64, True), (10, 13, True), (10, 6, False), (1, 5, False)])
+def test_a_few_readings_begin_no_map(rows: int, columns: int, enough: bool) -> None:
+    """The image has 48 rows and 64 columns: a fifth of both is enough, five readings are not."""
+    made = keyframe(0, eight_bits=True)
+    depth = np.zeros((48, 64), np.float32)
+    depth[:rows, :columns] = 1.0
+    frame = replace(made.frame, depth=depth)
+    assert Keyframe(frame, made.T_wk, torch.from_numpy(depth), made.colour).has_depth is enough
 
 
 def test_what_was_used_last_stays() -> None:

@@ -6,6 +6,7 @@ direction open (a bare wall), the brightness of the keyframes' landmarks constra
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -294,7 +295,8 @@ class MapAligner(Stateful):
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
         covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
         covariance = covariance * variance_factor(depth, images, last_step, self.config.depth_noise)
-        return Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
+        judged = Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
+        return replace(judged, status=Status.DEGENERATE) if status is Status.OK and judged.is_unsure else judged
 
     def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
         largest = max(self.config.max_rmse, _NOISE_MARGIN * self.config.depth_noise * depth.noise)

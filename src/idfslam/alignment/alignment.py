@@ -1,5 +1,6 @@
 """The result of aligning a frame: its pose, and how well depth and images constrain and confirm it."""
 
+import math
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -13,6 +14,9 @@ from idfslam.frame import Status
 _WRONG_ERROR = 0.1
 # [1], [m] Added to the photometric error and to the RMSE in a score. More: small differences decide less.
 _ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003
+# [m], [rad] Error that is expected of a pose (root mean square, by its covariance), above which it is degenerate. More: poses that hardly
+# anything measures are called ok. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
+_UNSURE = 0.05, math.radians(2)
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,14 @@ class Alignment:
     def least_information(self) -> float:
         """Smallest eigenvalue of the information of depth and images, per unit weight [1]; 0 without information."""
         return 0.0 if self.information is None else float(self.information.values[0])
+
+    @property
+    def is_unsure(self) -> bool:
+        """Whether the pose is expected to be far off, by its own covariance: depth and images hardly measure it."""
+        if self.covariance is None:
+            return False
+        shift, turn = (math.sqrt(float(self.covariance.diagonal()[part].sum())) for part in (slice(3), slice(3, 6)))
+        return shift > _UNSURE[0] or turn > _UNSURE[1]
 
     @property
     def score(self) -> float:

@@ -15,6 +15,11 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.archive import Archive, Stored
 from idfslam.sensing.rectification import Rectification, rectified
 
+# [1] Share of the cells of a grid over the image with a reading, from which the image has depth. Less begins no map that the next view
+# could be aligned to. More: an object without its background, and a place that is mostly out of the sensor's range, are mapped later. A
+# fifth of the image's width and height is enough.
+_LEAST_DEPTH = 0.04
+_GRID = 12, 16  # rows and columns of these cells; more: sparse depth covers less of them. Chosen by hand
 _EIGHT_BITS = np.float32(1 / 255)  # step of a colour channel of 8 bits, as most cameras have it
 
 
@@ -170,8 +175,8 @@ class KeyframeImages:
 
     @cached_property
     def has_depth(self) -> bool:
-        """Whether any of its pixels has a reading."""
-        return self.taken.readings > 0
+        """Whether enough of the image has depth for it to be mapped, and to begin a map."""
+        return _share_with_depth(self.taken.frame.depth) >= _LEAST_DEPTH
 
     @property
     def features(self) -> Any:
@@ -223,3 +228,9 @@ def _reduced_to_bytes(frame: Frame) -> tuple[Tensor, Tensor]:
     steps = np.rint(frame.colour * 255).astype(np.uint8)
     exact = np.array_equal(steps * _EIGHT_BITS, frame.colour)
     return torch.from_numpy(steps if exact else frame.colour), torch.from_numpy(frame.depth)
+
+
+def _share_with_depth(depth: NDArray[np.float32]) -> float:
+    """The share of the cells of a depth image (H, W) with a reading."""
+    rows, columns = (np.arange(cells) * size // cells for cells, size in zip(_GRID, depth.shape))
+    return float(np.mean(np.logical_or.reduceat(np.logical_or.reduceat(depth > 0, rows, axis=0), columns, axis=1)))
