@@ -14,7 +14,7 @@ def intrinsics_of(camera: Camera) -> Intrinsics:
     return camera.fx, camera.fy, camera.cx, camera.cy
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, forceinline=True)  # why: mapping/kernels/numba_grid.py
 def project(T_cw, point, intrinsics):  # type: ignore[no-untyped-def]
     """A world point (3,) [m] -> pixel u, v and depth z [m]; u and v are 0 for a point that is not in front of the camera."""
     fx, fy, cx, cy = intrinsics

@@ -7,9 +7,10 @@ from numba import njit
 
 _FASTMATH = {"nnan", "nsz", "reassoc", "contract", "arcp"}
 _compiled: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_inlined: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
 
 
-@_compiled
+@_inlined
 def _normalise(values) -> np.float32:  # type: ignore[no-untyped-def]
     """Subtracts the mean of values (N,) and divides by their norm, in place. Returns the norm."""
     mean, square = np.float32(0), np.float32(0)
@@ -26,7 +27,7 @@ def _normalise(values) -> np.float32:  # type: ignore[no-untyped-def]
     return norm
 
 
-@_compiled
+@_inlined
 def _cut_out(image, u, v, warp, patch) -> bool:  # type: ignore[no-untyped-def]
     """Fills a patch (n, n) with the image's values around (u, v), warped; False if it reaches out of the image."""
     rows, columns = image.shape
@@ -47,7 +48,7 @@ def _cut_out(image, u, v, warp, patch) -> bool:  # type: ignore[no-untyped-def]
     return True
 
 
-@_compiled
+@_inlined
 def _sampled(image, x, y, values) -> bool:  # type: ignore[no-untyped-def]
     """Fills values (n * n,) with the image's values around (x, y); False if they reach out of the image."""
     side = int(np.sqrt(len(values)))
@@ -63,7 +64,7 @@ def _sampled(image, x, y, values) -> bool:  # type: ignore[no-untyped-def]
     return True
 
 
-@_compiled
+@_inlined
 def _gradients(patch, t, contrast, gx, gy) -> None:  # type: ignore[no-untyped-def]
     """Fills gx, gy (n * n,) with the gradients of a patch (n + 2, n + 2), whose normalised form is t (n * n,), divided by its contrast.
 
@@ -87,7 +88,7 @@ def _gradients(patch, t, contrast, gx, gy) -> None:  # type: ignore[no-untyped-d
         gy[k] = (gy[k] - my - ty * t[k]) / contrast
 
 
-@_compiled
+@_inlined
 def _search(image, t, gx, gy, h, start, iterations, max_shift, converged, s):  # type: ignore[no-untyped-def]
     """x, y where a patch with gradients gx, gy and Hessian h lies in an image, and its correlation there; -1 if it was not found."""
     hxx, hxy, hyy = h
