@@ -74,6 +74,6 @@ def test_a_camera_that_stalls_does_not_hold_the_pose(which: str) -> None:
     T_true = np.linalg.inv(room.ground_truth[0]) @ room.ground_truth
     off = np.array([np.linalg.norm(r.T_wc[:3, 3] - T[:3, 3]) for r, T in zip(results, T_true)])
     assert off.max() < 0.02
-    told = Status.DOUBTFUL if which == "colour" else Status.DEGENERATE
+    told = Status.OK if which == "colour" else Status.DEGENERATE  # depth tells all directions here
     assert [results[i].status for i in STALL] == [told] * len(STALL)
     assert all(r.status is Status.OK for i, r in enumerate(results) if i not in STALL)

@@ -32,6 +32,11 @@ class Keyframe(KeyframeImages):
         self.colour_since = frame.index  # the frame that showed its colour image first: an earlier one if the image is repeated
         self.registered = False  # whether a registration gave or confirmed its pose in a wide step: the map does not move it
 
+    @property
+    def colour_is_older(self) -> bool:
+        """Whether its colour image is that of an earlier frame, once more."""
+        return self.colour_since < self.index
+
     def state(self) -> State:
         """Pose and relations, and a checksum of the images."""
         return {

@@ -85,7 +85,7 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
-        if view.colour_since < view.index and (by_depth := self._by_depth(view, motion)) is not None:
+        if view.colour_is_older and (by_depth := self._by_depth(view, motion)) is not None:
             return by_depth
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
         aligned, registered = self._best_alignment(view, motion)
@@ -105,7 +105,7 @@ class AlignmentToMap(FrontEnd):
         return self._aligned(view, aligned, confirmed=confirmed and wide, undecided=undecided)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
-        """The result of depth alone for a view whose colour image is an older one: nothing confirms it, so it is in doubt.
+        """The result of depth alone for a view whose colour image is an older one: nothing ends a doubt, or helps depth that is degenerate.
 
         None where the camera has not moved since the image was new, or depth does not tell.
         """
@@ -115,7 +115,9 @@ class AlignmentToMap(FrontEnd):
         if aligned.status is Status.LOST or moved < _STANDS:
             return None
         self.compensation.follow(view, aligned)
-        return Tracked.aligned(aligned, doubtful=True, clear=False)
+        doubtful = self._in_doubt or aligned.status is Status.DEGENERATE
+        tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=False)
+        return replace(tracked, evidence=replace(tracked.evidence, in_view=self.evidence.in_view))  # as of the last new image
 
     def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, undecided: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.
