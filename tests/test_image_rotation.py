@@ -16,7 +16,7 @@ def after(first: Appearance) -> ImageRotation:
     """A rotation whose last frame is this one."""
     rotation = ImageRotation()
     rotation.correct(first, EYE, EYE)
-    rotation.accept(lost=False)
+    rotation.accept(0, lost=False)
     return rotation
 
 
@@ -60,7 +60,7 @@ def test_the_prediction_is_kept_without_texture_and_without_a_last_frame() -> No
     grey = appearance(torch.full((240, 320, 3), 0.5), torch.full((240, 320), 2.0))
     assert torch.equal(after(grey).correct(grey, turned(2.0), EYE), turned(2.0))
     rotation = after(wall(EYE))
-    rotation.accept(lost=True)
+    rotation.accept(1, lost=True)
     assert torch.equal(rotation.correct(wall(turned(4.0)), EYE, EYE), EYE)
 
 
@@ -78,3 +78,11 @@ def test_the_small_image_has_sixty_and_thirty_rows() -> None:
     assert [tuple(level.luminance.shape) for level in small.levels] == [(60, 80), (30, 40)]
     assert len(pixels_of(small).points) == 30 * 40
     assert [len(seen) for seen in pixels_of(small).luminance] == [1200, 1200]
+
+
+def test_a_frame_without_an_image_of_its_own_leaves_the_one_before() -> None:
+    """The next view is turned from the last image that was new."""
+    rotation = after(wall(EYE))
+    rotation.accept(1, lost=False)
+    assert rotation.index == 0
+    assert degrees_off(rotation.correct(wall(turned(3.0)), EYE, EYE), turned(3.0)) < 0.1

@@ -33,28 +33,37 @@ class ImageRotation(Stateful):
     """Corrects predicted poses by the turn that the image shows since the last frame."""
 
     def __init__(self) -> None:
-        self._last: Landmarks | None = None  # the pixels of the last frame that has a pose
+        self._last: Landmarks | None = None  # the pixels of the last frame that has a pose and an image of its own
         self._small: Appearance | None = None  # of the present frame
+        self.index = -1
+        """The number of that frame; -1: there is none."""
 
     def state(self) -> State:
-        """The pixels of the last frame."""
-        return {"last": None if self._last is None else [self._last.points, *self._last.luminance]}
+        """The pixels of the last frame, and its number."""
+        return {"last": None if self._last is None else [self._last.points, *self._last.luminance], "index": self.index}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._last = None if state["last"] is None else Landmarks(state["last"][0], state["last"][1:], [])
+        self.index = state["index"]
 
     def correct(self, frame: Appearance, T_predicted: Tensor, T_last: Tensor) -> Tensor:
-        """The predicted pose of a frame, turned; its shift is kept. T_last: the pose of the frame before. All (4, 4) float64.
+        """The predicted pose of a frame, turned; its shift is kept. T_last: the pose of frame `index`. All (4, 4) float64.
 
         The prediction is kept if the images do not agree better at the turned pose.
         """
         self._small = small_image(frame)
         return T_predicted if self._last is None else turned(self._small, self._last, T_predicted, T_last)
 
-    def accept(self, *, lost: bool) -> None:
-        """The present frame becomes the last one. lost: it has no pose, so that the next frame is not compared with it."""
-        self._last = None if lost or self._small is None else pixels_of(self._small)
+    def accept(self, index: int, *, lost: bool) -> None:
+        """The present frame, of this number, becomes the last one, if it was corrected: otherwise it has no image of its own.
+
+        lost: it has no pose, so that the next frame is compared with none.
+        """
+        if lost:
+            self._last, self.index = None, -1
+        elif self._small is not None:
+            self._last, self.index = pixels_of(self._small), index
         self._small = None
 
 

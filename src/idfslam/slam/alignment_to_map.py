@@ -87,7 +87,8 @@ class AlignmentToMap(FrontEnd):
         motion = self._begin(view)
         if view.colour_is_older and (by_depth := self._by_depth(view, motion)) is not None:
             return by_depth
-        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, self._last_pose(view))
+        T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
+        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
         aligned, registered = self._best_alignment(view, motion)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         undecided = False
@@ -162,7 +163,7 @@ class AlignmentToMap(FrontEnd):
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
-        self.rotation.accept(lost=tracked.is_lost)
+        self.rotation.accept(view.index, lost=tracked.is_lost)
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
