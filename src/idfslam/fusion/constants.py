@@ -12,7 +12,7 @@ ENOUGH = 64  # [1] readings a voxel, on average over a block, after which the bl
 # More: slower. Less: with 16, walls of redkitchen ripple by 3.1 instead of 2.4 mm within 10 cm. Chosen by hand
 FREE = 0.1  # [1] weight of a reading that says that a voxel is free, over that of one of a surface there which faces the camera, up to its
 # own at its surface: a coarse image looks past thin things that others show. More: thin things vanish, and edges are worn off; less: what
-# was wrongly read stays, and slots are filled. Chosen on generated rooms
+# was wrongly read stays, and slots are filled. Chosen on generated rooms 1 and 2, with a Kinect's noise
 LEAST_SLANT = 0.2  # [1] cosine of ray and normal below which a reading counts as this slanted. More: grazing readings count more
 # [px] Edge of the tiles of a depth image whose farthest readings rule out what lies behind. More: fewer tiles are looked at, and fewer
 # blocks are ruled out. Chosen by hand
