@@ -29,6 +29,9 @@ CELLS = 16  # cells along a block's edge. More: more points are evaluated away f
 _BATCH = 64  # blocks evaluated at a time: 64 * 17^3 = 314 k points. More: more memory. Chosen by hand
 # [cells], [tr] Their sum is the largest distance of a vertex from a reading. More: surfaces extend beyond what was seen. Chosen by hand.
 _CELLS_OFF, _TRUNCATIONS_OFF = 1.5, 0.3
+# [1] that distance for a refined mesh and finer views, over the one above. More: surfaces go on behind outlines, where they are a guess by
+# which precision is lost; less: sides that no view saw are missing. Chosen on generated rooms (docs/diary.md)
+_OF_FINER = 0.75
 # [1] views that look through a vertex, over those that observed it, above which it is removed. Less: outlines are ragged where images
 # and poses are off by pixels. More: what was wrongly read, what lies behind an outline, and ghosts of what moved stay. Chosen on pictures
 # of a kitchen, and on ghosts of people in a generated room (docs/diary.md)
@@ -54,9 +57,9 @@ def extract_mesh(
     refine: makes values of `sdf`, interpolated in lattices of half the resolution, finer ones. finer: the same views in more rows, if there
     are such, by which what was not observed is told.
 
-    Vertices farther than 1.5 cells plus 0.3 tr from the views' readings are removed (`observed`). Only blocks near a reading are evaluated,
-    and for that test readings of every `stride`-th row and column are used. Memory: the triangles, and the lattice of 64 blocks at a time,
-    whatever the size of the scene.
+    Vertices farther than 1.5 cells plus 0.3 tr from the views' readings are removed (`observed`); farther than three quarters of it, with
+    `refine` and `finer`. Only blocks near a reading are evaluated, and for that test readings of every `stride`-th row and column are used.
+    Memory: the triangles, and the lattice of 64 blocks at a time, whatever the size of the scene.
     """
     cells = resolution if refine is None else resolution / 2
     tolerance = _CELLS_OFF * cells + _TRUNCATIONS_OFF * truncation
@@ -66,7 +69,10 @@ def extract_mesh(
     faces = weld(faces, keys)
     if refine is not None:
         vertices, faces = clustered(vertices, faces, resolution)
-    keep = observed(vertices, views if finer is None else finer, tolerance)
+    if finer is None:
+        keep = observed(vertices, views, tolerance)
+    else:
+        keep = observed(vertices, finer, tolerance if refine is None else _OF_FINER * tolerance)
     faces = faces[keep[faces].all(1)]
     used = np.zeros(len(vertices), bool)
     used[faces] = True
