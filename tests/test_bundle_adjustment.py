@@ -38,7 +38,7 @@ def test_outliers_are_left_out() -> None:
 
 @pytest.mark.parametrize("noise", [0.5, 3.0])
 def test_the_noise_is_estimated(noise: float) -> None:
-    assert adjust(perturbed(true_problem(TRUE, noise=noise))).noise == pytest.approx((noise, noise), rel=0.08)
+    assert adjust(perturbed(true_problem(TRUE, noise=noise))).noise == pytest.approx((noise, noise, 1), rel=0.08)
 
 
 def test_covariances_are_honest() -> None:

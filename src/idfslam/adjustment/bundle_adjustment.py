@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
-from idfslam.adjustment.residuals import Array, Linearised, Observations, camera_points, linearise, tracks
+from idfslam.adjustment.residuals import Array, Indices, Linearised, Observations, camera_points, linearise, tracks
 from idfslam.adjustment.row_motion import KeyframeMotion, Velocities, row_motion
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
 from idfslam.geometry import se3
@@ -30,6 +30,8 @@ _STEPS = 12  # most steps of a round; more: slower where it does not converge
 _CONVERGED = 1e-5  # [1] relative change of the cost that ends a round; more: faster, less exact
 _DAMPING = 1e-4, 1e-9, 1e6  # [1] Marquardt's damping at first, at least and at most; more: shorter steps
 _POSE_INFORMATION = 1.0  # [1/m^2, 1/rad^2] of a pose at its present value, so that one that nothing determines stays; more: shorter steps
+KINDS = "image", "depth", "distant"
+"""Measurements whose noise is estimated apart: places in images, readings of depth, and places of landmarks without depth."""
 _LEAST_NOISE = 0.05  # [1] least factor on the stated noise; more: exact measurements count less. Chosen by hand
 
 
@@ -69,7 +71,7 @@ class Adjusted:
 
     problem: Problem  # with the solution and the measurements that were kept, at their estimated noise
     system: ReducedSystem
-    noise: tuple[float, float]  # [1] factors that were found on the stated noise of image and depth
+    noise: tuple[float, float, float]  # [1] factors that were found on the stated noise, by kind of measurement
     complete: bool  # False: the time was over before it converged
 
     def values_covariance(self) -> Array:
@@ -94,7 +96,7 @@ def in_motion(problem: Problem, motions: Sequence[KeyframeMotion]) -> Problem:
 
 def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
     """Adjusts everything that is free. After `seconds` no further step begins: then, and only then, the clock decides about the result."""
-    end, noise = perf_counter() + seconds, np.ones(2)
+    end, noise = perf_counter() + seconds, np.ones(len(KINDS))
     points, seen = tracks(problem.points, problem.seen)
     problem = replace(problem, points=points, seen=seen)
     for last in [False] * (_ROUNDS - 1) + [True]:
@@ -105,17 +107,15 @@ def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
             break
         factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
         noise *= factors
-        problem = without_outliers(_with_noise(problem, factors), residuals_over(at, factors))
-    n = _equations(at, problem)
-    return Adjusted(
-        problem, ReducedSystem(n, problem.free, _information(problem)), (float(noise[0]), float(noise[1])), converged and not late
-    )
+        problem = without_outliers(_with_noise(problem, factors), residuals_over(at, factors[_kinds(problem.seen)]))
+    system = ReducedSystem(_equations(at, problem), problem.free, _information(problem))
+    return Adjusted(problem, system, (float(noise[0]), float(noise[1]), float(noise[2])), converged and not late)
 
 
 def adjust_briefly(problem: Problem, *, noise: Array, steps: int) -> tuple[Problem, Array]:
-    """At most `steps` steps of a problem that is nearly solved, with noise that is `noise` (2,) times the stated one of image and depth.
+    """At most `steps` steps of a problem that is nearly solved, with noise that is `noise` (3,) times the stated one, by kind.
 
-    Outliers stay, at less weight. Returns the problem, with the noise that is found, and the factors (2,) of that on the stated one.
+    Outliers stay, at less weight. Returns the problem, with the noise that is found, and the factors (3,) of that on the stated one.
     """
     problem, _ = _minimised(_with_noise(problem, noise), np.inf, steps)
     at = problem.linearised()
@@ -124,8 +124,8 @@ def adjust_briefly(problem: Problem, *, noise: Array, steps: int) -> tuple[Probl
 
 
 def residuals_over(at: Linearised, factors: Array) -> Array:
-    """(N, 3) residuals in units of the noise that is these factors (2,) of the stated one: of image and depth."""
-    return at.residuals / factors[[0, 0, 1]]
+    """(N, 3) residuals in units of the noise that is these factors (N, 3) of the stated one."""
+    return at.residuals / factors
 
 
 def without_outliers(problem: Problem, off: Array) -> Problem:
@@ -228,8 +228,14 @@ def _cost(at: Linearised, problem: Problem) -> float:
     return float(finite.sum() + (_value_information() * problem.model.values**2).sum() + off)
 
 
+def _kinds(seen: Observations) -> Indices:
+    """(N, 3) the kind, of KINDS, of each residual of each observation."""
+    of_image = np.where(seen.distant, KINDS.index("distant"), KINDS.index("image"))
+    return np.stack([of_image, of_image, np.full(len(seen), KINDS.index("depth"))], 1)
+
+
 def _noise_factors(at: Linearised, problem: Problem) -> Array:
-    """(2,) the factors on the stated noise of image and depth: sqrt of squared residuals over redundancy (Helmert's variance components).
+    """(3,) by kind, the factors on the stated noise: sqrt of squared residuals over redundancy (Helmert's variance components).
 
     The redundancy of a measurement is what its landmark does not take up.
     """
@@ -240,15 +246,16 @@ def _noise_factors(at: Linearised, problem: Problem) -> Array:
     taken = np.einsum("nij,njk,nik->ni", at.by_point, inverse[problem.seen.landmark], at.by_point) * weights
     square = np.where(np.isfinite(at.residuals), weights * at.residuals**2, 0.0)
     redundancy = np.where(weights > 0, 1 - taken, 0.0)
-    of_kind = np.array([[1, 0], [1, 0], [0, 1]])
-    total, count = (square @ of_kind).sum(0), (redundancy @ of_kind).sum(0)
+    kinds = _kinds(problem.seen).ravel()
+    total, count = (np.bincount(kinds, weights=values.ravel(), minlength=len(KINDS)) for values in (square, redundancy))
     return np.sqrt(np.where(count > 1, total / np.maximum(count, 1), 1.0))
 
 
 def _with_noise(problem: Problem, factors: Array) -> Problem:
-    """The problem with the stated noise multiplied by factors (2,) of image and depth."""
+    """The problem with the stated noise multiplied by factors (3,), by kind."""
     seen = problem.seen
-    return replace(problem, seen=replace(seen, root=seen.root / factors[0], reading_sigma=seen.reading_sigma * factors[1]))
+    of = factors[_kinds(seen)]
+    return replace(problem, seen=replace(seen, root=seen.root / of[:, :1, None], reading_sigma=seen.reading_sigma * of[:, 2]))
 
 
 def exp(xi: Array) -> Array:

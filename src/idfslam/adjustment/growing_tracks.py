@@ -6,7 +6,6 @@ time.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import Taken, found_in, root_of
 from idfslam.adjustment.local_depth import local_depth
-from idfslam.adjustment.residuals import Array, Indices, Observations, tracks
+from idfslam.adjustment.residuals import Array, Indices, Observations, joined, tracks
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
@@ -184,11 +183,3 @@ def _at(pixels: NDArray[np.bool_], uv: Array) -> NDArray[np.bool_]:
     """(N,) the pixels (H, W) nearest to uv (N, 2)."""
     u, v = np.rint(uv).astype(np.int64).T
     return np.asarray(pixels[v.clip(0, pixels.shape[0] - 1), u.clip(0, pixels.shape[1] - 1)])
-
-
-def joined(parts: Sequence[Observations]) -> Observations:
-    """All of the observations."""
-    none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
-    nothing = Observations(none, none, flat, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0), flat)
-    columns: dict[str, Any] = {name: np.concatenate([part.columns[name] for part in [nothing, *parts]]) for name in nothing.columns}
-    return Observations(**columns)

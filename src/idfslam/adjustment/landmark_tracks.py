@@ -7,6 +7,7 @@ and some from as far away as possible. Where poses and camera are not yet exact,
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -41,14 +42,17 @@ class View:
     grey: NDArray[np.uint8]  # (H, W)
     depth: NDArray[np.float32]  # (H, W) [m], 0: no reading
     camera: Camera
+    moving: NDArray[np.bool_] | None = None  # (H, W) what moves; None: nothing
 
     @staticmethod
-    def of(frame: Frame) -> "View":
-        """The view of a frame."""
+    def of(frame: Frame, moving: NDArray[np.bool_] | None = None) -> "View":
+        """The view of a frame, of which the pixels `moving` (H, W) show what moves."""
         grey = brightness(frame)
         size = grey.shape[1], grey.shape[0]
-        depth = frame.depth if size == (frame.camera.width, frame.camera.height) else subsampled_depth(frame.depth, size[1], size[0])
-        return View(grey, depth, frame.camera.resized(*size))
+        if size == (frame.camera.width, frame.camera.height):
+            return View(grey, frame.depth, frame.camera, moving)
+        hidden = None if moving is None else cv2.resize(moving.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return View(grey, subsampled_depth(frame.depth, size[1], size[0]), frame.camera.resized(*size), hidden)
 
 
 def find_tracks(
@@ -59,7 +63,7 @@ def find_tracks(
     recordings: (K,) numbers of the recordings that the keyframes are of, each of which has a world of its own; None: there is one.
     coarse: poses and camera may be wrong by up to about 20 pixels rather than by 5.
     """
-    images = [_features(view, model) for view in views]
+    images = [features_of(view, model) for view in views]
     of = np.zeros(len(views), np.int64) if recordings is None else recordings
     taken, found = [Taken(view.grey.shape) for view in views], []
     for k in range(len(views)):
@@ -78,7 +82,7 @@ def find_tracks(
     number = number + np.repeat(offsets[:-1], [len(h.sightings[0]) for _, h in rays])
     keyframe, number = keyframe.astype(np.int64), number.astype(np.int64)
     order = np.lexsort((keyframe, number))
-    seen = Observations(keyframe, number, uv, root, *_readings(views, keyframe, uv))[order]
+    seen = Observations(keyframe, number, uv, root, *readings(views, keyframe, uv))[order]
     return tracks(points, seen[seen.reading > 0])  # without a surface all around, what is in front of it moves in the patch too
 
 
@@ -108,7 +112,7 @@ class _Hosted:
     sightings: tuple[Array, Array, Array, Array]  # keyframe (N,), number of the landmark (N,), uv (N, 2), root of its information (N, 2, 2)
 
 
-def _features(view: View, model: CameraModel) -> FrameFeatures:
+def features_of(view: View, model: CameraModel) -> FrameFeatures:
     """The images of a view with points as the model has them, without features of the network."""
     depth = model.deformation.corrected(view.depth * np.float32(model.depth_factor))
     height = min(_ROWS, view.camera.height)
@@ -188,7 +192,7 @@ def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch
     return (depth[v, u] == 0) | ((depth[v, u] - z).abs() < _NEAR_SURFACE * z)
 
 
-def _readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array, Array]:
+def readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array, Array]:
     """Depth (N,) [m] that the keyframes (N,) state at pixels uv (N, 2), its standard deviation, and its slope (N, 2) [m/px]."""
     reading, sigma, slope = np.zeros(len(uv)), np.ones(len(uv)), np.zeros((len(uv), 2))
     for k, view in enumerate(views):

@@ -12,10 +12,8 @@ from idfslam.sensing.depth_noise import BEST, noise_ratio
 
 Array = NDArray[np.float64]
 
-_REACH = (
-    6  # [px] to each side, of the readings around a point: those of a patch that is aligned, and a pixel more. Raised, noise is less, and
-)
-#    fewer points are far enough from edges
+_REACH = 6  # [px] to each side, of the readings around a point: of a patch that is aligned, and a pixel more. Raised, noise is less,
+#    and fewer points are far enough from edges
 _LEAST_SHARE = 0.8  # [1] of the pixels around that have a reading; raised, fewer points near edges have depth. This and the rest: by hand
 _ROUGHNESS = 0.01  # [1] largest RMS distance of the readings from the best plane, as a share of depth; raised, edges are averaged over
 _BENT = 0.003  # [1] largest distance of the surface from that plane, as a share of depth; raised, sharper corners count, less exactly

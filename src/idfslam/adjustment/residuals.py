@@ -4,6 +4,7 @@ A landmark X, seen from a keyframe T_wk, has p = R^T (X - t) in its frame. It is
 reading of depth there: the residuals are project(p) - uv and p_z - depth(reading), in standard deviations.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,6 +44,20 @@ class Observations:
     def columns(self) -> dict[str, NDArray[Any]]:
         """What was measured, without the times of rows."""
         return {name: part for name, part in vars(self).items() if name != "rows"}
+
+    @property
+    def distant(self) -> NDArray[np.bool_]:
+        """(N,) whether no keyframe has depth of its landmark."""
+        readings = np.bincount(self.landmark, weights=self.reading > 0)
+        return np.asarray(readings[self.landmark] == 0)
+
+
+def joined(parts: Sequence[Observations]) -> Observations:
+    """All of the observations."""
+    none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
+    nothing = Observations(none, none, flat, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0), flat)
+    columns: dict[str, Any] = {name: np.concatenate([part.columns[name] for part in [nothing, *parts]]) for name in nothing.columns}
+    return Observations(**columns)
 
 
 def tracks(points: Array, seen: Observations) -> tuple[Array, Observations]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, adjust_briefly, in_motion
+from idfslam.adjustment.bundle_adjustment import KINDS, Adjusted, Problem, adjust, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.landmark_tracks import View, find_tracks
 from idfslam.adjustment.residuals import Array, Observations, tracks
@@ -151,7 +151,7 @@ def _by_jackknife(problem: Problem, of: NDArray[np.int64]) -> Array:
         if left.sum() < _LEAST_KEYFRAMES or len(points) < _LEAST_LANDMARKS // 2:
             return np.zeros(len(NAMES))
         without = replace(problem, points=points, seen=seen, fixed=~left | first_of_each)
-        values.append(adjust_briefly(without, noise=np.ones(2), steps=_STEPS)[0].model.values)
+        values.append(adjust_briefly(without, noise=np.ones(len(KINDS)), steps=_STEPS)[0].model.values)
     return np.asarray(np.sqrt((count - 1) * np.var(values, axis=0)))
 
 

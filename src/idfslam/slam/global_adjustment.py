@@ -5,6 +5,8 @@ Where it is trusted, its poses are final: the map learns them in the polish, and
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -14,9 +16,10 @@ from numpy.typing import NDArray
 
 from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.distant_landmarks import distant_landmarks
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import Array
+from idfslam.adjustment.residuals import Array, Observations, joined
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
@@ -89,7 +92,8 @@ class GlobalAdjustment(KeyframeAdjustment):
         if len(keyframes) < _LEAST_KEYFRAMES or (problem := self._problem()) is None or len(problem.points) < _LEAST_LANDMARKS:
             return False
         adjusted = adjust(problem, seconds=self.seconds - (perf_counter() - begun))
-        noise = noise_of(adjusted.problem.seen, problem.model.stated.width)
+        kept = adjusted.problem.seen
+        noise = noise_of(kept[~kept.distant], problem.model.stated.width)
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
         if noise > AGREE or not adjusted.complete:
             return False
@@ -102,9 +106,9 @@ class GlobalAdjustment(KeyframeAdjustment):
         keyframes = self.graph.keyframes
         poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
         if len(keyframes) <= _MOST_KEYFRAMES:
-            views = [View.of(keyframe.frame) for keyframe in keyframes]
+            views = [View.of(keyframe.frame, keyframe.moving) for keyframe in keyframes]
             model = CameraModel.as_stated(views[0].camera)
-            points, seen = find_tracks(views, poses, model, coarse=False)
+            points, seen = _landmarks(views, poses, model)
         elif self.tracks is not None:
             model = CameraModel.as_stated(View.of(keyframes[0].frame).camera)
             points, seen = self.tracks.seen_by(np.ones(len(keyframes), bool), poses)
@@ -125,6 +129,14 @@ class GlobalAdjustment(KeyframeAdjustment):
         if self._adjusted is None:
             return {"keyframes_adjusted": False}
         return {"keyframes_adjusted": True, "landmarks": len(self._adjusted.problem.points)}
+
+
+def _landmarks(views: Sequence[View], poses: Array, model: CameraModel) -> tuple[Array, Observations]:
+    """Landmarks (L, 3) [m] in the world, with depth and without, and where keyframes at poses T_wk (K, 4, 4) see them."""
+    points, seen = find_tracks(views, poses, model, coarse=False)
+    distant, seen_distant = distant_landmarks(views, poses, model)
+    moved = replace(seen_distant, landmark=seen_distant.landmark + len(points))
+    return np.concatenate([points, distant]), joined([seen, moved])
 
 
 def _counts(adjusted: Adjusted) -> tuple[int, int]:

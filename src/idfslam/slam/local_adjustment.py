@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.adjustment.bundle_adjustment import Problem, adjust_briefly, in_motion
+from idfslam.adjustment.bundle_adjustment import KINDS, Problem, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.residuals import Array
@@ -45,7 +45,7 @@ class LocalAdjustment(KeyframeHook):
         self.graph, self.features, self.motions, self.tracks = graph, features, motions, GrowingTracks()
         self._held: set[int] = set()  # numbers of the keyframes that landmarks hold
         self._edges: dict[int, Edge] = {}  # from a keyframe before each to it, as it was tracked
-        self._noise = np.ones(2)  # of images and depth in the last window, over the stated one
+        self._noise = np.ones(len(KINDS))  # in the last window, over the stated one, by kind of measurement
         self._images: dict[int, list[float]] = {}  # how those of each keyframe were rectified when landmarks were found in them
 
     def state(self) -> State:
