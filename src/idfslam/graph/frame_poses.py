@@ -148,10 +148,11 @@ class FramePoses(Stateful):
         shift, turn = T_refined[:3, 3] - T_tracked[:3, 3], torch.eye(4, dtype=torch.float64)
         turn[:3, :3] = T_refined[:3, :3] @ T_tracked[:3, :3].T
         begun, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
-        for i in range(start + 1, end):
+        shares = [(frame.timestamp - begun) / span if span > 0 else 0.5 for frame in self._frames[start + 1 : end]]
+        turns = se3.exp(torch.tensor(shares, dtype=torch.float64)[:, None] * se3.log(turn))
+        for i, share, turn in zip(range(start + 1, end), shares, turns):
             T_wc = self.T_wc(i)
-            share = (self._frames[i].timestamp - begun) / span if span > 0 else 0.5
-            moved = se3.exp(share * se3.log(turn)) @ T_wc
+            moved = turn @ T_wc
             moved[:3, 3] = T_wc[:3, 3] + share * shift
             self.move(i, moved)
 
