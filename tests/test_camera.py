@@ -53,6 +53,13 @@ def test_inside_ends_at_the_outer_edges_and_in_front() -> None:
     assert CAMERA.inside(torch.zeros(3, 2), torch.tensor([1.0, 0.0, -1.0])).tolist() == [True, False, False]
 
 
+def test_the_frustum_is_what_lies_inside() -> None:
+    points = torch.randn(2000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    seen = (points @ torch.from_numpy(CAMERA.frustum()).T > 0).all(-1)
+    assert torch.equal(seen, CAMERA.inside(*CAMERA.project(points)))
+    assert 50 < seen.sum() < 1000
+
+
 def test_points_in_the_camera_plane_stay_finite_with_finite_gradients() -> None:
     points = torch.tensor([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], requires_grad=True)
     uv, z = CAMERA.project(points)

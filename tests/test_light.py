@@ -26,7 +26,7 @@ from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
 from idfslam.slam.compose import System
-from idfslam.slam.light_estimation import LightEstimation, opencv_means, plain_means
+from idfslam.slam.light_estimation import LightEstimation, compiled_shared, opencv_means, plain_means, plain_shared, thumbnail
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)  # 2 m before a wall: a shift of 1 m moves it by 50 px
 VIGNETTE = Vignette((-0.2, -0.15))  # 70 % of the light at the corner
@@ -73,6 +73,16 @@ def places(gains: tuple[float, float], offsets: tuple[float, float], lens: Vigne
 def test_the_means_of_a_small_image_are_the_plain_ones() -> None:
     colour = torch.rand(122, 163, 3, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(opencv_means(colour, 4), plain_means(colour, 4), rtol=0, atol=1e-6)
+
+
+def test_the_compiled_places_that_two_images_share_are_the_plain_ones() -> None:
+    a, b = (wall(gain, x, i, None) for i, (gain, x) in enumerate([(1.0, 0.0), (1.1, 0.357)]))  # no place lies between two pixels
+    of_a, of_b = (thumbnail(k.colour, k.depth, k.camera) for k in (a, b))
+    of_b.depth[40:60, 30:50] = 1.5  # hides something
+    compiled, plain = (shared(of_a.places, of_b, at(-0.357)) for shared in (compiled_shared, plain_shared))
+    assert 5000 < len(plain[0]) == len(compiled[0]) < 6000
+    for one, other in zip(compiled, plain):
+        np.testing.assert_allclose(one, other, rtol=0, atol=2e-5)
 
 
 def test_the_compiled_comparison_is_that_of_numpy() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from idfslam.graph.observed_space import ObservedSpace
+from idfslam.graph.observed_space import ObservedSpace, compiled_contains, plain_contains
 
 
 def test_a_place_is_observed_within_half_a_cell_of_a_reading_and_not_beyond_one_and_a_half() -> None:
@@ -26,6 +26,15 @@ def test_nothing_is_observed_at_first_and_readings_add_up() -> None:
     space.add(points[1:].numpy())
     space.add(np.zeros((0, 3)))
     assert space.contains(points).tolist() == [True, True]
+
+
+def test_the_compiled_search_finds_what_the_plain_one_finds() -> None:
+    space = ObservedSpace()
+    space.add(np.random.default_rng(0).uniform(-0.5, 0.5, (60, 3)))
+    cells, points = space.state()["cells"].numpy(), torch.rand(3000, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+    found = compiled_contains(cells, points)
+    assert torch.equal(found, plain_contains(cells, points)) and 200 < found.sum() < 2800
+    assert not compiled_contains(cells[:0], points).any()
 
 
 def test_the_cells_are_its_state() -> None:

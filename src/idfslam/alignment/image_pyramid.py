@@ -77,7 +77,7 @@ def compiled_luminance(colour: Tensor) -> Tensor:
     from idfslam.alignment.kernels import numba_alignment
 
     out = torch.empty(colour.shape[:2])
-    numba_alignment.luminance_of(colour.numpy(), out.numpy())  # type: ignore[call-arg]
+    numba_alignment.luminance_of(colour.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
     return out
 
 

@@ -105,8 +105,10 @@ def small_image(frame: Appearance) -> Appearance:
 
 def pixels_of(small: Appearance) -> Landmarks:
     """The points of all pixels of a small image's coarser level, with their brightness on both levels."""
-    camera, depth = small.levels[-1].camera, small.depth
-    row, column = pixels_in_depth(small.levels[-1], depth)
-    z = depth[row[:, None], column[None]]
-    points = (camera.rays(camera.pixels(depth.device)) * torch.where(z > 0, z, _FAR)[..., None]).reshape(-1, 3)
-    return Landmarks(points, [level.luminance_at(level.camera.project(points)[0]).contiguous() for level in small.levels], [])
+    (fine, coarse), depth = small.levels, small.depth
+    row, column = pixels_in_depth(coarse, depth)
+    z, uv = depth[row[:, None], column[None]], coarse.camera.pixels(depth.device)
+    points = (coarse.camera.rays(uv) * torch.where(z > 0, z, _FAR)[..., None]).reshape(-1, 3)
+    ratio = uv.new_tensor([fine.camera.width / coarse.camera.width, fine.camera.height / coarse.camera.height])
+    in_fine = ((uv + 0.5) * ratio - 0.5).reshape(-1, 2)
+    return Landmarks(points, [fine.luminance_at(in_fine).contiguous(), coarse.luminance.flatten()], [])

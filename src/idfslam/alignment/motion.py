@@ -83,7 +83,7 @@ def change_between(T: Tensor, other: Tensor) -> Tensor:
     sine = math.sqrt(x * x + y * y + z * z)  # x, y and z are the axis times the sine of the angle; near 180 degrees they vanish
     scale = math.atan2(sine, cosine) / sine if sine > _TINY else 1.0
     turn = [scale * x, scale * y, scale * z] if cosine > _OPPOSITE else Rotation.from_matrix(R).as_rotvec().tolist()
-    return torch.tensor([*(of_other[:3, 3] - of_T[:3, 3]).tolist(), *turn], dtype=torch.float64)
+    return torch.from_numpy(np.array([*(of_other[:3, 3] - of_T[:3, 3]).tolist(), *turn]))  # torch takes longer to make one of a list
 
 
 def image_motion(T: Tensor, other: Tensor, radius: float) -> float:

@@ -1,6 +1,7 @@
 """Where a frame would show the landmarks of a keyframe, and whether anything hides them there."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -20,6 +21,16 @@ class Appearance:
     levels: list[Level]
     depth: Tensor  # (H, W) [m]; MASKED where the frame shows what moves
     camera: Camera  # of the depth
+
+    @cached_property
+    def numbers(self) -> list[tuple[Any, ...]]:
+        """Each level with the depth, for compiled loops: they are called for many landmarks of one image."""
+        return [self._numbers(level) for level in self.levels]
+
+    def _numbers(self, level: Level) -> tuple[Any, ...]:
+        camera, of_depth = level.camera, self.camera
+        ratio = of_depth.width / camera.width, of_depth.height / camera.height
+        return level.luminance.numpy(), camera.fx, camera.fy, camera.cx, camera.cy, self.depth.numpy(), *ratio
 
 
 @dataclass(frozen=True)
@@ -55,12 +66,7 @@ class Sighting:
 
     def numbers(self) -> tuple[Any, ...]:
         """All but the landmarks, for compiled loops."""
-        image, of_depth = self.image, self.frame.camera
-        camera = image.camera
-        ratio = of_depth.width / camera.width, of_depth.height / camera.height
-        intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-        poses = self.T_wk.numpy(), self.T_wc.numpy()
-        return *poses, *numbers_of(self.motion), image.luminance.numpy(), *intrinsics, self.frame.depth.numpy(), *ratio
+        return self.T_wk.numpy(), self.T_wc.numpy(), *numbers_of(self.motion), *self.frame.numbers[self.level]
 
     def places(self) -> Places:
         """Where the landmarks are, in torch, on any device."""

@@ -35,9 +35,7 @@ def _birge_ratio(depth: DepthTerm, images: ImageTerm, last_step: Array, depth_no
     measurements = [sums for sums in (depth.sums, *images.parts) if sums.H[0].any()]
     if len(measurements) < 2:
         return 1.0
-    chi_squared = 0.0
-    for sums in measurements:
-        H = sums.H[0] / depth_noise**2
-        b = sums.b[0] / depth_noise**2 - H @ last_step
-        chi_squared += float(b @ np.linalg.solve(H + _SCALE_FLOOR * np.eye(6), b))
-    return INDEPENDENT * chi_squared / (6 * (len(measurements) - 1))
+    H = np.stack([sums.H[0] for sums in measurements]) / depth_noise**2
+    b = np.stack([sums.b[0] for sums in measurements]) / depth_noise**2 - H @ last_step
+    moved = np.linalg.solve(H + _SCALE_FLOOR * np.eye(6), b[..., None])[..., 0]
+    return INDEPENDENT * float((b * moved).sum()) / (6 * (len(measurements) - 1))

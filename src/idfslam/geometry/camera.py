@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.errors import ConfigError
@@ -82,6 +83,15 @@ class Camera:
         """Whether projections, pixels (..., 2) and z (...) [m], lie in front of the camera and within the image's outer edges."""
         u, v = uv.unbind(-1)
         return (z > 0) & (u >= -0.5) & (u < self.width - 0.5) & (v >= -0.5) & (v < self.height - 0.5)
+
+    def frustum(self) -> NDArray[np.float64]:
+        """(5, 3) inward normals of the planes through the camera's centre that bound what it sees, not of unit length.
+
+        A point in the camera's frame with which all of them have a positive product is `inside`.
+        """
+        left, top = self.cx + 0.5, self.cy + 0.5
+        right, bottom = self.width - left, self.height - top
+        return np.array([[0, 0, 1], [self.fx, 0, left], [-self.fx, 0, right], [0, self.fy, top], [0, -self.fy, bottom]], np.float64)
 
 
 def indices_by_camera(cameras: Sequence[Camera]) -> dict[Camera, list[int]]:

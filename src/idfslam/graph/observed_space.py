@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.compute.backend import pick
 from idfslam.storage.state import State, Stateful
 
 # [m] Edge of a cell: about the truncation distance. A place is observed if a reading lies within half an edge of it along each axis, and
@@ -48,16 +50,45 @@ class ObservedSpace(Stateful):
         """Adds the cells of readings (N, 3) [m] in the world, and for each reading the seven others that are nearest to it."""
         corners = np.unique(_keys(np.floor(points / _CELL + 0.5)))  # of cells, the nearest to each reading: eight cells meet there
         keys = np.unique(corners[:, None] - _MEET)
-        new = keys[~self._known(keys)]
+        new = keys[~_known(self._cells, keys)]
         if len(new):
             self._cells = np.sort(np.concatenate([self._cells, new]), kind="stable")  # which merges two ascending parts
 
     def contains(self, points: Tensor) -> Tensor:
         """Whether points (N, 3) [m] of the world lie in observed cells, (N,)."""
-        return torch.from_numpy(self._known(_keys(np.floor(points.detach().cpu().numpy() / _CELL)))).to(points.device)
+        return pick(points, compiled=compiled_contains, plain=plain_contains)(self._cells, points)
 
-    def _known(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-        if not len(self._cells):
-            return np.zeros(len(keys), bool)
-        place = np.searchsorted(self._cells, keys).clip(max=len(self._cells) - 1)
-        return np.asarray(self._cells[place] == keys)
+
+def plain_contains(cells: NDArray[np.int64], points: Tensor) -> Tensor:
+    """Whether points (N, 3) [m] lie in cells, whose keys ascend: in numpy, for any device."""
+    return torch.from_numpy(_known(cells, _keys(np.floor(points.detach().cpu().numpy() / _CELL)))).to(points.device)
+
+
+def compiled_contains(cells: NDArray[np.int64], points: Tensor) -> Tensor:
+    """`plain_contains` by Numba, on the CPU."""
+    found, places = np.empty(len(points), np.bool_), points.numpy()
+    _fill_contained(cells, places, places.dtype.type(_CELL), found)
+    return torch.from_numpy(found)
+
+
+def _known(cells: NDArray[np.int64], keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    if not len(cells):
+        return np.zeros(len(keys), bool)
+    place = np.searchsorted(cells, keys).clip(max=len(cells) - 1)
+    return np.asarray(cells[place] == keys)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_contained(cells, points, edge, found) -> None:  # type: ignore[no-untyped-def]
+    """Fills found (N,) with whether points (N, 3) lie in cells with this edge [m]."""
+    for n in range(len(points)):
+        x, y, z = np.floor(points[n, 0] / edge), np.floor(points[n, 1] / edge), np.floor(points[n, 2] / edge)
+        key = ((np.int64(x) + _ORIGIN) << 2 * _BITS) | ((np.int64(y) + _ORIGIN) << _BITS) | (np.int64(z) + _ORIGIN)
+        low, high = 0, len(cells)
+        while low < high:
+            middle = (low + high) // 2
+            if cells[middle] < key:
+                low = middle + 1
+            else:
+                high = middle
+        found[n] = low < len(cells) and cells[low] == key

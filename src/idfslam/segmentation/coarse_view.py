@@ -13,6 +13,7 @@ from idfslam.segmentation.plain_form import form
 from idfslam.storage.state import State
 
 Image = NDArray[np.float32]
+_PIXEL = np.dtype("V12")  # of colour: three float32
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,11 @@ def thinned(frame: Frame) -> Frame:
     """
     c, step = frame.camera, max(1, cell_size(frame.camera) // SAMPLES)
     first = step // 2
-    colour, depth = (np.ascontiguousarray(image[first::step, first::step]) for image in (frame.colour, frame.depth))
+    pixels = np.ascontiguousarray(frame.colour).view(_PIXEL)[..., 0], frame.depth  # one item a pixel is copied twice as fast as three
+    colour, depth = (np.ascontiguousarray(image[first::step, first::step]) for image in pixels)
     small = c.every(step)
     same = cell_size(c) == step * cell_size(small) and _size(cells_camera(c)) == _size(cells_camera(small))
-    return replace(frame, colour=colour, depth=depth, camera=small) if same else frame
+    return replace(frame, colour=colour[..., None].view(np.float32), depth=depth, camera=small) if same else frame
 
 
 def _size(camera: Camera) -> tuple[int, int]:

@@ -4,6 +4,7 @@ Motion blur takes the energy of fine gradients and leaves that of coarse ones. B
 """
 
 from collections import deque
+from statistics import median
 
 import cv2
 import numpy as np
@@ -41,7 +42,7 @@ class Sharpness(Stateful):
     def of_next(self, colour: NDArray[np.float32]) -> float:
         """The next frame's sharpness as a share of the median of the frames before it [1]; colour (H, W, 3) in [0, 1]."""
         of_image = sharpness(colour)
-        share = (of_image + _LEAST) / (float(np.median(self._before)) + _LEAST) if self._before else 1.0
+        share = (of_image + _LEAST) / (median(self._before) + _LEAST) if self._before else 1.0
         self._before.append(of_image)
         return share
 

@@ -12,11 +12,13 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.projection import intrinsics_of
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_images import Images
@@ -24,9 +26,12 @@ from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
 from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
-from idfslam.sensing.vignette import Vignette, even_powers
+from idfslam.sensing.shared_places import fill_shared
+from idfslam.sensing.vignette import TERMS, Vignette, even_powers
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
+
+Columns = list[NDArray[np.float64]]
 
 # All of these were chosen by hand.
 _ROWS = 120  # of the images that are compared: means of pixels have little noise. More: slower, and exacter near edges
@@ -152,24 +157,38 @@ class LightEstimation(KeyframeHook):
 
     def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
         """Compares the places that keyframe a sees and keyframe b sees too."""
-        places, of_b = self._thumbnail(a).places, self._thumbnail(b)
-        T_ba = (se3.inverse(b.T_wk) @ a.T_wk).to(places.points)
-        uv, z = of_b.camera.project(se3.transform(T_ba, places.points))
-        seen = torch.nonzero(of_b.camera.inside(uv, z))[:, 0]
-        u, v = uv[seen].round().long().unbind(-1)
-        near = (of_b.depth[v, u] - z[seen]).abs() < EDGE + EDGE_SHARE * z[seen]
-        seen, u, v = seen[near], u[near], v[near]
-        uv = uv[seen]
-        noise = (places.uncertainty[seen] ** 2 + of_b.uncertainty[v, u] ** 2).sqrt()
-        colour = places.colour[seen], sampled(of_b.colour, uv)
-        powers = places.powers[seen], even_powers(uv, of_b.camera)
-        return compare(*(column.double().cpu().numpy() for column in (*colour, *powers, noise)))
+        places, of_b, T_ba = self._thumbnail(a).places, self._thumbnail(b), se3.inverse(b.T_wk) @ a.T_wk
+        return compare(*pick(places.points, compiled=compiled_shared, plain=plain_shared)(places, of_b, T_ba))
 
     def _thumbnail(self, keyframe: Keyframe) -> _Thumbnail:
         images = keyframe.images
         if images not in self._thumbnails:
             self._thumbnails[images] = thumbnail(images.colour, images.depth, keyframe.camera)
         return self._thumbnails[images]
+
+
+def compiled_shared(places: _Places, of_b: _Thumbnail, T_ba: Tensor) -> Columns:
+    """`plain_shared` by Numba, on the CPU."""
+    count = len(places.points)
+    columns = [np.empty((count, *width)) for width in ((3,), (3,), (TERMS,), (TERMS,), ())]
+    of_a = tuple(column.numpy() for column in (places.points, places.colour, places.powers, places.uncertainty))
+    image = of_b.colour.numpy(), of_b.depth.numpy(), of_b.uncertainty.numpy()
+    found = fill_shared(of_a, T_ba.numpy(), intrinsics_of(of_b.camera), image, *columns)
+    return [column[:found] for column in columns]
+
+
+def plain_shared(places: _Places, of_b: _Thumbnail, T_ba: Tensor) -> Columns:
+    """What `compare` takes of the places of a that b sees too, at the pose T_ba (4, 4) of a: in torch, on any device."""
+    uv, z = of_b.camera.project(se3.transform(T_ba.to(places.points), places.points))
+    seen = torch.nonzero(of_b.camera.inside(uv, z))[:, 0]
+    u, v = uv[seen].round().long().unbind(-1)
+    near = (of_b.depth[v, u] - z[seen]).abs() < EDGE + EDGE_SHARE * z[seen]
+    seen, u, v = seen[near], u[near], v[near]
+    uv = uv[seen]
+    noise = (places.uncertainty[seen] ** 2 + of_b.uncertainty[v, u] ** 2).sqrt()
+    colour = places.colour[seen], sampled(of_b.colour, uv)
+    powers = places.powers[seen], even_powers(uv, of_b.camera)
+    return [column.double().cpu().numpy() for column in (*colour, *powers, noise)]
 
 
 def thumbnail(colour: Tensor, depth: Tensor, camera: Camera) -> _Thumbnail:

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.landmarks import Landmarks
-from idfslam.geometry import se3
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.slam.tracked import Tracked
@@ -72,5 +71,7 @@ class RecentFrame(Stateful):
 
 def _inside(view: Keyframe, T_wc: Tensor, points: Tensor, T_wk: Tensor) -> Tensor:
     """Whether points (N, 3) along the axes of a camera at T_wk (4, 4) lie within a view at T_wc, (N,)."""
-    seen = se3.transform((se3.inverse(T_wc) @ T_wk).to(points), points)
-    return view.camera.inside(*view.camera.project(seen))
+    of_world = view.camera.frustum() @ T_wc[:3, :3].numpy().T
+    normals, offsets = of_world @ T_wk[:3, :3].numpy(), of_world @ (T_wk - T_wc)[:3, 3].numpy()
+    distances = points @ torch.from_numpy(normals.T).to(points) + torch.from_numpy(offsets).to(points)
+    return (distances > 0).all(-1)

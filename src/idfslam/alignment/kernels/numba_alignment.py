@@ -167,9 +167,9 @@ def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, row_of, patche
 @_compiled
 def luminance_of(colour, out) -> None:  # type: ignore[no-untyped-def]
     """Fills out (H, W) with the means of colour (H, W, 3)."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = (colour[i, j, 0] + colour[i, j, 1] + colour[i, j, 2]) * np.float32(1 / 3)
+    channels, means = colour.reshape(-1), out.reshape(-1)  # in one dimension the loop vectorises
+    for i in range(len(means)):
+        means[i] = (channels[3 * i] + channels[3 * i + 1] + channels[3 * i + 2]) * np.float32(1 / 3)
 
 
 @_compiled
