@@ -5,6 +5,7 @@ on the same cores, spinning costs most of the speed. The environment variables O
 GOMP_SPINCOUNT take precedence if they are set. OpenCV runs on one thread.
 """
 
+import gc
 import os
 
 from idfslam.compute.host import default_threads
@@ -23,3 +24,11 @@ def prepare_process() -> None:
     import cv2
 
     cv2.setNumThreads(1)
+
+
+def keep_what_is_imported() -> None:
+    """Takes all that exists now out of the garbage collector's searches. To be called after the imports of a long computation.
+
+    Torch, scipy and Numba are some 290 000 objects that live as long as the process, and each full search goes through all of them.
+    """
+    gc.freeze()

@@ -97,6 +97,7 @@ class Run:
         if self.path is None:
             wrong_usage("run: expected a recording, or --resume and the result folder of a run", "run")
         values = check(self.values)
+        from idfslam.compute.process import keep_what_is_imported
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.datasets.provenance import is_guessed
         from idfslam.live import LiveStream
@@ -118,6 +119,7 @@ class Run:
         if values.calibrate == "on" or (values.calibrate == "warn" and is_guessed(recording)):
             source = self._calibrated(source, folder, console)
             recording = open_feed(source)
+        keep_what_is_imported()
         options: dict[str, Any] = {"prior": prior, "checkpoint_every": every, "overwrite": overwrite, "viewer": viewer}
         done = run(recording, values, folder, source=source, console=console, **options)
         self._conclude(done, console, None if isinstance(recording, LiveStream) else recording)
@@ -140,12 +142,14 @@ class Run:
         if given:
             found = ", ".join(given)
             wrong_usage(f"--resume takes the recording and the values of {folder}/config.yaml: leave out all else (found {found})", "run")
+        from idfslam.compute.process import keep_what_is_imported
         from idfslam.compute.torch_threads import limit_torch_threads
         from idfslam.runs.run_config import read_config
         from idfslam.runs.run_folder import config_folder
         from idfslam.runs.runner import resume
 
         limit_torch_threads(read_config(config_folder(folder))[0].field.encoding)
+        keep_what_is_imported()
         done = resume(folder, checkpoint_every=self.checkpoints.checkpoint_every, console=console, viewer=self._viewer(console))
         if done is None:
             output().print(f"{folder}: the run is over, nothing to resume", highlight=False)
