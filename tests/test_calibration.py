@@ -175,14 +175,14 @@ def test_a_dataset_of_any_kind_is_read_with_the_file(box_recording: Path, tmp_pa
 # Keyframes of a finished run
 
 
-def test_rows_have_the_times_that_are_stated_or_found_for_sure() -> None:
-    """The read-out of colour is stated, that of depth is found, the delay may be zero; depth's stamp is 4 ms later."""
+def test_rows_have_the_times_that_are_stated_or_found() -> None:
+    """The read-out of colour is stated, that of depth and the delay are found; depth's stamp is 4 ms later."""
     black = np.zeros((240, 320), np.float32)
     frame = Frame(0, 1.0, np.stack([black] * 3, 2), black, CAMERA, 1.004, SensorTiming(0.02, None, None))
     found = {"depth_readout": SensorTime(0.03, 0.001), "depth_delay": SensorTime(0.001, 0.001)}
     times = row_times(frame, found)
     assert (times.readout, times.depth_readout) == (0.02, 0.03)
-    assert times.depth_delay == pytest.approx(0.004)
+    assert times.depth_delay == pytest.approx(0.005)
 
 
 def test_a_stretch_ends_where_a_frame_is_not_trusted() -> None:
@@ -209,6 +209,10 @@ def test_images_of_a_finished_run_are_rectified_by_its_poses() -> None:
     assert motion.rectification is not None and motion.rectification.times.readout == 0.04
     shown = 0.5 + 0.4 * np.sin((x[100:200] + 5.8) / 8)
     np.testing.assert_allclose(view.grey[1, 100:200] / 255, shown, atol=0.04)
+    unsure = {"readout": SensorTime(0.01, 0.005), "depth_readout": SensorTime(0.002, 0.001)}  # not used for the images
+    plain, moving = rectified_keyframe(run, replace(frame, timing=SensorTiming(None, None, 0.0)), unsure)  # type: ignore[arg-type]
+    np.testing.assert_allclose(plain.grey[1, 100:200] / 255, stripes[1, 100:200, 0], atol=0.01)
+    assert moving.rectification is None and moving.times.readout == 0.01
     still, unmoved = rectified_keyframe(run, replace(frame, timing=SensorTiming()), {})  # type: ignore[arg-type]
     np.testing.assert_allclose(still.grey[1, 100:200] / 255, stripes[1, 100:200, 0], atol=0.01)
     assert unmoved.synchronised

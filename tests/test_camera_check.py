@@ -33,7 +33,8 @@ def frames() -> list[tuple[Frame, torch.Tensor]]:
 def checked(frames: list[tuple[Frame, torch.Tensor]], focal: float) -> CameraCheck:
     """The check after a run over frames whose stated focal length is `focal` times the true one."""
     graph = KeyframeGraph(replace(FAST.keyframes, cull=1.0))
-    check = CameraCheck(graph, KeyframeMotions(FramePoses(graph), lambda keyframe: RowTimes()))
+    motions = KeyframeMotions(FramePoses(graph), lambda keyframe: RowTimes())
+    check = CameraCheck(graph, motions, lambda keyframe: np.zeros(3))
     for frame, T_wk in frames:
         c = frame.camera
         frame = replace(frame, camera=replace(c, fx=c.fx * focal, fy=c.fy * focal))

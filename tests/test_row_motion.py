@@ -41,6 +41,19 @@ def moving(problem: Problem, wrong: float) -> tuple[Problem, Array]:
     return replace(problem, seen=replace(seen, uv=seen.uv + bent, reading=seen.reading + places[1][:, 2] - p[:, 2])), true
 
 
+def with_inexact(problem: Problem, sigmas: Array, late: Array) -> Problem:
+    """The problem of images whose rows were exposed `late` (3,) [s] by their times: what is known of these has deviations `sigmas` (3,)."""
+    found, true = motions(len(problem.poses), 0.1)
+    problem = in_motion(problem, found, sigmas=sigmas[None])
+    seen, rows = problem.seen, problem.seen.rows
+    assert rows is not None
+    p = camera_points(problem.poses, problem.points, seen)
+    _, moved, _ = rows.displacements(true[seen.keyframe], late[sigmas > 0])
+    places = [displaced(p, moved[:, i])[0] for i in range(2)]
+    bent = problem.model.project(places[0])[0] - problem.model.project(p)[0]
+    return replace(problem, seen=replace(seen, uv=seen.uv + bent, reading=seen.reading + places[1][:, 2] - p[:, 2]))
+
+
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     found = moving(true_problem(MODEL, keyframes=3, landmarks=20), 0.1)[0]
@@ -82,6 +95,19 @@ def test_derivatives_by_points(problem: Problem, axis: int) -> None:
     np.testing.assert_allclose(at.by_point[:, :, axis], (ahead - behind) / (2 * STEP), rtol=1e-5, atol=1e-3)
 
 
+@pytest.mark.parametrize("time", range(3))
+def test_derivatives_by_times(time: int) -> None:
+    inexact = with_inexact(true_problem(MODEL, keyframes=3, landmarks=20), np.full(3, 0.01), np.array([0.002, -0.001, 0.003]))
+    assert inexact.velocities is not None
+    still = inexact.model, inexact.poses, inexact.points, inexact.seen, inexact.velocities.present
+    step, present = STEP * np.eye(3)[time], np.array([0.004, 0.002, -0.003])
+    by_time = linearise(*still, present).by_values[:, :, len(NAMES) + time]
+    np.testing.assert_allclose(
+        by_time, (residuals(*still, present + step) - residuals(*still, present - step)) / (2 * STEP), rtol=1e-5, atol=1e-2
+    )
+    assert np.abs(by_time).max() > 50
+
+
 def test_a_right_velocity_changes_no_residual() -> None:
     """An image that was rectified with the true velocity shows all landmarks at the time stamp."""
     still = true_problem(CameraModel.as_stated(CAMERA), keyframes=3, landmarks=30)
@@ -118,6 +144,16 @@ def test_the_adjustment_finds_poses_and_velocities() -> None:
     before, after = (np.abs(v - velocities)[:, 3:].mean() for v in (bent.velocities.present, found.velocities.present))
     assert before == pytest.approx(0.08, abs=0.02)
     assert after < 0.03
+
+
+def test_times_that_are_not_exact_are_adjusted() -> None:
+    """A read-out of colour that is 4 ms longer than was taken, within its deviation of 5 ms; that of depth is exact."""
+    late = np.array([0.004, 0.0, -0.003])
+    true = true_problem(CameraModel.as_stated(CAMERA), landmarks=300, noise=0.5)
+    bent = with_inexact(replace(true, estimated=true.estimated & (np.arange(len(NAMES)) < 4)), np.array([0.005, 0.0, 0.005]), late)
+    found = adjust(perturbed(bent))
+    np.testing.assert_allclose(found.problem.times.present, late[[0, 2]], atol=5e-4)
+    assert found.problem.times.cost == pytest.approx(1.0, abs=0.3)
 
 
 def test_covariances_with_velocities_are_honest() -> None:

@@ -154,3 +154,18 @@ def test_a_right_camera_with_rolling_shutters_stays(shaken: Footage) -> None:
     assert blind.noise > 0.25
     assert abs(of(blind, "focal")[0]) > 0.008
     assert abs(of(blind, "cy")[0]) > 0.008  # 2.6 px
+
+
+def test_times_of_the_sensor_that_are_not_exact_do_not_pass_for_a_lens(shaken: Footage) -> None:
+    """Read-out times that are 7 ms too short, and depth that is 2 ms early."""
+    wrong = [replace(m, times=RowTimes(m.times.readout - 0.007, m.times.depth_readout - 0.007, 0.002)) for m in shaken.motions]
+    late = replace(shaken, motions=wrong)
+    known, exact, inexact = (
+        self_calibrate([footage], rounds=1) for footage in (shaken, late, replace(late, time_sigmas=np.full(3, 0.003)))
+    )
+    assert known is not None and exact is not None and inexact is not None
+    assert inexact.noise == pytest.approx(known.noise, abs=0.002) and exact.noise > known.noise + 0.004
+    for name in ASKED:
+        assert of(inexact, name)[0] == pytest.approx(of(known, name)[0], abs=5e-4)
+    assert of(exact, "focal")[0] > 0.006  # 0.25 %, as known and inexact
+    assert of(exact, "focal")[1] > 2 * of(inexact, "focal")[1]

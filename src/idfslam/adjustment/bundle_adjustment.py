@@ -7,7 +7,7 @@ variance components: squared residuals over their redundancy. Measurements that 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.sparse import bsr_array
 
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
 from idfslam.adjustment.residuals import Array, Indices, Linearised, Observations, camera_points, linearise, tracks
-from idfslam.adjustment.row_motion import KeyframeMotion, Velocities, row_motion
+from idfslam.adjustment.row_motion import KeyframeMotion, TimeErrors, Velocities, row_motion, with_inexact_times
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
 from idfslam.geometry import se3
 from idfslam.graph.pose_graph import RelativePoses
@@ -47,6 +47,7 @@ class Problem:
     estimated: NDArray[np.bool_]  # (P,) values of the camera that are estimated
     edges: RelativePoses | None = None  # relative poses that were measured by other means
     velocities: Velocities | None = None  # of all keyframes, where the rows of an image have times of their own
+    times: TimeErrors = field(default_factory=TimeErrors.none)  # of the sensors, where there are velocities
 
     @property
     def unknowns(self) -> int:
@@ -55,14 +56,15 @@ class Problem:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(D K + P,) the unknowns that are estimated. A pose that stays may have a velocity that does not."""
+        """(D K + P + T,) the unknowns that are estimated. A pose that stays may have a velocity that does not."""
         of_keyframes = np.ones((len(self.poses), self.unknowns), bool)
         of_keyframes[self.fixed, :6] = False
-        return np.concatenate([of_keyframes.ravel(), self.estimated])
+        return np.concatenate([of_keyframes.ravel(), self.estimated, np.ones(len(self.times.present), bool)])
 
     def linearised(self) -> Linearised:
         """The residuals at the present values, with derivatives."""
-        return linearise(self.model, self.poses, self.points, self.seen, None if self.velocities is None else self.velocities.present)
+        velocities = None if self.velocities is None else self.velocities.present
+        return linearise(self.model, self.poses, self.points, self.seen, velocities, self.times.present)
 
 
 @dataclass(frozen=True)
@@ -84,14 +86,22 @@ class Adjusted:
         return self.system.covariance(self.problem.unknowns * keyframe + np.arange(6))
 
 
-def in_motion(problem: Problem, motions: Sequence[KeyframeMotion]) -> Problem:
-    """A problem whose K keyframes moved so while their images were taken: the problem itself if all rows are of one moment."""
-    if all(motion.synchronised for motion in motions):
+def in_motion(
+    problem: Problem, motions: Sequence[KeyframeMotion], recordings: NDArray[np.int64] | None = None, sigmas: Array | None = None
+) -> Problem:
+    """A problem whose K keyframes moved so while their images were taken: the problem itself if all rows are of one moment.
+
+    recordings: (K,) numbers of the recordings that the keyframes are of; None: there is one. sigmas: (R, 3) [s] standard deviations of the
+    read-out times of colour and depth, and of depth's delay, of each recording; None: they are exact.
+    """
+    of = np.zeros(len(motions), np.int64) if recordings is None else recordings
+    sigmas = np.zeros((int(of.max(initial=0)) + 1, 3)) if sigmas is None else sigmas
+    if all(motion.synchronised for motion in motions) and not sigmas.any():
         return problem
     seen, z = problem.seen, camera_points(problem.poses, problem.points, problem.seen)[:, 2:]
     points = problem.model.rays(seen.uv) * z
-    rows = row_motion(points, seen.keyframe, motions, problem.model.camera)
-    return replace(problem, seen=replace(seen, rows=rows), velocities=Velocities.of(motions))
+    rows = with_inexact_times(row_motion(points, seen.keyframe, motions, problem.model.camera), of[seen.keyframe], sigmas)
+    return replace(problem, seen=replace(seen, rows=rows), velocities=Velocities.of(motions), times=TimeErrors.of(sigmas))
 
 
 def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
@@ -162,8 +172,10 @@ def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]
 
 def _moved(problem: Problem, n: NormalEquations, damping: float) -> Problem:
     """The problem after one step."""
-    drawn = np.concatenate([np.zeros(problem.unknowns * len(problem.poses)), -_value_information() * problem.model.values])
-    keyframes, values, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
+    of_keyframes, shared = np.zeros(problem.unknowns * len(problem.poses)), np.concatenate([problem.model.values, problem.times.present])
+    drawn = np.concatenate([of_keyframes, -_shared_information(problem) * shared])
+    keyframes, shared_steps, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
+    values, late = np.split(shared_steps, [len(NAMES)])
     model, v = replace(problem.model, values=problem.model.values + values), problem.velocities
     return replace(
         problem,
@@ -171,6 +183,7 @@ def _moved(problem: Problem, n: NormalEquations, damping: float) -> Problem:
         poses=problem.poses @ exp(keyframes[:, :6]),
         points=problem.points + points,
         velocities=None if v is None else replace(v, present=v.present + keyframes[:, 6:]),
+        times=replace(problem.times, present=problem.times.present + late),
     )
 
 
@@ -178,10 +191,15 @@ def _value_information() -> Array:
     return np.array(list(PRIORS.values())) ** -2
 
 
+def _shared_information(problem: Problem) -> Array:
+    """(P + T,) of the priors of what all keyframes share."""
+    return np.concatenate([_value_information(), problem.times.information])
+
+
 def _information(problem: Problem) -> Array:
     of_keyframes = np.zeros((len(problem.poses), problem.unknowns))
     of_keyframes[:, :6] = _POSE_INFORMATION
-    return np.concatenate([of_keyframes.ravel(), _value_information()])
+    return np.concatenate([of_keyframes.ravel(), _shared_information(problem)])
 
 
 def _equations(at: Linearised, problem: Problem) -> NormalEquations:
@@ -224,7 +242,7 @@ def _cost(at: Linearised, problem: Problem) -> float:
     capped = np.minimum(size, _HUBER)
     finite = np.where(np.isfinite(size), capped * (2 * size - capped), 1e12)  # a point behind the camera: no step may lead there
     off = 0.0 if problem.edges is None else problem.edges.squared_errors(torch.from_numpy(problem.poses)).sum()
-    off += 0.0 if problem.velocities is None else problem.velocities.cost
+    off += 0.0 if problem.velocities is None else problem.velocities.cost + problem.times.cost
     return float(finite.sum() + (_value_information() * problem.model.values**2).sum() + off)
 
 

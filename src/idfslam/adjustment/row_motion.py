@@ -4,11 +4,11 @@ The pose that is adjusted is that of a keyframe's time stamp. Its images were ca
 that was wrong, or was not constant, a landmark is not where the image shows it. So with s the time of its row and v the true velocity, a
 landmark p in the keyframe's frame is shown where exp(-(s v + r)) p is, where r is what the image was rectified by, and what is known of
 the acceleration (Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle adjustment", CVPR 2012). Colour's rows and depth's have
-times of their own.
+times of their own. Where these are estimates themselves, all keyframes of a recording share their errors (`TimeErrors`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,19 @@ class RowMotion:
 
     seconds: Array  # (N, 2) [s] from the keyframe's time stamp to when the row of colour was exposed, and that of depth
     given: Array  # (N, 2, 6) [m], [rad] displacement r to be added to seconds times the velocity
+    acceleration: Array  # (N, 6) [m/s^2], [rad/s^2] of the camera: r contains it
+    by_times: Array  # (N, 2, T) [1] derivatives of seconds by those times of the sensors that are not exact
 
     def __getitem__(self, chosen: NDArray[np.generic]) -> "RowMotion":
-        return RowMotion(self.seconds[chosen], self.given[chosen])
+        return RowMotion(*(part[chosen] for part in vars(self).values()))
+
+    def displacements(self, velocities: Array, times: Array) -> tuple[Array, Array, Array]:
+        """Seconds (N, 2), displacements (N, 2, 6) and their rates (N, 2, 6) at velocities (N, 6), and with errors (T,) [s] of the times."""
+        late = self.by_times @ times
+        seconds, between = self.seconds + late, (self.seconds + late / 2)[..., None]
+        acceleration = self.acceleration[:, None]
+        moved = seconds[..., None] * velocities[:, None] + self.given + late[..., None] * between * acceleration
+        return seconds, moved, velocities[:, None] + seconds[..., None] * acceleration
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,30 @@ class Velocities:
     def right(self) -> Array:
         """(K, 6) what the prior adds to the right side of the normal equations."""
         return np.einsum("kij,kj->ki", self.information, self.prior - self.present)
+
+
+@dataclass(frozen=True)
+class TimeErrors:
+    """The errors [s] of T times of sensors, which the rows of all keyframes of a recording share, with a Gaussian prior about zero."""
+
+    present: Array  # (T,)
+    information: Array  # (T,) [1/s^2]
+
+    @staticmethod
+    def none() -> "TimeErrors":
+        """All times are exact."""
+        return TimeErrors.of(np.zeros((0, 3)))
+
+    @staticmethod
+    def of(sigmas: Array) -> "TimeErrors":
+        """Those of the inexact ones among times with standard deviations (R, 3) [s], in order."""
+        inexact = sigmas[sigmas > 0]
+        return TimeErrors(np.zeros(len(inexact)), inexact**-2)
+
+    @property
+    def cost(self) -> float:
+        """The squared distance to the prior, in units of its covariance."""
+        return float((self.information * self.present**2).sum())
 
 
 def displaced(points: Array, xi: Array) -> tuple[Array, Array, Array]:
@@ -101,17 +135,27 @@ class KeyframeMotion:
         before = np.stack([start + span * row for row, (start, span) in zip(f, _spans(then))], 1)
         seconds = np.stack([start + span * row for row, (start, span) in zip(f, _spans(self.times))], 1)
         given = seconds[..., None] ** 2 / 2 * self.acceleration - before[..., None] * carried
-        return RowMotion(seconds, given)
+        by_times = np.zeros((len(points), 2, 3))  # colour's read-out, depth's, and depth's delay
+        by_times[:, 0, 0], by_times[:, 1, 1], by_times[:, 1, 2] = *f, 1.0
+        return RowMotion(seconds, given, np.tile(self.acceleration, (len(points), 1)), by_times)
 
 
 def row_motion(points: Array, keyframe: NDArray[np.int64], motions: Sequence[KeyframeMotion], camera: Camera) -> RowMotion:
     """Of sightings of points (N, 3), each in the frame of its keyframe (N,), of these motions."""
-    out = RowMotion(np.zeros((len(points), 2)), np.zeros((len(points), 2, 6)))
+    n = len(points)
+    out = RowMotion(np.zeros((n, 2)), np.zeros((n, 2, 6)), np.zeros((n, 6)), np.zeros((n, 2, 3)))
     for k in np.unique(keyframe).tolist():
         chosen = keyframe == k
-        rows = motions[k].rows(points[chosen], camera)
-        out.seconds[chosen], out.given[chosen] = rows.seconds, rows.given
+        for part, found in zip(vars(out).values(), vars(motions[k].rows(points[chosen], camera)).values()):
+            part[chosen] = found
     return out
+
+
+def with_inexact_times(rows: RowMotion, recording: NDArray[np.int64], sigmas: Array) -> RowMotion:
+    """The same, of sightings in recordings (N,) whose sensors have times with standard deviations (R, 3) [s]: see `TimeErrors`."""
+    by_times = np.zeros((*rows.seconds.shape, *sigmas.shape))
+    by_times[np.arange(len(recording)), :, recording] = rows.by_times
+    return replace(rows, by_times=by_times[..., sigmas > 0])
 
 
 def _spans(times: RowTimes) -> tuple[tuple[float, float], tuple[float, float]]:

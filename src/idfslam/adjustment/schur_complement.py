@@ -16,7 +16,7 @@ from idfslam.adjustment.residuals import Array, Linearised, Observations
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and -J^T W r by blocks: keyframes (K, D), the camera's values (P,), landmarks (L, 3).
+    """J^T W J and -J^T W r by blocks: keyframes (K, D), the camera's values and the errors of times (P,), landmarks (L, 3).
 
     A keyframe has D = 6 unknowns, those of its pose, or 12, with those of its velocity.
     """

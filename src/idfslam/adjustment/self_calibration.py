@@ -8,7 +8,7 @@ Poses that are known from elsewhere tell it (`with_scale`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ _LEAST_LANDMARKS = 100  # in all; more: poor recordings are refused. Chosen by h
 _IN_A_ROW = 8  # keyframes whose positions are wrong in about the same way; more: the scale that true poses tell is less sure. By hand
 _MISFIT = 1.5  # [1] factor on all standard deviations, for what residuals do not show: patches that are not flat, light that moves. Raised,
 #    less is claimed. The errors of 6 generated calibrations were 1.35 times as large as their standard deviations, root mean square
+_TIMES = 2.0  # [1] factor on the standard deviations of the sensor's times, with which these are adjusted too: estimates of generated
+#    recordings were off by up to 3.9 of them. Raised, the times are left to the keyframes
 _SMOOTH = 5e-4  # [1] least standard deviation of a number of depth's deformation: surfaces that are not smooth bend it. Raised, likewise
 _STRETCHES = 8  # of keyframes, each of which is left out once; more: errors that last longer than a stretch are missed, slower. By hand
 _STEPS = 8  # most steps of an adjustment without one of them; more: slower, more exact
@@ -60,6 +62,7 @@ class Footage:
     views: Sequence[View]
     poses: Array
     motions: Sequence[KeyframeMotion]
+    time_sigmas: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [s] of colour's read-out, depth's, and depth's delay
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,7 @@ def self_calibrate(
     if len(views) < _LEAST_KEYFRAMES:
         return None
     motions = [motion for part in footage for motion in part.motions]
+    time_sigmas = _TIMES * np.array([part.time_sigmas for part in footage])
     poses = np.concatenate([part.poses for part in footage] if start is None else start.poses)
     starts = np.cumsum([0, *(len(part.views) for part in footage)])
     of = np.repeat(np.arange(len(footage)), np.diff(starts))
@@ -112,7 +116,7 @@ def self_calibrate(
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
-        problem = in_motion(Problem(model, poses, points, seen, fixed, estimated), motions)
+        problem = in_motion(Problem(model, poses, points, seen, fixed, estimated), motions, of, time_sigmas)
         adjusted = adjust(problem)
         if explained and noise_of(adjusted.problem.seen, views[0].camera.width) > EXPLAINED:
             return None

@@ -97,6 +97,12 @@ class TimingEstimator(Stateful):
         readout, depth_readout, depth_delay = self.timing(stated)
         return RowTimes(readout, depth_readout, lag + depth_delay)
 
+    def likeliest(self, stated: SensorTiming, lag: float) -> RowTimes:
+        """The same with all estimates, significant or not."""
+        found = {name: value for name, (value, _) in self.estimates(stated).items()}
+        known = {name: found.get(name, value or 0.0) for name, value in vars(stated).items()}
+        return RowTimes(known["readout"], known["depth_readout"], lag + known["depth_delay"])
+
     def timing(self, stated: SensorTiming) -> tuple[float, float, float]:
         """Readout, depth readout and depth delay [s]: as stated, or as estimated where that is significant, or zero."""
         values = [stated.readout, stated.depth_readout, stated.depth_delay]

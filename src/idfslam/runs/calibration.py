@@ -59,7 +59,7 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
     if console is not None:
         count = sum(len(found.views) for found in maps)
         console.print(f"adjusting {count} keyframes, their landmarks and the camera together", highlight=False)
-    estimate = self_calibrate([Footage(found.views, found.poses, found.motions) for found in maps])
+    estimate = self_calibrate([Footage(found.views, found.poses, found.motions, found.time_sigmas) for found in maps])
     if estimate is None:
         found = f"{sum(len(found.views) for found in maps)} keyframes with too few landmarks in common"
         raise RecordingError(f"{first.name}: {found}, expected several views of one place: record a textured room from many sides")

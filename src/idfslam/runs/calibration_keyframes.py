@@ -17,6 +17,7 @@ from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.errors import ConfigError, RecordingError
 from idfslam.frame import Frame
+from idfslam.geometry.sensor_timing import SYNCHRONISED
 from idfslam.graph.keyframe import Keyframe
 from idfslam.live import is_live
 from idfslam.runs import result_folder
@@ -40,6 +41,11 @@ class Keyframes:
     poses: NDArray[np.float64]
     motions: Sequence[KeyframeMotion]
     times: Mapping[str, SensorTime] = field(default_factory=dict)  # of the sensor, as the run over the recording found them
+
+    @property
+    def time_sigmas(self) -> NDArray[np.float64]:
+        """(3,) [s] standard deviations of colour's read-out, depth's, and depth's delay; zero where they are stated."""
+        return np.array([self.times[name].sigma if name in self.times else 0.0 for name in vars(SYNCHRONISED)])
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> "Keyframes":
         kept = np.flatnonzero(chosen).tolist()
@@ -68,22 +74,24 @@ def keyframes_of(source: RecordingSource, recording: Dataset, config: Config, co
 
 def rectified_keyframe(run: FinishedRun, frame: Frame, times: Mapping[str, SensorTime]) -> tuple[View, KeyframeMotion]:
     """A frame of a run as a synchronised global shutter would have seen it, and how the camera moved, by the poses and times of the run."""
-    rows = row_times(frame, times)
-    if rows.synchronised:
+    rows, likeliest = row_times(frame, {name: time for name, time in times.items() if time.is_sure}), row_times(frame, times)
+    if likeliest.synchronised:
         return View.of(frame), unknown_motion(rows)
     around = stretch_around(run.trusted, frame.index, STAMPS)
     stamps, poses = run.trajectory.timestamps, run.trajectory.poses
-    found = motion_around(stamps[frame.index], stamps[around], poses[around], rows)
+    found = motion_around(stamps[frame.index], stamps[around], poses[around], likeliest)
     if found is None:
-        return View.of(frame), unknown_motion(rows)
+        return View.of(frame), unknown_motion(likeliest)
+    if rows.synchronised:
+        return View.of(frame), found
     rectification = Rectification(rows, found.velocity)
     return View.of(rectified(frame, rectification)), replace(found, rectification=rectification)
 
 
 def row_times(frame: Frame, found: Mapping[str, SensorTime]) -> RowTimes:
-    """The times of a frame's rows: those that it states, those that were found for sure, or zero."""
-    sure = {name: time.value for name, time in found.items() if time.is_sure}
-    known = {name: sure.get(name, 0.0) if stated is None else stated for name, stated in vars(frame.timing).items()}
+    """The times of a frame's rows: those that it states, those that were found, or zero."""
+    values = {name: time.value for name, time in found.items()}
+    known = {name: values.get(name, 0.0) if stated is None else stated for name, stated in vars(frame.timing).items()}
     return RowTimes(known["readout"], known["depth_readout"], known["depth_delay"] + frame.depth_lag)
 
 
@@ -108,11 +116,17 @@ def keyframes_by_slam(
             kept = len(slam.graph.keyframes) if result.keyframe else None
             bar.update(result, frames_per_second=done / (perf_counter() - start), keyframes=kept)
     slam.finish()
+    return keyframes_in(slam, recording)
+
+
+def keyframes_in(slam: Slam, recording: Dataset) -> list[Keyframes]:
+    """The keyframes of a finished run over a recording, those of each submap by themselves."""
     stored = slam.graph.keyframes
     if not stored:
-        raise RecordingError(f"{recording.name}: none of {done} frames has depth, so there is nothing to calibrate")
+        raise RecordingError(f"{recording.name}: none of {len(slam.frames)} frames has depth, so there is nothing to calibrate")
     groups = [[keyframe for keyframe in stored if keyframe.submap == submap] for submap in sorted({k.submap for k in stored})]
-    times, motions = _times(slam.figures()), KeyframeMotions(slam.frames, slam.front_end.row_times)
+    times = _times(slam.figures())
+    motions = KeyframeMotions(slam.frames, lambda keyframe: slam.front_end.likeliest_row_times(keyframe)[0])
     return [_keyframes(recording, group, motions, times) for group in groups]
 
 

@@ -9,6 +9,8 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
@@ -175,6 +177,9 @@ class AlignmentToMap(FrontEnd):
 
     def row_times(self, keyframe: Keyframe) -> RowTimes:
         return self.compensation.times(keyframe)
+
+    def likeliest_row_times(self, keyframe: Keyframe) -> tuple[RowTimes, NDArray[np.float64]]:
+        return self.compensation.likeliest_times(keyframe)
 
     def smooth(self) -> None:
         self.compensation.smoother.smooth(self.frames)

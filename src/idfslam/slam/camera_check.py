@@ -10,6 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_findings import doubts
 from idfslam.adjustment.camera_model import NAMES
@@ -21,6 +22,7 @@ from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.slam.keyframe_motion import KeyframeMotions
 
 log = logging.getLogger(__name__)
+Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 _EARLY = 12  # stored keyframes at the early check; more: surer and later. This and the rest: chosen by hand
@@ -31,8 +33,9 @@ _STRETCHES = 2  # such stretches at the end of a run, one of them its last keyfr
 class CameraCheck(KeyframeHook):
     """Says whether the camera fits the views. See `figures` for what it found at the end."""
 
-    def __init__(self, graph: KeyframeGraph, motions: KeyframeMotions) -> None:
-        self.graph, self.motions = graph, motions
+    def __init__(self, graph: KeyframeGraph, motions: KeyframeMotions, time_sigmas: Callable[[Keyframe], Array]) -> None:
+        """motions: with the likeliest times of rows. time_sigmas: standard deviations (3,) [s] of these times."""
+        self.graph, self.motions, self.time_sigmas = graph, motions, time_sigmas
         self._early: Future[bool] | None = None  # the early check; True: it told doubts
         self._final: Future[Estimate | None] | None = None  # that at the end of the run
         self._estimate: Estimate | None = None  # of the latter
@@ -55,7 +58,8 @@ class CameraCheck(KeyframeHook):
         """The views of keyframes with depth, at their present poses."""
         kept = [keyframe for keyframe in keyframes if keyframe.has_depth]
         poses = np.array([keyframe.T_wk.numpy() for keyframe in kept])
-        return Footage([View.of(keyframe.frame) for keyframe in kept], poses, [self.motions.of(keyframe) for keyframe in kept])
+        sigmas = self.time_sigmas(kept[-1]) if kept else np.zeros(3)
+        return Footage([View.of(keyframe.frame) for keyframe in kept], poses, [self.motions.of(keyframe) for keyframe in kept], sigmas)
 
     def settle(self) -> None:
         """Tells doubts that the early check did not tell yet."""

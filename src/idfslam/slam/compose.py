@@ -219,7 +219,8 @@ class System:
             hooks.append(LoopCloser(c, self.relocaliser, self.graph))
             hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
         if self.config.calibrate != "off":
-            hooks.append(CameraCheck(self.graph, self.motions))
+            likeliest = KeyframeMotions(self.frames, lambda keyframe: self.front_end.likeliest_row_times(keyframe)[0])
+            hooks.append(CameraCheck(self.graph, likeliest, lambda keyframe: self.front_end.likeliest_row_times(keyframe)[1]))
         return hooks
 
     @cached_property

@@ -4,6 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.graph.keyframe import Keyframe
@@ -29,6 +31,10 @@ class FrontEnd(Stateful, ABC):
     def row_times(self, keyframe: Keyframe) -> RowTimes:
         """The times of the rows of a keyframe's images as they were taken, as far as they are known by now."""
         return RowTimes()
+
+    def likeliest_row_times(self, keyframe: Keyframe) -> tuple[RowTimes, NDArray[np.float64]]:
+        """The same with estimates that are not sure enough to track by, and standard deviations (3,) [s] of `RowTimes.array`."""
+        return self.row_times(keyframe), np.zeros(3)
 
     def smooth(self) -> None:
         """Smooths the poses of the frames after the last one, by what is known of the motion between them."""

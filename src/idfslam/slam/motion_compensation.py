@@ -169,6 +169,12 @@ class MotionCompensation(Stateful):
         """The times of the rows of a keyframe's images, as they were taken: stated, estimated, or zero."""
         return self.timing.of(keyframe.timing, keyframe.depth_lag)
 
+    def likeliest_times(self, keyframe: Keyframe) -> tuple[RowTimes, Array]:
+        """The same with estimates that are not significant, and standard deviations (3,) [s]: zero until the motion tells of them."""
+        found = self.estimates() or {}
+        sigmas = np.array([found[name][1] if name in found else 0.0 for name in _NAMES])
+        return (self.timing.likeliest(keyframe.timing, keyframe.depth_lag) if found else self.times(keyframe)), sigmas
+
     @staticmethod
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
