@@ -169,3 +169,13 @@ def test_times_of_the_sensor_that_are_not_exact_do_not_pass_for_a_lens(shaken: F
         assert of(inexact, name)[0] == pytest.approx(of(known, name)[0], abs=5e-4)
     assert of(exact, "focal")[0] > 0.006  # 0.25 %, as known and inexact
     assert of(exact, "focal")[1] > 2 * of(inexact, "focal")[1]
+
+
+def test_deviations_are_drawn_to_those_of_their_kind() -> None:
+    """By the jackknife a value errs by 1 and 3 times its own deviation: by 5 in the mean of the squares, so by 3 and 7 of them together."""
+    own = np.where(np.isin(NAMES, ("focal", "cx")), 0.001, 0.0)
+    jackknife = own * np.where(np.array(NAMES) == "cx", 3.0, 1.0)
+    moderated = self_calibration._moderated(jackknife, own)
+    assert moderated[NAMES.index("focal")] == pytest.approx(0.001 * 3**0.5)
+    assert moderated[NAMES.index("cx")] == pytest.approx(0.001 * 7**0.5)
+    assert np.count_nonzero(moderated) == 2

@@ -8,7 +8,9 @@ import numpy as np
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.self_calibration import Estimate, fitting
 
-_CERTAIN = 4.0  # [standard deviations] from which on a value counts as off; raised, fewer doubts are told
+# [standard deviations] from which on a value counts as off; raised, fewer doubts are told. Deviations are estimates themselves: chance
+# brings a right value so far once in 10 000 times (Student's t with 14 degrees of freedom: two estimates from eight stretches)
+_CERTAIN = 5.4
 # Deviations from which on a camera harms: raised, fewer doubts are told. In generated rooms, 1 % of focal length and 3 px of the centre (at
 # a width of 640) together quadruple the error of the trajectory
 _FOCAL = 0.005  # [1]

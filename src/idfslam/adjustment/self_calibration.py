@@ -126,7 +126,8 @@ def self_calibrate(
         if i and (np.abs(model.values - before) < _SETTLED * sigmas)[estimated].all():
             break
     kept = adjusted.problem.seen
-    covariance = _with_sigmas(_honest(covariance), _by_jackknife(adjusted.problem, of))
+    own = np.sqrt(np.diag(covariance).clip(min=0))
+    covariance = _with_sigmas(_honest(covariance), _moderated(_by_jackknife(adjusted.problem, of), own))
     return Estimate(
         model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0].camera.width)
     )
@@ -157,6 +158,21 @@ def _by_jackknife(problem: Problem, of: NDArray[np.int64]) -> Array:
         without = replace(problem, points=points, seen=seen, fixed=~left | first_of_each)
         values.append(adjust_briefly(without, noise=np.ones(len(KINDS)), steps=_STEPS)[0].model.values)
     return np.asarray(np.sqrt((count - 1) * np.var(values, axis=0)))
+
+
+def _moderated(jackknife: Array, own: Array) -> Array:
+    """(P,) standard deviations of the values, from those by the jackknife, and the adjustment's own, which are zero if not estimated.
+
+    Eight stretches tell a deviation to a quarter of it only. How many times their own deviation values err is much the same for all of a
+    lens, and for all of depth. So each variance is averaged with that by the mean of its kind (Smyth, 2004, of many variances).
+    """
+    out = jackknife.copy()
+    for kind in (np.arange(len(NAMES)) < _SCALE, np.arange(len(NAMES)) > _SCALE):
+        at = kind & (own > 0)
+        if at.any():
+            times_own = np.mean((jackknife[at] / own[at]) ** 2)
+            out[at] = np.sqrt((jackknife[at] ** 2 + times_own * own[at] ** 2) / 2)
+    return out
 
 
 def _with_sigmas(covariance: Array, least: Array) -> Array:
