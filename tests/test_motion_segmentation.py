@@ -14,6 +14,8 @@ from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.segmentation.coarse_view import CoarseView
+from idfslam.segmentation.memory import Memory
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.front_end import FrontEnd
@@ -190,6 +192,35 @@ def test_no_layer_is_tried_in_a_wide_step() -> None:
     shown = view(CORNER, EYE)
     shown.registered = True
     assert segmentation.check(shown, tracked, Untried()) is tracked
+
+
+@pytest.mark.parametrize(
+    ("share", "misfit", "again"),
+    [(0.03, 0.9, False), (0.3, 0.9, True), (0.3, 1.1, False)],
+)
+def test_a_view_is_tracked_again_without_what_turns_out_to_move(share: float, misfit: float, again: bool) -> None:
+    """If it is more than a twentieth of what the view shows, and what is left fits better then."""
+    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    shown, drawn = view(CORNER, EYE), pose(0.05, 0, 0, 0, 0, 0)
+
+    class Reconsidered(Memory):
+        def reconsider(self, view: CoarseView, T_tracked: np.ndarray) -> np.ndarray:
+            cells = np.zeros(view.depth.shape, np.bool_)
+            cells[:, : round(share * cells.shape[1])] = True
+            return cells
+
+    class Freed(FrontEnd):
+        def track(self, view: Keyframe) -> Tracked:
+            assert view.moving is not None
+            return Tracked(EYE, Status.OK, Source.ALIGNED)
+
+        def misfit(self, view: Keyframe, T_wc: torch.Tensor) -> float:
+            return misfit if torch.equal(T_wc, EYE) else 1.0
+
+    segmentation.memory = Reconsidered(lambda host: np.eye(4))
+    found = segmentation.check(shown, Tracked(drawn, Status.OK, Source.ALIGNED), Freed())
+    assert torch.equal(found.T_wc, EYE if again else drawn)
+    assert (shown.moving is not None) is again
 
 
 @pytest.mark.parametrize(("status", "masked"), [(Status.OK, True), (Status.DOUBTFUL, False)])

@@ -68,24 +68,34 @@ class Memory:
         if self._last is None or self.still:
             self._expected = None
             return np.zeros(view.depth.shape, np.bool_)
-        near_left = self._all_near_left(view, T_predicted)
-        self._expected = self._judged(view, T_predicted, self._number + 1, near_left)
+        self._expected = self._judged(view, T_predicted, self._number + 1, self._all_near_left(view, T_predicted, self._number))
         return self._expected[0].moving
+
+    def reconsider(self, view: CoarseView, T_tracked: Array) -> Cells:
+        """(h, w) what `segment` would give for a view at a pose (4, 4), which may be found wrong yet: recent views learn nothing."""
+        recent = list(self.recent)
+        self._expected = self._judged(view, T_tracked, self._number + 1, self._followed(view, T_tracked, self._number + 1))
+        self.recent = recent
+        return self._expected[0].moving
+
+    def expects(self, T_wc: Array) -> bool:
+        """Whether `confirm` tells what moves in the view that was expected, were its pose (4, 4) this one."""
+        return self._expected is not None and self._suspected is None and _is_near(self._expected[0], T_wc)
 
     def confirm(self, T_wc: Array) -> Cells | None:
         """What `segment` would give for the view that was expected, if its pose (4, 4) is about the predicted one; None: it is not."""
-        if self._expected is None or self._suspected is not None or not _is_near(self._expected[0], T_wc):
+        if self._expected is None or not self.expects(T_wc):
             return None
         self._number += 1
         segmented, through = self._expected
-        self._followed(segmented.view, T_wc)
+        self._followed(segmented.view, T_wc, self._number)
         self._keep(replace(segmented, T_wc=T_wc), through)
         return segmented.moving
 
     def segment(self, view: CoarseView, T_wc: Array) -> Cells:
         """(h, w) the cells of a view at a pose (4, 4) that show what moves."""
         self._number += 1
-        segmented, through = self._judged(view, T_wc, self._number, self._followed(view, T_wc))
+        segmented, through = self._judged(view, T_wc, self._number, self._followed(view, T_wc, self._number))
         self._keep(segmented, through)
         return segmented.moving
 
@@ -132,7 +142,7 @@ class Memory:
             return np.full((camera.height, camera.width), np.float32(np.inf)), np.zeros((camera.height, camera.width), np.int32)
         return carried(self._last.view, self._last.T_wc, self._last.moving, camera, T_wc, ages=self._last.age)
 
-    def _followed(self, view: CoarseView, T_wc: Array) -> list[Cells]:
+    def _followed(self, view: CoarseView, T_wc: Array, number: int) -> list[Cells]:
         """(h, w) each: the cells near the places that something has left since the recent views. One of them learns what has left."""
         newest = len(self.recent) - 1
         look = newest if self._turn % 2 else self._turn // 2 % max(newest, 1)  # one a frame: the newest, then another in turns
@@ -141,11 +151,11 @@ class Memory:
             found = votes(kept.view, self._pose(kept), [PosedView(view, T_wc, np.zeros(view.depth.shape, np.bool_))])
             left = grown(found.moves, found.stays, kept.view.depth)
             self.recent[look] = replace(kept, left=kept.left | left, moving=kept.moving | left)
-        return self._all_near_left(view, T_wc)
+        return self._all_near_left(view, T_wc, number)
 
-    def _all_near_left(self, view: CoarseView, T_wc: Array) -> list[Cells]:
+    def _all_near_left(self, view: CoarseView, T_wc: Array, number: int) -> list[Cells]:
         """What `_near_left` gives for every other recent view, in turns."""
-        looked = self.recent[self._number % _TURNS :: _TURNS]
+        looked = self.recent[number % _TURNS :: _TURNS]
         return [near for kept in looked if (near := self._near_left(kept, view, T_wc)) is not None]
 
     def _near_left(self, kept: Remembered, view: CoarseView, T_wc: Array) -> Cells | None:

@@ -5,19 +5,17 @@ once more without its nearest layer. If the pose is another one, and what lies b
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from idfslam.alignment.motion import image_motion
 from idfslam.alignment.usual_error import UsualError
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import in_pixels
-from idfslam.sensing.rectification import Rectification
 from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.tracked import Tracked
+from idfslam.slam.tracked_without import tracked_without
 from idfslam.storage.state import State, Stateful
 
 # [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.
@@ -79,18 +77,14 @@ class NearestLayerTrial(Stateful):
             return tracked, None
         if self._waits and error <= _UNUSUAL * self._in_vain:
             return tracked, None
-        layer, hidden = nearest_layer(depth()), view.moving
+        layer = nearest_layer(depth())
         if layer is None:
             return tracked, None
-        pixels = in_pixels(layer, view.camera)
-        before, undo = _TrackedBefore.of(view), front_end.undo()
-        view.hide(pixels if hidden is None else pixels | hidden)
-        without = front_end.track(view)
+        without, undo = tracked_without(in_pixels(layer, view.camera), view, front_end)
         once, again = self._found_once, self._is_drawn(view, tracked, without, front_end)
         if again and (once or tracked.is_lost):
             self._found_once = False
             return without, layer
-        before.restore(view)
         undo()
         self._found_once = again
         if not again:
@@ -108,26 +102,6 @@ class NearestLayerTrial(Stateful):
             return False
         less = _photometric_error(without) < _LESS * _photometric_error(tracked)
         return less and front_end.misfit(view, without.T_wc) < _BETTER * front_end.misfit(view, tracked.T_wc)
-
-
-@dataclass(frozen=True)
-class _TrackedBefore:
-    """What tracking sets in a view, to be restored after a trial that did not help."""
-
-    hidden: NDArray[np.bool_] | None
-    T_predicted: Tensor
-    rectification: Rectification | None
-    registered: bool
-
-    @classmethod
-    def of(cls, view: Keyframe) -> "_TrackedBefore":
-        return cls(view.moving, view.T_wk.clone(), view.rectification, view.registered)
-
-    def restore(self, view: Keyframe) -> None:
-        view.hide(self.hidden)
-        view.T_wk, view.registered = self.T_predicted, self.registered
-        if self.rectification is not None and view.rectification is not self.rectification:
-            view.rectify(self.rectification)
 
 
 def _photometric_error(tracked: Tracked) -> float:
