@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment import image_rotation
-from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image
+from idfslam.alignment.image_rotation import ImageRotation
 from idfslam.alignment.sighting import Appearance
+from idfslam.alignment.small_image import pixels_of, small_image
 from test_displacement import EYE, appearance, turned, wall
 
 

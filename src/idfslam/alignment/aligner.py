@@ -1,7 +1,8 @@
 """Alignment of a frame to the map: its depth to the zero level of the SDF, its image to those of earlier keyframes.
 
 Gauss-Newton on SE(3) with robust weights, coarse to fine. Depth constrains the pose wherever the map has shape. Where the shape leaves a
-direction open (a bare wall), the brightness of the keyframes' landmarks constrains it. A direction that neither constrains keeps its guess.
+direction open (a bare wall), the brightness of the keyframes' landmarks constrains it, and where there are none, their shading. A direction
+that nothing constrains keeps its guess.
 """
 
 import math
@@ -23,8 +24,10 @@ from idfslam.alignment.image_term import ImageTerm, Posed, image_term
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.photometric import photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
-from idfslam.alignment.row_moments import Array, RowMoments
+from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
+from idfslam.alignment.shading import Shading
 from idfslam.alignment.sighting import Appearance, Sighting
+from idfslam.alignment.small_image import small_image
 from idfslam.alignment.surface import Surface, surface_points
 from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
 from idfslam.alignment.usual_error import UsualError
@@ -132,19 +135,25 @@ class MapAligner(Stateful):
         coarse, fine = (self._against_map(part) for part in (surface.every(_COARSE_STRIDE), surface))
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
+        shading: Shading | None = None
+        asked, of_shading = registered or not has_depth, PoseEquations(RowMoments.zeros(moments=moves))
         step, steps = first, 0
         while step < self.config.iterations:
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(T, self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config, recent)
-            change, steps = solver.step(depth, of_images), steps + 1
+            if not asked and not is_coarse:
+                asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
+            if shading is not None:
+                of_shading = self._in_units_of_depth(shading.term(T, moments=moves))
+            change, steps = solver.step(depth, PoseEquations(of_images.sums + of_shading.sums)), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
         displaced = self._displacement(appearance, T, references, solver.motion)
-        return self._judged(T, change, displaced, depth, of_images, steps, estimate, focal, has_depth=has_depth)
+        return self._judged(T, change, displaced, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
@@ -154,7 +163,20 @@ class MapAligner(Stateful):
         depth = self._against_map(surface).term(T, robust, None) if has_depth else self._absent_depth(references, moments=False)
         images = image_term(appearance, self._posed(references), T, self._level(step), None, self.config)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
-        return self._judged(T, np.zeros(6), displaced, depth, images, 0, None, focal, has_depth=has_depth)
+        nothing = PoseEquations(RowMoments.zeros(moments=False))
+        return self._judged(T, np.zeros(6), displaced, depth, images, nothing, 0, None, focal, has_depth=has_depth)
+
+    def _leaves_open(self, depth: DepthTerm, images: ImageTerm) -> bool:
+        """Whether depth and landmarks leave a direction to the motion model."""
+        return float(Information.of(depth.H + images.H, depth.weight, depth.radius).values[0]) < self.config.prior_information
+
+    def _shading(self, frame: Appearance, references: Sequence[Keyframe]) -> Shading:
+        """What tells of such a direction."""
+        return Shading(small_image(frame), [(self.appearances.pixels(reference), reference.T_wk) for reference in references])
+
+    def _in_units_of_depth(self, equations: PoseEquations) -> PoseEquations:
+        """Equations in units of information, in those of the depth's, of which a share errs independently."""
+        return PoseEquations(equations.sums.scaled(self.config.depth_noise**2 / INDEPENDENT))
 
     def _absent_depth(self, references: Sequence[Keyframe], *, moments: bool) -> DepthTerm:
         """The term of a view without depth: no information, at the landmarks' mean distance. Its small weight makes a weak prior."""
@@ -277,6 +299,7 @@ class MapAligner(Stateful):
         displaced: float,
         depth: DepthTerm,
         images: ImageTerm,
+        shading: PoseEquations,
         iterations: int,
         joint: JointEstimate | None,
         focal: float,
@@ -285,7 +308,7 @@ class MapAligner(Stateful):
     ) -> Alignment:
         of_depth = Information.of(depth.H, depth.weight, depth.radius)
         contradicted = self.doubt.is_doubtful(displaced)  # images that do not match say nothing about the motion
-        information = of_depth if contradicted else Information.of(depth.H + images.H, depth.weight, depth.radius)
+        information = of_depth if contradicted else Information.of(depth.H + images.H + shading.H, depth.weight, depth.radius)
         min_eigenvalue = float(of_depth.values[0])
         if has_depth:
             status = self._status(depth, min_eigenvalue)

@@ -9,6 +9,7 @@ from idfslam.alignment.constants import MASKED
 from idfslam.alignment.image_pyramid import pyramid
 from idfslam.alignment.landmarks import Landmarks, landmarks
 from idfslam.alignment.sighting import Appearance
+from idfslam.alignment.small_image import pixels_of, small_image
 from idfslam.config import AlignmentConfig
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
@@ -24,6 +25,7 @@ class Appearances:
         self.vignette: Vignette | None = None  # is taken out of images before their brightness is compared
         self._appearances: WeakKeyDictionary[Images, Appearance] = WeakKeyDictionary()
         self._landmarks: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
+        self._pixels: WeakKeyDictionary[Keyframe, Landmarks] = WeakKeyDictionary()
 
     def of(self, view: Keyframe) -> Appearance:
         """A view's image pyramid."""
@@ -49,15 +51,24 @@ class Appearances:
             self.release(keyframe)
         return self._landmarks[keyframe]
 
+    def pixels(self, keyframe: Keyframe) -> Landmarks:
+        """The pixels of a keyframe's small image that have depth. Its pyramid is released."""
+        if keyframe not in self._pixels:
+            self._pixels[keyframe] = pixels_of(small_image(self.of(keyframe)), with_depth=True)
+            self.release(keyframe)
+        return self._pixels[keyframe]
+
     def take_out(self, vignette: Vignette | None) -> None:
         """Takes this vignetting out of all images from now on."""
         self.vignette = vignette
         self._appearances.clear()
         self._landmarks.clear()
+        self._pixels.clear()
 
     def forget(self, keyframe: Keyframe) -> None:
-        """Forgets the landmarks of a keyframe whose images were replaced."""
+        """Forgets the landmarks and pixels of a keyframe whose images were replaced."""
         self._landmarks.pop(keyframe, None)
+        self._pixels.pop(keyframe, None)
 
     def release(self, view: Keyframe) -> None:
         """Frees a view's image pyramid. It is computed again when it is needed again."""

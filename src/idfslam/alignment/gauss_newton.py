@@ -11,7 +11,7 @@ from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.image_term import ImageTerm
 from idfslam.alignment.motion import Information, change_between, moved
-from idfslam.alignment.row_moments import Array, RowMoments
+from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.compute.backend import pick
 from idfslam.sensing.rectification import RowTimes
 
@@ -28,7 +28,7 @@ class Solver(Protocol):
         """The present motion within the frame; None: all its rows have one time."""
         ...
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
+    def step(self, depth: DepthTerm, images: PoseEquations) -> Array:
         """Moves the pose; returns its change (6,)."""
         ...
 
@@ -47,7 +47,7 @@ class PoseSolver:
     def motion(self) -> None:
         """None: all rows of the frame have one time."""
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
+    def step(self, depth: DepthTerm, images: PoseEquations) -> Array:
         sums, before = depth.sums + images.sums, self.change.numpy().copy()
         H, b = torch.from_numpy(sums.H[0]), torch.from_numpy(sums.b[0])
         damped_step(H, b, depth.weight, depth.radius, self.prior_information, self.change, self.T)
@@ -74,7 +74,7 @@ class JointSolver:
         """The present velocity, and the rows' times."""
         return FrameMotion(self.times, self.velocity)
 
-    def step(self, depth: DepthTerm, images: ImageTerm) -> Array:
+    def step(self, depth: DepthTerm, images: PoseEquations) -> Array:
         from_prior = [change_between(self.prior.T_wc, self.T).numpy(), self.velocity - self.prior.velocity, self.reference_error]
         delta = joint_step(depth.sums, images.sums, self.times, self._information, self.scale, np.concatenate(from_prior))
         self.T[:] = moved(self.T, torch.from_numpy(delta[:6]))

@@ -7,23 +7,20 @@ keyframe-based SLAM", ECCV 2008). The alignment starts nearer to the pose, so it
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from idfslam.alignment.displacement import level_of
 from idfslam.alignment.gauss_newton import INDEPENDENT
-from idfslam.alignment.image_pyramid import Level
-from idfslam.alignment.landmarks import Landmarks, pixels_in_depth
+from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.motion import moved
 from idfslam.alignment.photometric import Term, photometric_term
 from idfslam.alignment.sighting import Appearance, Sighting
+from idfslam.alignment.small_image import pixels_of, small_image
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.
 _STEPS = 6  # Gauss-Newton steps a level. More: turns of more than five degrees are found more often, slower
 _CONVERGED = 1e-3  # [rad] A step below this is the last of its level: a twentieth of a pixel. More: faster, and less exact
 _TURN = 0.1  # [rad] Standard deviation of an unforeseen turn. More: images with little texture turn the prediction more
-_FAR = 10.0  # [m] Distance that is assumed of a pixel without depth. More: its parallax is neglected more
 _LEAST_SEEN = 100  # [pixels] A turn is estimated from at least so many that both images show. More: more predictions are kept
 # [1] Least scale of brightness differences, and width of the robust kernel in scales, as in the alignment. More: outliers count more.
 _NOISE, _ROBUST = 0.01, 3.0
@@ -93,22 +90,3 @@ def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, le
 
 def _term(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Term:
     return photometric_term(Sighting(small, seen, T_seen, T, level), floor=_NOISE, widest=_ROBUST)
-
-
-def small_image(frame: Appearance) -> Appearance:
-    """The brightness of a frame at about 60 and 30 rows."""
-    fine = frame.levels[level_of(frame)]
-    smaller = F.avg_pool2d(fine.luminance[None], 2)[0]
-    coarse = Level(smaller, fine.camera.resized(smaller.shape[1], smaller.shape[0]))
-    return Appearance([fine, coarse], frame.depth, frame.camera)
-
-
-def pixels_of(small: Appearance) -> Landmarks:
-    """The points of all pixels of a small image's coarser level, with their brightness on both levels."""
-    (fine, coarse), depth = small.levels, small.depth
-    row, column = pixels_in_depth(coarse, depth)
-    z, uv = depth[row[:, None], column[None]], coarse.camera.pixels(depth.device)
-    points = (coarse.camera.rays(uv) * torch.where(z > 0, z, _FAR)[..., None]).reshape(-1, 3)
-    ratio = uv.new_tensor([fine.camera.width / coarse.camera.width, fine.camera.height / coarse.camera.height])
-    in_fine = ((uv + 0.5) * ratio - 0.5).reshape(-1, 2)
-    return Landmarks(points, [fine.luminance_at(in_fine).contiguous(), coarse.luminance.flatten()], [])

@@ -16,8 +16,9 @@ from torch import Tensor
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.continuous_motion import MotionPrior
-from idfslam.alignment.image_rotation import ImageRotation, pixels_of, small_image, turned
+from idfslam.alignment.image_rotation import ImageRotation, turned
 from idfslam.alignment.motion import image_motion
+from idfslam.alignment.small_image import pixels_of, small_image
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
