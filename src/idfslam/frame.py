@@ -185,6 +185,6 @@ class StoredKeyframe:
     index: int  # its frame
     T_wk: NDArray[np.float64]  # (4, 4)
     covisible: frozenset[int]  # numbers of the stored keyframes that see the same surface
-    submap: int  # 0: the first, whose poses are in the world; others have not been merged with it yet
+    submap: int  # 0: the largest, whose poses are reported; others have not been merged with it yet
     camera: Camera
     covariance: NDArray[np.float64] | None = None  # (6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; None: not known

@@ -108,7 +108,7 @@ class Coverage(Stateful):
 
     def hide(self, moving: Sequence[NDArray[np.bool_]]) -> None:
         """Takes the depth of what moves out of the views: these pixels (h, w) of the depth of each of `packed`."""
-        hidden = {seen: pixels for seen, pixels in zip(self._of_first_submap(), moving) if pixels.any()}
+        hidden = {seen: pixels for seen, pixels in zip(self._of_main_submap(), moving) if pixels.any()}
         self._views = [seen.without(hidden[seen]) if seen in hidden else seen for seen in self._views]
 
     def load(self, views: Sequence[DepthView]) -> None:
@@ -138,24 +138,25 @@ class Coverage(Stateful):
         """A view at the present pose of its host keyframe."""
         return replace(seen.view, T_wc=self.graph.keyframes[seen.host].T_wk.numpy() @ seen.view.T_wc)
 
-    def _of_first_submap(self) -> list[_Seen]:
-        return [seen for seen in self._views if self.graph.keyframes[seen.host].submap == 0]
+    def _of_main_submap(self) -> list[_Seen]:
+        main = self.graph.main_submap
+        return [seen for seen in self._views if self.graph.keyframes[seen.host].submap == main]
 
     def views(self) -> list[DepthView]:
-        """All views of the first submap, at the present poses of their host keyframes."""
-        return [self._posed(seen) for seen in self._of_first_submap()]
+        """All views of the main submap, at the present poses of their host keyframes."""
+        return [self._posed(seen) for seen in self._of_main_submap()]
 
     def indices(self) -> list[int]:
         """The frames of the same views; EARLIER for those of another run."""
-        return [seen.index for seen in self._of_first_submap()]
+        return [seen.index for seen in self._of_main_submap()]
 
     def packed(self) -> list[tuple[NDArray[np.float64], PackedDepth]]:
         """The same views in more rows: pose T_wc (4, 4) and depth, without what moves."""
-        return [(self._posed(seen).T_wc, seen.fused()) for seen in self._of_first_submap()]
+        return [(self._posed(seen).T_wc, seen.fused()) for seen in self._of_main_submap()]
 
     def unmasked(self) -> list[tuple[NDArray[np.float64], PackedDepth]]:
         """The same with what moves."""
-        return [(self._posed(seen).T_wc, seen.packed) for seen in self._of_first_submap()]
+        return [(self._posed(seen).T_wc, seen.packed) for seen in self._of_main_submap()]
 
     def finer_views(self) -> Iterator[DepthView]:
         """The same, unpacked one at a time."""

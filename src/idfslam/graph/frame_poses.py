@@ -1,7 +1,7 @@
 """The pose of every frame, relative to a stored keyframe. A frame moves with its host keyframe."""
 
 import itertools
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -157,15 +157,16 @@ class FramePoses(Stateful):
             self.move(i, moved)
 
     def trajectory(self) -> NDArray[np.float64]:
-        """(N, 4, 4) poses of all frames. A frame outside the first submap has the pose of the last frame before it inside."""
-        poses: list[NDArray[np.float64]] = []
-        for i in range(len(self)):
-            poses.append(self.T_wc(i).numpy() if self.submap(i) == 0 else poses[-1] if poses else np.eye(4))
-        return np.stack(poses) if poses else np.zeros((0, 4, 4))
+        """(N, 4, 4) poses of all frames. A frame outside the main submap has that of the last frame before it inside, or of the first."""
+        main = self.graph.main_submap
+        inside = [i for i in range(len(self)) if self.submap(i) == main]
+        held = [inside[max(bisect_right(inside, i) - 1, 0)] for i in range(len(self))] if inside else []
+        return np.stack([self.T_wc(i).numpy() for i in held]) if held else np.tile(np.eye(4), (len(self), 1, 1))
 
     def statuses(self) -> list[Status]:
-        """The status of each frame. Frames outside the first submap count as lost."""
-        return [frame.status if self.submap(i) == 0 else Status.LOST for i, frame in enumerate(self._frames)]
+        """The status of each frame. Frames outside the main submap count as lost."""
+        main = self.graph.main_submap
+        return [frame.status if self.submap(i) == main else Status.LOST for i, frame in enumerate(self._frames)]
 
     def interpolate_gaps(self) -> int:
         """Interpolates the poses of lost frames between two tracked frames of one submap; returns how many there were."""

@@ -1,6 +1,7 @@
 """The keyframe graph (Sec. IV-C): stored keyframes, their covisibility, and the edges whose relative poses were measured."""
 
 import bisect
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
@@ -34,6 +35,8 @@ class KeyframeGraph:
         self.keyframes: list[Keyframe] = []
         self.last_keyframe: Keyframe | None = None  # the last selected frame, stored or culled
         self.unverified_from: int | None = None  # the first keyframe stored since a relocalisation that is not verified yet
+        self.main_submap = 0  # the submap that is reported
+        self._starts_in_map = False  # whether the first keyframes are those of an earlier run
 
     def state(self) -> State:
         """All keyframes. The last one is stored as its number, or as its own state if it was culled."""
@@ -42,6 +45,7 @@ class KeyframeGraph:
             "keyframes": [keyframe.state() for keyframe in self.keyframes],
             "last_keyframe": None if last is None else last.host if self.is_stored(last) else last.state(),
             "unverified_from": -1 if self.unverified_from is None else self.unverified_from,
+            "main_submap": self.main_submap,
         }
 
     def restore(self, state: State, revive: Revive) -> None:
@@ -52,6 +56,7 @@ class KeyframeGraph:
         last = state["last_keyframe"]
         self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
         self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
+        self.main_submap = state["main_submap"]
 
     # New keyframes
 
@@ -79,6 +84,7 @@ class KeyframeGraph:
     def load(self, keyframe: Keyframe) -> None:
         """Stores a keyframe of an earlier run, before the first frame of this one. All its covisible keyframes count as measured edges."""
         scores = self._covisibility(keyframe)
+        self._starts_in_map = True
         keyframe.host = len(self.keyframes)
         keyframe.covisible.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
         keyframe.edges = set(keyframe.covisible) | ({keyframe.host - 1} if self.keyframes else set())
@@ -211,10 +217,11 @@ class KeyframeGraph:
         """Whether the next keyframe starts a submap."""
         return self.last_keyframe is None
 
-    @property
-    def first_submap(self) -> list[Keyframe]:
-        """The stored keyframes of the first submap; all reported poses are in its world."""
-        return [keyframe for keyframe in self.keyframes if keyframe.submap == 0]
+    def choose_main_submap(self) -> None:
+        """Makes the submap with the most keyframes the main one, of several the first; a run that starts in a map keeps that of the map."""
+        sizes = Counter(keyframe.submap for keyframe in self.keyframes)
+        if not self._starts_in_map:
+            self.main_submap = min(sizes, key=lambda submap: (-sizes[submap], submap), default=0)
 
     def merge_submaps(self, a: int, b: int, T_ab: Tensor) -> list[float]:
         """Merges the submaps of keyframes a and b by a measured T_ab (4, 4); returns how far [m] each keyframe moved."""

@@ -1,7 +1,8 @@
 """Submaps: parts of the graph whose relative pose is not known yet (the atlas of ORB-SLAM3, Campos et al., T-RO 2021).
 
 If a lost camera is not relocalised, mapping goes on in a new submap. Submaps are merged when a view of one is found in another. All submaps
-lie in one world, far enough from each other that one map represents them all. Only the first one, which defines the world, is reported.
+lie in one world, far enough from each other that one map represents them all. Only one is reported, the main one. It is the first while the
+camera moves, and the largest at the end: a camera that was lost after a few frames has left a small one behind.
 """
 
 from collections.abc import Sequence

@@ -39,7 +39,7 @@ def cards_of(run: FinishedRun, error: KnownError | None, metrics: dict[str, Any]
         others = f"and {metrics.get('degenerate_frames', 0)} degenerate, {metrics.get('doubtful_frames', 0)} doubtful"
         cards.append(Card("lost frames", f"{metrics['lost_frames']}", others))
     if metrics.get("submaps", 1) > 1:
-        cards.append(Card("submaps apart", f"{metrics['submaps'] - 1}", "never met the first one, and are left out"))
+        cards.append(Card("submaps apart", f"{metrics['submaps'] - 1}", "never met the largest one, and are left out"))
     cards.append(Card("keyframes", f"{len(run.keyframes.indices)}", f"{run.keyframes.camera.width} x {run.keyframes.camera.height} px"))
     if mesh is not None:
         cards.append(Card("mesh", f"{mesh.area:.0f}", f"m² in {len(mesh.faces) / 1000:.0f} k triangles"))

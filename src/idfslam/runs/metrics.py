@@ -85,7 +85,7 @@ def keyframe_counts(slam: "Slam") -> dict[str, Any]:
 
 
 def kept_keyframes(slam: "Slam") -> int:
-    """Number of stored keyframes of the first submap. Frames that became keyframes are more: some are culled."""
+    """Number of stored keyframes of the reported submap. Frames that became keyframes are more: some are culled."""
     return sum(keyframe.submap == 0 for keyframe in slam.stored_keyframes())
 
 

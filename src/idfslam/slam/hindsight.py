@@ -62,18 +62,19 @@ class StoredViews(Hindsight):
 
     def _images(self) -> dict[int, StoredView]:
         """The archive's images by their numbers in it; a cell for each pixel of depth or for some."""
-        camera, found = self.views.camera, dict[int, StoredView]()
+        camera, main, found = self.views.camera, self.frames.graph.main_submap, dict[int, StoredView]()
         for i, view in enumerate(self.views.views):
             depth = decode_depth(view.depth)
-            if camera is not None and depth is not None and self.frames.submap(view.index) == 0:
+            if camera is not None and depth is not None and self.frames.submap(view.index) == main:
                 small = camera.every(camera.height // depth.shape[0])
                 found[i] = _stored(DepthView(self.frames.T_wc(view.index).numpy(), np.maximum(depth, 0), small), view.index)
         return found
 
     def _hide_in_keyframes(self, moving: dict[int, Mask]) -> None:
         """moving: the cells of mapped views, by the indices of their frames."""
+        main = self.frames.graph.main_submap
         for keyframe in self.frames.graph.keyframes:
-            if keyframe.submap == 0 and keyframe.index in moving and moving[keyframe.index].any():
+            if keyframe.submap == main and keyframe.index in moving and moving[keyframe.index].any():
                 self.segmentation.hide(keyframe, _resized(moving[keyframe.index], keyframe.camera))
 
 

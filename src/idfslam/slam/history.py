@@ -34,8 +34,8 @@ class History(Stateful):
     def report(
         self, frame: Frame, tracked: Tracked, losses: dict[str, float], *, keyframe: bool, moving: Mask | None = None
     ) -> FrameResult:
-        """The result for the frame added last. A frame outside the first submap has no known pose in the world: it counts as lost."""
-        if self.frames.submap(-1) == 0:
+        """The result for the frame added last. A frame outside the main submap has no known pose in the world: it counts as lost."""
+        if self.frames.submap(-1) == self.frames.graph.main_submap:
             self._reported.append(self.frames.T_wc(-1).numpy())
             status, covariance = tracked.status, None if tracked.covariance is None else tracked.covariance.numpy().copy()
         else:

@@ -147,12 +147,14 @@ class Slam:
         if self._finished or not self.graph.keyframes:
             return
         self._finished = True
-        if alone := sum(self.frames.submap(i) != 0 for i in range(len(self.frames))):
-            log.warning(
-                "%d frames are of submaps that were not merged with the first: they count as lost, and the map leaves them out", alone
-            )
         if self.config.refine and self._pending is not None:
             self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
+        self.graph.choose_main_submap()
+        main = self.graph.main_submap
+        if alone := sum(self.frames.submap(i) != main for i in range(len(self.frames))):
+            log.warning(
+                "%d frames are of submaps that were not merged with the largest: they count as lost, and the map leaves them out", alone
+            )
         self.views.finish()
         self.hindsight.run()
         self.back_end.finish()
@@ -233,7 +235,11 @@ class Slam:
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""
         known = self.adjustment.covariances()
-        columns = [(k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), k.submap, k.camera) for k in self.graph.keyframes]
+        main = self.graph.main_submap
+        number = {main: 0, 0: main}  # the main submap is told as the first
+        submaps = [number.get(k.submap, k.submap) for k in self.graph.keyframes]
+        poses = [k.T_wk.numpy().copy() for k in self.graph.keyframes]
+        columns = [(k.index, T, frozenset(k.covisible), s, k.camera) for k, T, s in zip(self.graph.keyframes, poses, submaps)]
         return [StoredKeyframe(*values, known.get(i)) for i, values in enumerate(columns)]
 
     def loops(self) -> Sequence[Loop]:

@@ -37,8 +37,9 @@ class ViewFusion(SurfaceFusion):
 
     def _readings(self) -> Iterator[DepthView]:
         """Keyframes and views, finest first, one at a time."""
+        main = self.graph.main_submap
         for keyframe in self.graph.keyframes:
-            if keyframe.submap == 0:
+            if keyframe.submap == main:
                 yield DepthView(keyframe.T_wk.numpy(), keyframe.frame.depth, keyframe.camera)
         for T_wc, depth in in_random_order(self.coverage.packed()):
             yield depth.view(T_wc)

@@ -220,7 +220,7 @@ class RerunViewer:
         return bool(new)
 
     def _show_graph(self, slam: SlamView) -> None:
-        """Keyframes of the first submap, their covisibility, loops, and the path of all frames, at their present poses."""
+        """Keyframes of the reported submap, their covisibility, loops, and the path of all frames, at their present poses."""
         keyframes = slam.stored_keyframes()
         T_wk = np.array([keyframe.T_wk for keyframe in keyframes]).reshape(-1, 4, 4)
         placed = [i for i, keyframe in enumerate(keyframes) if keyframe.submap == 0]
