@@ -107,6 +107,46 @@ def test_a_doubt_ends_where_keyframes_confirm_the_pose(displaced: float, in_view
     assert statuses == [Status.DOUBTFUL if displaced > 2.5 else Status.OK, Status.OK if ends else Status.DOUBTFUL]
 
 
+@pytest.mark.parametrize(
+    ("sigma", "displaced", "in_view", "patches", "doubtful"),
+    [
+        (0.04, 0.0, 1.0, 0, True),  # the keyframes have no landmarks
+        (0.04, 1.1, 0.2, 0, True),  # few of them are in view
+        (0.04, 1.1, 0.4, 0, False),  # the image agrees
+        (0.04, 0.0, 1.0, 40, False),  # the tracker agrees
+        (0.02, 0.0, 1.0, 0, False),  # depth measures the pose
+    ],
+)
+def test_a_pose_that_nothing_measures_is_in_doubt(sigma: float, displaced: float, in_view: float, patches: int, doubtful: bool) -> None:
+    """sigma: standard deviation along each of three axes [m]. The others as above."""
+    front_end = Slam(FAST).front_end
+    assert isinstance(front_end, AlignmentToMap)
+    front_end.aligner.doubt.expect([0.01])
+    T_wc, covariance = at(0.1, 0), torch.diag(torch.tensor([sigma**2] * 3 + [1e-6] * 3, dtype=torch.float64))
+    found = Alignment(T_wc, Status.DEGENERATE, 1.0, 0.001, 0.1, 0.01, in_view, None, 5, covariance, displacement=0.01 * displaced)
+    result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, patches=patches)
+    front_end._begin = lambda view: None  # type: ignore[method-assign]
+    front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    front_end.frames.append(0.0, T_wc, Status.OK)
+    assert front_end.track(keyframe(2, 0.1)).status is (Status.DOUBTFUL if doubtful else Status.DEGENERATE)
+
+
+@pytest.mark.parametrize(("predicted", "kept"), [(0.06, False), (0.02, True)])
+def test_an_alignment_that_nothing_measures_does_not_run_away(predicted: float, kept: bool) -> None:
+    """predicted: place along the wall [m]; the alignment ends at 0.1 m."""
+    front_end = Slam(FAST).front_end
+    assert isinstance(front_end, AlignmentToMap)
+    covariance = torch.diag(torch.tensor([0.04**2] * 3 + [1e-6] * 3, dtype=torch.float64))
+    found = Alignment(at(0.1, 0), Status.DEGENERATE, 1.0, 0.001, 0.1, 0.01, 1.0, None, 5, covariance)
+    front_end._begin = lambda view: None  # type: ignore[method-assign]
+    front_end._best_alignment = lambda view, motion: (found, None)  # type: ignore[method-assign]
+    front_end.frames.append(0.0, at(0.0, 0), Status.OK)
+    tracked = front_end.track(keyframe(2, predicted))
+    assert tracked.status is Status.DOUBTFUL and not tracked.may_be_mapped
+    assert float(tracked.T_wc[0, 3]) == pytest.approx(predicted if kept else 0.1)
+    assert tracked.continues_motion is not kept
+
+
 def test_the_covariance_is_reported(box_recording: Path) -> None:
     slam, results, _ = run(box_recording, doubtful=(6,))
     assert results[0].covariance is None  # the first frame defines the world

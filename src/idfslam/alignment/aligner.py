@@ -151,7 +151,7 @@ class MapAligner(Stateful):
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1
-        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, of_images)
+        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, PoseEquations(of_images.sums + of_shading.sums))
         displaced = self._displacement(appearance, T, references, solver.motion)
         return self._judged(T, change, displaced, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
 
@@ -316,7 +316,7 @@ class MapAligner(Stateful):
             confirmed = images.in_view > _CONFIRMED and images.photometric_error > 0 and not contradicted
             status = Status.DEGENERATE if confirmed else Status.LOST
         evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
-        covariance = self._covariance(depth, images) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
+        covariance = self._covariance(depth, images, shading) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
         covariance = covariance * variance_factor(depth, images, last_step, self.config.depth_noise)
         judged = Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
         return replace(judged, status=Status.DEGENERATE) if status is Status.OK and judged.is_unsure else judged
@@ -327,10 +327,10 @@ class MapAligner(Stateful):
             return Status.LOST
         return Status.DEGENERATE if min_eigenvalue < self.config.min_eigenvalue else Status.OK
 
-    def _covariance(self, depth: DepthTerm, images: ImageTerm) -> Tensor:
+    def _covariance(self, depth: DepthTerm, images: ImageTerm, shading: PoseEquations) -> Tensor:
         """(6, 6) of the pose. A direction that nothing measures has the deviation `_UNMEASURED`."""
         prior = torch.tensor([1 / _UNMEASURED**2] * 6, dtype=torch.float64)
-        return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H) + torch.diag(prior))
+        return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H + shading.H) + torch.diag(prior))
 
 
 def _at_its_best(T_wc: Tensor, sums_at: Callable[[Tensor], RowMoments], converged: float) -> RowMoments:

@@ -9,7 +9,6 @@ from torch import Tensor
 from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, distorted, joint_system
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.image_term import ImageTerm
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.compute.backend import pick
@@ -32,7 +31,7 @@ class Solver(Protocol):
         """Moves the pose; returns its change (6,)."""
         ...
 
-    def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate | None:
+    def estimate(self, depth: DepthTerm, images: PoseEquations) -> JointEstimate | None:
         """The velocity at the present pose, if it is estimated too."""
         ...
 
@@ -53,7 +52,7 @@ class PoseSolver:
         damped_step(H, b, depth.weight, depth.radius, self.prior_information, self.change, self.T)
         return np.asarray(self.change.numpy() - before)
 
-    def estimate(self, depth: DepthTerm, images: ImageTerm) -> None:
+    def estimate(self, depth: DepthTerm, images: PoseEquations) -> None:
         """None: the velocity is not estimated."""
 
 
@@ -81,7 +80,7 @@ class JointSolver:
         self.velocity, self.reference_error = self.velocity + delta[6:12], self.reference_error + delta[12:]
         return np.asarray(delta[:6])
 
-    def estimate(self, depth: DepthTerm, images: ImageTerm) -> JointEstimate:
+    def estimate(self, depth: DepthTerm, images: PoseEquations) -> JointEstimate:
         """The velocity, and the covariance of pose and velocity."""
         H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
         covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]

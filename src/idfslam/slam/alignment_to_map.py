@@ -28,7 +28,7 @@ from idfslam.sensing.rectification import RowTimes
 from idfslam.slam.front_end import FrontEnd
 from idfslam.slam.motion_compensation import MotionCompensation
 from idfslam.slam.recent_frame import RecentFrame
-from idfslam.slam.registered_pose import RegisteredPose
+from idfslam.slam.registered_pose import RegisteredPose, are_apart
 from idfslam.slam.registration import Registration
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
@@ -42,8 +42,8 @@ _BETTER = 1.05
 # are left sooner, and registrations that are no better are taken. From the passage of fr1/rpy where alignments ran away: 0.5 to 0.6 before,
 # 0.9 where both were about right.
 _DISPLACED = 0.8
-# [1] Least share of the references' landmarks in view for a doubt to end without a registration that confirms the pose. More: doubts last
-# longer in new ground, and fewer end at a wrong pose. As a relocalisation needs it.
+# [1] Least share of the references' landmarks in view for a doubt to end, or not to begin where hardly anything measures the pose, without
+# a registration that confirms it. More: doubts last longer in new ground, and fewer end at a wrong pose. As a relocalisation needs it.
 _CONFIRMED = 0.3
 # [rad] Motion of the image since a repeated colour image was new, below which it still shows what the camera sees: a pixel and a half of
 # 320. More: a pose follows depth later while colour is repeated. Chosen by hand.
@@ -104,8 +104,11 @@ class AlignmentToMap(FrontEnd):
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
         confirmed = registered is not None and registered.confirms(aligned)
-        if self._in_doubt and not confirmed:
-            undecided |= not aligned.displacement or aligned.in_view < _CONFIRMED  # nothing ends the doubt
+        unseen = not aligned.displacement or aligned.in_view < _CONFIRMED  # the image is no evidence
+        unmeasured = unseen and not confirmed and aligned.is_unsure
+        if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
+            return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)
+        undecided |= unmeasured or (unseen and not confirmed and self._in_doubt)
         return self._aligned(view, aligned, confirmed=confirmed and wide, undecided=undecided)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
@@ -127,7 +130,7 @@ class AlignmentToMap(FrontEnd):
         """The aligned pose, and whether it is in doubt.
 
         confirmed: a registration in a wide step says that it is right. undecided: one says that it is wrong, and the image says neither,
-        or nothing ends a doubt.
+        or nothing ends a doubt, or the pose is expected to be far off and nothing in view tells.
         """
         view.registered = confirmed
         doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)

@@ -13,9 +13,15 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.tracking.tracker import TrackingResult
 
-# [m], [rad] Difference of a registered pose from an aligned one above which one of the two is wrong. More: wrong poses are noticed later,
+# [m], [rad] Difference of two poses of one view above which one of them is wrong. More: wrong poses are noticed later,
 # and fewer right ones are doubtful. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
 _APART = 0.05, math.radians(2)
+
+
+def are_apart(T_wc: Tensor, other: Tensor) -> bool:
+    """Whether two poses (4, 4) float64 of one view are so far apart that one of them is wrong."""
+    change = change_between(T_wc, other)
+    return float(change[:3].norm()) > _APART[0] or float(change[3:].norm()) > _APART[1]
 
 
 @dataclass(frozen=True)
@@ -51,8 +57,7 @@ class RegisteredPose:
 
     def is_apart(self, aligned: Alignment) -> bool:
         """Whether this pose and that of an alignment are so far apart that one of them is wrong."""
-        change = change_between(aligned.T_wc, self.T_wc)
-        return float(change[:3].norm()) > _APART[0] or float(change[3:].norm()) > _APART[1]
+        return are_apart(aligned.T_wc, self.T_wc)
 
     def _agrees(self, aligned: Alignment) -> bool:
         T_kc = se3.inverse(self.reference.T_wk) @ aligned.T_wc

@@ -18,7 +18,7 @@ class Source(Enum):
     REGISTERED = "registered"  # registration by the neural tracker against a keyframe (Sec. V)
     RELOCALISED = "relocalised"  # relocalisation of a lost camera among the keyframes
     NEW_SUBMAP = "new submap"  # a new submap, started by a lost camera
-    PREDICTED = "predicted"  # the motion model alone: the frame is lost
+    PREDICTED = "predicted"  # the motion model alone: the frame is lost, or nothing measures its pose
 
 
 @dataclass(frozen=True)
