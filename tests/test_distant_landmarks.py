@@ -10,7 +10,7 @@ from idfslam.adjustment.bundle_adjustment import Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
 from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import camera_points, joined
+from idfslam.adjustment.residuals import camera_points, together
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 
@@ -76,8 +76,7 @@ def test_they_hold_what_scarce_depth_does_not(frames: list[Frame], true: np.ndar
         T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(0.002 * rng.standard_normal(3)).as_matrix()
     fixed = np.arange(len(poses)) == 0
     near = find_tracks(views, poses, model, coarse=False)
-    distant, seen = distant_landmarks(views, poses, model)
-    both = np.concatenate([near[0], distant]), joined([near[1], replace(seen, landmark=seen.landmark + len(near[0]))])
+    both = together(near, distant_landmarks(views, poses, model))
     off = []
     for points, sightings in (near, both):
         adjusted = adjust(Problem(model, poses, points, sightings, fixed, np.zeros(len(NAMES), bool)))

@@ -61,6 +61,12 @@ def joined(parts: Sequence[Observations]) -> Observations:
     return Observations(**columns)
 
 
+def together(first: tuple[Array, Observations], second: tuple[Array, Observations]) -> tuple[Array, Observations]:
+    """The landmarks (L, 3) of both, and their observations."""
+    points = np.concatenate([first[0], second[0]])
+    return points, joined([first[1], replace(second[1], landmark=second[1].landmark + len(first[0]))])
+
+
 def tracks(points: Array, seen: Observations) -> tuple[Array, Observations]:
     """Those of landmarks (L, 3) that two keyframes see, and that three measurements or more determine, and their observations."""
     counts = np.bincount(seen.landmark, minlength=len(points))

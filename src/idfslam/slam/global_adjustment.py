@@ -6,7 +6,6 @@ Where it is trusted, its poses are final: the map learns them in the polish, and
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -19,10 +18,11 @@ from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import Array, Observations, joined
+from idfslam.adjustment.residuals import Array, Observations, joined, together
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
+from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import links
 from idfslam.graph.pose_graph import RelativePoses
@@ -86,38 +86,46 @@ class GlobalAdjustment(KeyframeAdjustment):
     def run(self) -> bool:
         """Moves the keyframes, and their frames with them, if the images agree.
 
-        Blur, a wrong camera, and things that move leave landmarks beside where they are seen, and would bend the poses.
+        Blur, a wrong camera, and things that move leave landmarks beside where they are seen, and would bend the poses. Landmarks without
+        depth are looked for where those with depth agree, and take part if these agree with them too.
         """
-        keyframes, begun = self.graph.keyframes, perf_counter()
-        if len(keyframes) < _LEAST_KEYFRAMES or (problem := self._problem()) is None or len(problem.points) < _LEAST_LANDMARKS:
+        keyframes, end = self.graph.keyframes, perf_counter() + self.seconds
+        if len(keyframes) < _LEAST_KEYFRAMES:
             return False
-        adjusted = adjust(problem, seconds=self.seconds - (perf_counter() - begun))
-        kept = adjusted.problem.seen
-        noise = noise_of(kept[~kept.distant], problem.model.stated.width)
-        log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px, %.1f s", *_counts(adjusted), noise, perf_counter() - begun)
-        if noise > AGREE or not adjusted.complete:
+        poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
+        views = [View.of(keyframe.frame, keyframe.moving) for keyframe in keyframes] if len(keyframes) <= _MOST_KEYFRAMES else []
+        camera = View.of(keyframes[0].frame).camera
+        found = self._landmarks(views, poses, camera)
+        if len(found[0]) < _LEAST_LANDMARKS or (adjusted := self._agreed(poses, found, camera, end)) is None:
             return False
+        if views:
+            poses = adjusted.problem.poses
+            more = together(found, distant_landmarks(views, poses, CameraModel.as_stated(camera)))
+            adjusted = (self._agreed(poses, more, camera, end) if len(more[0]) > len(found[0]) else None) or adjusted
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
         self._adjusted = adjusted
         return True
 
-    def _problem(self) -> Problem | None:
-        """The first keyframe of each submap is fixed. None where there are too many keyframes, and no landmarks of the run."""
-        keyframes = self.graph.keyframes
-        poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
-        if len(keyframes) <= _MOST_KEYFRAMES:
-            views = [View.of(keyframe.frame, keyframe.moving) for keyframe in keyframes]
-            model = CameraModel.as_stated(views[0].camera)
-            points, seen = _landmarks(views, poses, model)
-        elif self.tracks is not None:
-            model = CameraModel.as_stated(View.of(keyframes[0].frame).camera)
-            points, seen = self.tracks.seen_by(np.ones(len(keyframes), bool), poses)
-        else:
-            return None
-        fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in keyframes])
+    def _landmarks(self, views: Sequence[View], poses: Array, camera: Camera) -> tuple[Array, Observations]:
+        """Landmarks (L, 3) [m] with depth, and where keyframes at poses T_wk (K, 4, 4) see them. No views: those that the run has found."""
+        if views:
+            return find_tracks(views, poses, CameraModel.as_stated(camera), coarse=False)
+        if self.tracks is None:
+            return np.zeros((0, 3)), joined([])
+        return self.tracks.seen_by(np.ones(len(poses), bool), poses)
+
+    def _agreed(self, poses: Array, landmarks: tuple[Array, Observations], camera: Camera, end: float) -> Adjusted | None:
+        """The adjustment of poses T_wk (K, 4, 4), the first of each submap fixed, until a time [s]. None if the images do not agree."""
+        fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in self.graph.keyframes])
         edges = RelativePoses.of(links(self.graph, EDGES))
-        problem = Problem(model, poses, points, seen, fixed, np.zeros(len(NAMES), bool), edges)
-        return problem if self.motions is None else in_motion(problem, [self.motions.of(keyframe) for keyframe in keyframes])
+        problem = Problem(CameraModel.as_stated(camera), poses, *landmarks, fixed, np.zeros(len(NAMES), bool), edges)
+        if self.motions is not None:
+            problem = in_motion(problem, [self.motions.of(keyframe) for keyframe in self.graph.keyframes])
+        adjusted = adjust(problem, seconds=end - perf_counter())
+        kept = adjusted.problem.seen
+        noise = noise_of(kept[~kept.distant], camera.width)
+        log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px", *_counts(adjusted), noise)
+        return adjusted if noise <= AGREE and adjusted.complete else None
 
     def covariances(self) -> dict[int, Array]:
         if self._adjusted is None:
@@ -129,14 +137,6 @@ class GlobalAdjustment(KeyframeAdjustment):
         if self._adjusted is None:
             return {"keyframes_adjusted": False}
         return {"keyframes_adjusted": True, "landmarks": len(self._adjusted.problem.points)}
-
-
-def _landmarks(views: Sequence[View], poses: Array, model: CameraModel) -> tuple[Array, Observations]:
-    """Landmarks (L, 3) [m] in the world, with depth and without, and where keyframes at poses T_wk (K, 4, 4) see them."""
-    points, seen = find_tracks(views, poses, model, coarse=False)
-    distant, seen_distant = distant_landmarks(views, poses, model)
-    moved = replace(seen_distant, landmark=seen_distant.landmark + len(points))
-    return np.concatenate([points, distant]), joined([seen, moved])
 
 
 def _counts(adjusted: Adjusted) -> tuple[int, int]:
