@@ -105,7 +105,7 @@ def stated(case: str, sensor: str, seed: int, frames: int, width: int) -> tuple[
 
 def run_over(recording: Dataset) -> tuple[Slam, float, Told]:
     """A run of the fast preset, its ATE RMSE [cm], and what it told."""
-    slam, told, log = Slam(FAST), Told(), logging.getLogger("idfslam.slam.camera_check")
+    slam, told, log = Slam(FAST), Told(), logging.getLogger("idfslam.slam.keyframe_adjustment.camera_check")
     log.addHandler(told)
     for frame, _ in read_frames(recording):
         slam.process(frame)

@@ -30,7 +30,7 @@ from idfslam.evaluation.trajectory_error import errors_of_motion  # noqa: E402
 from idfslam.frame import Status  # noqa: E402
 from idfslam.runs.source import read_frames  # noqa: E402
 from idfslam.slam import Slam, Tracked  # noqa: E402
-from idfslam.slam.alignment_to_map import AlignmentToMap  # noqa: E402
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap  # noqa: E402
 
 _GUESSES = 3  # wrong guesses at a frame. More: more wrong poses in the same time. Chosen by hand
 _SIZES = 2.0, 20.0  # [degrees] range of the guesses' errors of turn; about as many centimetres of shift. Chosen by hand

@@ -18,7 +18,7 @@ PACKAGES = (
 class Constant:
     """A module's constant."""
 
-    module: str  # within the package, such as slam/recovery.py
+    module: str  # within the package, such as slam/place_recognition/recovery.py
     name: str
     value: str  # as it is written
     comment: str  # at its line and the lines below that go on with it, or in the block above; empty: there is none

@@ -15,8 +15,8 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import RowTimes
-from idfslam.slam.camera_check import CameraCheck
-from idfslam.slam.keyframe_motion import KeyframeMotions
+from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
 LOOKS = r"the focal length looks (3\.9|4\.[012]) % too long"
 EVERY = 15  # frames between two keyframes

@@ -20,20 +20,20 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
 from idfslam.slam import BackEnd, FrontEnd, Slam, Source, System, Tracked
-from idfslam.slam.alignment_to_map import AlignmentToMap
-from idfslam.slam.back_end import KeyframeMapping
-from idfslam.slam.camera_check import CameraCheck
-from idfslam.slam.finetuner import Finetuner, NoFinetuning
-from idfslam.slam.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
-from idfslam.slam.light_estimation import LightEstimation
-from idfslam.slam.local_adjustment import LocalAdjustment
-from idfslam.slam.loop_closer import LoopCloser
-from idfslam.slam.polish import NoPolish, Polish
-from idfslam.slam.recovery import NoRecovery, Relocalisation
-from idfslam.slam.refinement import KeyframeRefinement, NoRefinement
-from idfslam.slam.registration import Registration
-from idfslam.slam.relocalisation_check import RelocalisationCheck
-from idfslam.slam.submap_merger import SubmapMerger
+from idfslam.slam.back_end.back_end import KeyframeMapping
+from idfslam.slam.back_end.finetuner import Finetuner, NoFinetuning
+from idfslam.slam.back_end.keyframe_pose import KeyframeRegistration, PoseOptimisation, TrackedPose
+from idfslam.slam.back_end.light_estimation import LightEstimation
+from idfslam.slam.back_end.polish import NoPolish, Polish
+from idfslam.slam.back_end.refinement import KeyframeRefinement, NoRefinement
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
+from idfslam.slam.front_end.registration import Registration
+from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
+from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
+from idfslam.slam.place_recognition.loop_closer import LoopCloser
+from idfslam.slam.place_recognition.recovery import NoRecovery, Relocalisation
+from idfslam.slam.place_recognition.relocalisation_check import RelocalisationCheck
+from idfslam.slam.place_recognition.submap_merger import SubmapMerger
 
 
 def classes(config: Config) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def test_each_constant_says_what_raising_it_does(documented: ModuleType) -> None
 def test_the_page_shows_value_and_comment(documented: ModuleType) -> None:
     rows = documented.page(ROOT / "src/idfslam").splitlines()
     assert any(row.startswith("| `_CHI_SQUARE` | `16.81` | 99 % bound of the chi-square distribution") for row in rows)
-    assert "## slam/relocalisation_check.py" in rows
+    assert "## slam/place_recognition/relocalisation_check.py" in rows
     assert "## datasets/cameras/plausibility.py" in rows
 
 

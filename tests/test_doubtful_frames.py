@@ -33,8 +33,8 @@ from idfslam.runs.lost_frames import leave_out_lost
 from idfslam.runs.progress import ProgressBar
 from idfslam.runs.runner import run as run_recording
 from idfslam.slam import FrontEnd, Slam, Source, Tracked
-from idfslam.slam.alignment_to_map import AlignmentToMap
-from idfslam.slam.registered_pose import RegisteredPose
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
+from idfslam.slam.front_end.registered_pose import RegisteredPose
 from idfslam.tracking.tracker import TrackingResult
 
 COVARIANCE = torch.diag(torch.tensor([1e-4, 4e-4, 4e-4, 1e-5, 2e-5, 3e-5], dtype=torch.float64))

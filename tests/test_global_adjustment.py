@@ -18,8 +18,8 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import RowTimes
-from idfslam.slam.global_adjustment import GlobalAdjustment, NoAdjustment
-from idfslam.slam.keyframe_motion import KeyframeMotions
+from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, NoAdjustment
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
 FRAMES = range(0, 160, 20)
 OFF = 0.003, 0.001  # [m], [rad] standard deviations of the poses before, in each direction

@@ -9,7 +9,7 @@ from helpers.flat_wall import PAPER, keyframe, wall_frames
 from idfslam.frame import Status
 from idfslam.graph.information_gain import InformationGain
 from idfslam.graph.keyframe_interval import KeyframeInterval
-from idfslam.mapping.joint_map import explained_share
+from idfslam.mapping.joint.joint_map import explained_share
 
 
 def test_the_share_that_a_map_explains() -> None:

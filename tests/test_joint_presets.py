@@ -18,15 +18,15 @@ from idfslam.errors import ConfigError
 from idfslam.frame import FrameResult
 from idfslam.graph.information_gain import InformationGain
 from idfslam.graph.keyframe_interval import KeyframeInterval
-from idfslam.mapping.density_map import DensityMap
-from idfslam.mapping.grids_map import GridsMap
+from idfslam.mapping.joint.density_map import DensityMap
+from idfslam.mapping.joint.grids_map import GridsMap
 from idfslam.mapping.saved_map import load_map
 from idfslam.runs.checkpoint import Checkpoints
 from idfslam.slam import Slam
+from idfslam.slam.back_end.joint_mapping import JointMapping
+from idfslam.slam.back_end.mapping_window import LossWindow, OverlapWindow
 from idfslam.slam.compose import System
-from idfslam.slam.inverse_rendering import InverseRendering
-from idfslam.slam.joint_mapping import JointMapping
-from idfslam.slam.mapping_window import LossWindow, OverlapWindow
+from idfslam.slam.front_end.inverse_rendering import InverseRendering
 from idfslam.storage.state import State
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from helpers.flat_wall import at, insert, keyframe, wall_frames
 from idfslam.frame import FPS, Status
 from idfslam.sensing.rectification import Rectification, RowTimes
-from idfslam.slam.keyframe_motion import KeyframeMotions, motion_through
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions, motion_through
 
 TIMES = RowTimes(0.03, 0.025, 0.006)
 

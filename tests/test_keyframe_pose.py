@@ -12,7 +12,7 @@ from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.keyframe_pose import KeyframeRegistration
+from idfslam.slam.back_end.keyframe_pose import KeyframeRegistration
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 

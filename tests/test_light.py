@@ -25,8 +25,8 @@ from idfslam.sensing.light_solution import differ, exposure_changes, exposures, 
 from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
+from idfslam.slam.back_end.light_estimation import LightEstimation, compiled_shared, opencv_means, plain_means, plain_shared, thumbnail
 from idfslam.slam.compose import System
-from idfslam.slam.light_estimation import LightEstimation, compiled_shared, opencv_means, plain_means, plain_shared, thumbnail
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)  # 2 m before a wall: a shift of 1 m moves it by 50 px
 VIGNETTE = Vignette((-0.2, -0.15))  # 70 % of the light at the corner

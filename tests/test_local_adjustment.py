@@ -13,10 +13,10 @@ from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam import global_adjustment
 from idfslam.slam.compose import System
-from idfslam.slam.global_adjustment import GlobalAdjustment
-from idfslam.slam.local_adjustment import LocalAdjustment
+from idfslam.slam.keyframe_adjustment import global_adjustment
+from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment
+from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
 
 FRAMES = range(0, 150, 15)
 OFF = 0.004, 0.0015  # [m], [rad] standard deviations of a tracked pose relative to the keyframe before, in each direction

@@ -12,7 +12,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.loop_closer import LoopCloser
+from idfslam.slam.place_recognition.loop_closer import LoopCloser
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 

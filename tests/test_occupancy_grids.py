@@ -10,8 +10,8 @@ from safetensors.torch import load_file, save_file
 from helpers.flat_wall import at, keyframe
 from idfslam.config import NICE, OccupancyGridsConfig
 from idfslam.errors import ConfigError
-from idfslam.mapping.grids_map import GridsMap, features_in_view
-from idfslam.mapping.occupancy_grids import OccupancyGrids, Stage, levels_of
+from idfslam.mapping.joint.grids_map import GridsMap, features_in_view
+from idfslam.mapping.joint.occupancy_grids import OccupancyGrids, Stage, levels_of
 from idfslam.mapping.training_view import TrainingView
 from idfslam.pretraining.occupancy_decoders import Training, labelled_points, save_decoders, train, views_of
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.mapping.occupancy_losses import depth_and_colour_loss, variance_weighted_loss
+from idfslam.mapping.joint.occupancy_losses import depth_and_colour_loss, variance_weighted_loss
 from idfslam.mapping.volume_rendering import RenderedRays
 
 

@@ -17,7 +17,7 @@ from idfslam.config import FAST
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame, Status
 from idfslam.slam import Slam
-from idfslam.slam.alignment_to_map import AlignmentToMap
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
 
 USUAL = math.radians(0.4)
 

@@ -6,7 +6,7 @@ import torch
 from helpers.flat_wall import at, keyframe, wall_graph
 from idfslam.config import JointMappingConfig
 from idfslam.graph.ray_overlap import in_sight, ray_overlap
-from idfslam.slam.mapping_window import LossWindow, OverlapWindow
+from idfslam.slam.back_end.mapping_window import LossWindow, OverlapWindow
 
 
 def generator() -> torch.Generator:

@@ -14,7 +14,7 @@ from idfslam.config import AlignmentConfig
 from idfslam.frame import Frame, Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
-from idfslam.slam.recent_frame import RecentFrame
+from idfslam.slam.front_end.recent_frame import RecentFrame
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from test_displacement import CAMERA, EYE, appearance, turned, wall
 

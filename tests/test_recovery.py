@@ -15,7 +15,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.recovery import Relocalisation
+from idfslam.slam.place_recognition.recovery import Relocalisation
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 

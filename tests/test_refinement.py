@@ -10,10 +10,10 @@ from idfslam.config import FAST
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.global_adjustment import NoAdjustment
-from idfslam.slam.polish import NoPolish, Polish
-from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
-from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.polish import NoPolish, Polish
+from idfslam.slam.back_end.refinement import KeyframeRefinement, NoRefinement, Refinement
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
+from idfslam.slam.keyframe_adjustment.global_adjustment import NoAdjustment
 
 OFF = pose(0.01, 0, 0, 0, 0, 0)
 

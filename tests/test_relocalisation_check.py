@@ -15,7 +15,7 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.graph.loop_consistency import Loop, LoopConsistency
-from idfslam.slam.relocalisation_check import RelocalisationCheck
+from idfslam.slam.place_recognition.relocalisation_check import RelocalisationCheck
 
 DOUBTFUL = 0.03  # photometric error
 

@@ -7,7 +7,7 @@ from idfslam.config import KeyframeConfig
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
-from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
 
 
 def replay(graph: KeyframeGraph, config: KeyframeConfig = PAPER) -> Replay:

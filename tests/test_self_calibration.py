@@ -16,7 +16,7 @@ from idfslam.datasets.generated.handheld import handheld_room
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.geometry.camera import Camera
 from idfslam.sensing.rectification import Rectification, RowTimes, rectified
-from idfslam.slam.keyframe_motion import motion_around
+from idfslam.slam.keyframe_adjustment.keyframe_motion import motion_around
 
 FRAMES = range(0, 200, 20)
 ASKED = ("focal", "cx", "cy")

@@ -16,8 +16,8 @@ from idfslam.geometry import se3
 from idfslam.geometry.trajectory import align
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.slam import Slam
-from idfslam.slam.alignment_to_map import AlignmentToMap
-from idfslam.slam.registered_pose import RegisteredPose
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
+from idfslam.slam.front_end.registered_pose import RegisteredPose
 from idfslam.tracking.tracker import TrackingResult
 
 T_KC = se3.exp(torch.tensor([0.1, 0.0, 0.05, 0.0, 0.3, 0.0], dtype=torch.float64))

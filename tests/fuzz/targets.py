@@ -210,7 +210,7 @@ def _weights(folder: Path) -> Path:
 
 
 def _decoders(folder: Path) -> Path:
-    from idfslam.mapping import occupancy_grids
+    from idfslam.mapping.joint import occupancy_grids
 
     return Path(shutil.copy(Path(occupancy_grids.__file__).parent / "weights/occupancy_decoders.safetensors", folder / "w.safetensors"))
 
@@ -248,7 +248,7 @@ def _read_weights(path: Path) -> object:
 
 def _read_decoders(path: Path) -> object:
     from idfslam.config import OccupancyGridsConfig
-    from idfslam.mapping.occupancy_grids import OccupancyGrids
+    from idfslam.mapping.joint.occupancy_grids import OccupancyGrids
 
     return OccupancyGrids(OccupancyGridsConfig(table_log2=6)).load_decoders(path)
 

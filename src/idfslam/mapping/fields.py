@@ -4,9 +4,9 @@ from typing import Any
 
 from idfslam.config import FieldConfig, OccupancyGridsConfig, VolumeDensityConfig
 from idfslam.mapping.field import Field
-from idfslam.mapping.occupancy_grids import OccupancyGrids
+from idfslam.mapping.joint.occupancy_grids import OccupancyGrids
+from idfslam.mapping.joint.volume_density import VolumeDensity
 from idfslam.mapping.surface_field import SurfaceField
-from idfslam.mapping.volume_density import VolumeDensity
 
 FIELDS: dict[str, tuple[Any, type[Any]]] = {
     Field.representation: (FieldConfig, Field),

@@ -19,7 +19,7 @@ from torch import Tensor
 from idfslam.config import OccupancyGridsConfig
 from idfslam.datasets.generated.room import TOUR, SyntheticRoom
 from idfslam.geometry import se3
-from idfslam.mapping.occupancy_grids import LEVELS, PRETRAINED, OccupancyGrids
+from idfslam.mapping.joint.occupancy_grids import LEVELS, PRETRAINED, OccupancyGrids
 from idfslam.storage.safetensors_file import ordered
 
 log = logging.getLogger(__name__)

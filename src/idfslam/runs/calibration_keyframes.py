@@ -28,7 +28,7 @@ from idfslam.runs.run_config import RecordingSource
 from idfslam.runs.source import open_source, read_frames
 from idfslam.sensing.rectification import Rectification, RowTimes, rectified
 from idfslam.slam import Slam
-from idfslam.slam.keyframe_motion import STAMPS, KeyframeMotions, motion_around, unknown_motion
+from idfslam.slam.keyframe_adjustment.keyframe_motion import STAMPS, KeyframeMotions, motion_around, unknown_motion
 
 
 @dataclass(frozen=True)

@@ -22,42 +22,42 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_interval import KeyframeInterval
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.graph.replay import Replay
-from idfslam.mapping.density_map import DensityMap
 from idfslam.mapping.fused import distance_query
-from idfslam.mapping.grids_map import GridsMap
-from idfslam.mapping.joint_map import JointMap
+from idfslam.mapping.joint.density_map import DensityMap
+from idfslam.mapping.joint.grids_map import GridsMap
+from idfslam.mapping.joint.joint_map import JointMap
 from idfslam.mapping.map import Map
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
-from idfslam.slam.alignment_to_map import AlignmentToMap
-from idfslam.slam.back_end import BackEnd, KeyframeMapping
-from idfslam.slam.camera_check import CameraCheck
-from idfslam.slam.finetuner import Finetuner, Finetuning, NoFinetuning
-from idfslam.slam.front_end import FrontEnd
-from idfslam.slam.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
-from idfslam.slam.hindsight import Hindsight, NoHindsight, StoredViews
-from idfslam.slam.inverse_rendering import InverseRendering
-from idfslam.slam.joint_mapping import JointMapping
+from idfslam.slam.back_end.back_end import BackEnd, KeyframeMapping
+from idfslam.slam.back_end.finetuner import Finetuner, Finetuning, NoFinetuning
+from idfslam.slam.back_end.joint_mapping import JointMapping
+from idfslam.slam.back_end.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
+from idfslam.slam.back_end.light_estimation import LightEstimation
+from idfslam.slam.back_end.map_updates import MapUpdates
+from idfslam.slam.back_end.mapping_window import LossWindow, MappingWindow, OverlapWindow
+from idfslam.slam.back_end.polish import NoPolish, Polish, Polishing
+from idfslam.slam.back_end.refinement import KeyframeRefinement, NoRefinement, Refinement
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.surface_fusion import NoFusion, SurfaceFusion, ViewFusion
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
+from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.front_end.inverse_rendering import InverseRendering
+from idfslam.slam.front_end.registration import Registration
+from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
+from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
+from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
-from idfslam.slam.keyframe_motion import KeyframeMotions
-from idfslam.slam.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
-from idfslam.slam.light_estimation import LightEstimation
-from idfslam.slam.local_adjustment import LocalAdjustment
-from idfslam.slam.loop_closer import LoopCloser
-from idfslam.slam.map_updates import MapUpdates
-from idfslam.slam.mapping_window import LossWindow, MappingWindow, OverlapWindow
-from idfslam.slam.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
-from idfslam.slam.polish import NoPolish, Polish, Polishing
-from idfslam.slam.recovery import NoRecovery, Recovery, Relocalisation
-from idfslam.slam.refinement import KeyframeRefinement, NoRefinement, Refinement
-from idfslam.slam.registration import Registration
-from idfslam.slam.relearn_queue import RelearnQueue
-from idfslam.slam.relocalisation_check import RelocalisationCheck
-from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.motion_segmentation.hindsight import Hindsight, NoHindsight, StoredViews
+from idfslam.slam.motion_segmentation.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
+from idfslam.slam.place_recognition.loop_closer import LoopCloser
+from idfslam.slam.place_recognition.recovery import NoRecovery, Recovery, Relocalisation
+from idfslam.slam.place_recognition.relocalisation_check import RelocalisationCheck
+from idfslam.slam.place_recognition.relocaliser import Relocaliser
+from idfslam.slam.place_recognition.submap_merger import SubmapMerger
 from idfslam.slam.stage_timer import StageTimer
-from idfslam.slam.submap_merger import SubmapMerger
-from idfslam.slam.surface_fusion import NoFusion, SurfaceFusion, ViewFusion
 from idfslam.tracking.tracker import Tracker
 from idfslam.views.view_selection import ViewSelection
 

@@ -24,7 +24,7 @@ from idfslam.mapping.saved_map import SavedMap, mesh_of, save_map
 from idfslam.slam.compose import BackEnd, FrontEnd, Map, System
 from idfslam.slam.frame_order import FrameOrder
 from idfslam.slam.history import History
-from idfslam.slam.recovery import EXAMPLES, Mode
+from idfslam.slam.place_recognition.recovery import EXAMPLES, Mode
 from idfslam.slam.repeated_images import RepeatedImages
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, parts_of

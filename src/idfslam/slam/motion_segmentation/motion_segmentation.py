@@ -17,11 +17,11 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.memory import Memory
 from idfslam.sensing.rectification import rectified
-from idfslam.slam.front_end import FrontEnd
-from idfslam.slam.nearest_layer_trial import NearestLayerTrial
+from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.motion_segmentation.nearest_layer_trial import NearestLayerTrial
+from idfslam.slam.motion_segmentation.tracked_without import tracked_without
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
-from idfslam.slam.tracked_without import tracked_without
 from idfslam.storage.state import State, Stateful
 
 # [1] Share of the readings that show what moves from which a pose is called degenerate: little of the scene is left, and a body that is

@@ -2,8 +2,8 @@
 
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
-from idfslam.mapping.joint_map import JointMap
-from idfslam.slam.front_end import FrontEnd
+from idfslam.mapping.joint.joint_map import JointMap
+from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 

@@ -10,12 +10,12 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop
-from idfslam.slam.finetuner import Finetuning
+from idfslam.slam.back_end.finetuner import Finetuning
+from idfslam.slam.back_end.keyframe_pose import KeyframePose
+from idfslam.slam.back_end.map_updates import MapUpdates
+from idfslam.slam.back_end.polish import Polishing
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
-from idfslam.slam.keyframe_pose import KeyframePose
-from idfslam.slam.map_updates import MapUpdates
-from idfslam.slam.polish import Polishing
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import Stateful

@@ -16,8 +16,8 @@ from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.global_descriptor import codebook, global_descriptor
 from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.place_recognition.global_descriptor import codebook, global_descriptor
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.tracker import Tracker

@@ -18,8 +18,8 @@ from idfslam.adjustment.landmark_tracks import View
 from idfslam.adjustment.self_calibration import Estimate, Footage, self_calibrate
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
-from idfslam.slam.keyframe_motion import KeyframeMotions
 
 log = logging.getLogger(__name__)
 Array = NDArray[np.float64]

@@ -8,14 +8,14 @@ from idfslam.graph.coverage import Coverage
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.mapping.joint_map import JointMap
+from idfslam.mapping.joint.joint_map import JointMap
+from idfslam.mapping.joint.window_poses import WindowPoses, oldest
 from idfslam.mapping.training_view import PosedFrame
-from idfslam.mapping.window_poses import WindowPoses, oldest
-from idfslam.slam.back_end import BackEnd
-from idfslam.slam.mapping_window import MappingWindow
+from idfslam.slam.back_end.back_end import BackEnd
+from idfslam.slam.back_end.mapping_window import MappingWindow
+from idfslam.slam.back_end.update_interval import UpdateInterval
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
-from idfslam.slam.update_interval import UpdateInterval
 
 _WIDER = 2  # factor on the window of the updates after the last frame (NICE-SLAM's code). More: more keyframes, fewer pixels of each
 

@@ -12,7 +12,7 @@ from idfslam.config import RefinementConfig
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
 
 
 class Refinement(ABC):

@@ -11,9 +11,9 @@ from idfslam.config import RefinementConfig
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.global_adjustment import KeyframeAdjustment
-from idfslam.slam.refinement import NoRefinement, Refinement
-from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.refinement import NoRefinement, Refinement
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
+from idfslam.slam.keyframe_adjustment.global_adjustment import KeyframeAdjustment
 
 
 class Polishing(ABC):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification
-from idfslam.slam.front_end import FrontEnd
+from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.tracked import Tracked
 
 

@@ -15,7 +15,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, same_correction
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
-from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
 log = logging.getLogger(__name__)

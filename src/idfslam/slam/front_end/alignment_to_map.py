@@ -25,11 +25,11 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_selection import WIDE
 from idfslam.sensing.rectification import RowTimes
-from idfslam.slam.front_end import FrontEnd
-from idfslam.slam.motion_compensation import MotionCompensation
-from idfslam.slam.recent_frame import RecentFrame
-from idfslam.slam.registered_pose import RegisteredPose, are_apart
-from idfslam.slam.registration import Registration
+from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.front_end.motion_compensation import MotionCompensation
+from idfslam.slam.front_end.recent_frame import RecentFrame
+from idfslam.slam.front_end.registered_pose import RegisteredPose, are_apart
+from idfslam.slam.front_end.registration import Registration
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State

@@ -21,10 +21,10 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import link
 from idfslam.graph.pose_graph import Edge, RelativePoses
-from idfslam.slam.global_adjustment import AGREE, EDGES
+from idfslam.slam.keyframe_adjustment.global_adjustment import AGREE, EDGES
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
-from idfslam.slam.keyframe_motion import KeyframeMotions
 from idfslam.storage.state import State
 from idfslam.tracking.frame_features import grey_size, subsampled_depth
 

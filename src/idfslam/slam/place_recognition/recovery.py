@@ -12,8 +12,8 @@ from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.relocalisation_check import RelocalisationCheck
-from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.place_recognition.relocalisation_check import RelocalisationCheck
+from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State, Stateful

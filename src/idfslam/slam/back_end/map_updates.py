@@ -8,11 +8,11 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.replay import Replay
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.refinement import Refinement
-from idfslam.slam.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.refinement import Refinement
+from idfslam.slam.back_end.relearn_queue import RelearnQueue
+from idfslam.slam.back_end.update_interval import UpdateInterval
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Tracked
-from idfslam.slam.update_interval import UpdateInterval
 from idfslam.storage.state import Stateful
 
 # [map updates] around the camera after a loop or a merge, before the next frame; further updates follow by replay. More: the next frames

@@ -26,7 +26,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import links
 from idfslam.graph.pose_graph import RelativePoses
-from idfslam.slam.keyframe_motion import KeyframeMotions
+from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from idfslam.graph.coverage import Coverage
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.segmentation.coarse_view import coarse_view
 from idfslam.segmentation.occupancy_history import OccupancyHistory, StoredView
-from idfslam.slam.motion_segmentation import FreeSpaceSegmentation
+from idfslam.slam.motion_segmentation.motion_segmentation import FreeSpaceSegmentation
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.views.encoded_view import decode_depth
 from idfslam.views.view_selection import ViewSelection

@@ -8,7 +8,7 @@ from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.mapping.mapper import Mapper
-from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 

@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from idfslam.mapping.fourier_features import FourierFeatures
+from idfslam.mapping.joint.fourier_features import FourierFeatures
 
 _SKIP = 2  # layer after which the input is added once more: a fact of the published network
 

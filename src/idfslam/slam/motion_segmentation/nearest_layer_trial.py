@@ -13,9 +13,9 @@ from idfslam.alignment.motion import image_motion
 from idfslam.alignment.usual_error import UsualError
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import in_pixels
-from idfslam.slam.front_end import FrontEnd
+from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.motion_segmentation.tracked_without import tracked_without
 from idfslam.slam.tracked import Tracked
-from idfslam.slam.tracked_without import tracked_without
 from idfslam.storage.state import State, Stateful
 
 # [1] Photometric error, over the usual one, from which something may draw the pose away. More: it is noticed later, and tried less often.

@@ -13,7 +13,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, LoopConsistency
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
-from idfslam.slam.relocaliser import Relocaliser
+from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
 # Both were chosen by hand.

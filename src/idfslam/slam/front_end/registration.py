@@ -3,9 +3,9 @@
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.slam.front_end import FrontEnd
+from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.front_end.registered_pose import RegisteredPose
 from idfslam.slam.keyframe_features import KeyframeFeatures
-from idfslam.slam.registered_pose import RegisteredPose
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 from idfslam.tracking.tracker import Tracker

@@ -16,7 +16,7 @@ from torch import Tensor
 from idfslam.config import FieldConfig, OccupancyGridsConfig
 from idfslam.errors import ConfigError
 from idfslam.mapping.grid import GridEncoding
-from idfslam.mapping.occupancy_decoder import CoarseDecoder, GridDecoder
+from idfslam.mapping.joint.occupancy_decoder import CoarseDecoder, GridDecoder
 from idfslam.mapping.volume_rendering import OccupancyField
 
 _SHARPNESS = 10.0  # [1] factor on a decoder's output before the sigmoid: a fact of the published network

@@ -1,0 +1,1 @@
+"""Front ends: each gives a frame its pose."""

@@ -1,0 +1,1 @@
+"""Keyframes, landmarks and the camera adjusted together, while a run goes on and at its end."""

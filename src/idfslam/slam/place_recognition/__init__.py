@@ -1,0 +1,1 @@
+"""Places that are seen again: a lost camera, loops, and submaps that meet."""
