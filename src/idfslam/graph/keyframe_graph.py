@@ -46,6 +46,7 @@ class KeyframeGraph:
             "last_keyframe": None if last is None else last.host if self.is_stored(last) else last.state(),
             "unverified_from": -1 if self.unverified_from is None else self.unverified_from,
             "main_submap": self.main_submap,
+            "starts_in_map": self._starts_in_map,
         }
 
     def restore(self, state: State, revive: Revive) -> None:
@@ -56,7 +57,7 @@ class KeyframeGraph:
         last = state["last_keyframe"]
         self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
         self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
-        self.main_submap = state["main_submap"]
+        self.main_submap, self._starts_in_map = state["main_submap"], state["starts_in_map"]
 
     # New keyframes
 
