@@ -20,6 +20,7 @@ from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
 from idfslam.slam.front_end.registered_pose import RegisteredPose
 from idfslam.tracking.tracker import TrackingResult
 
+SURE = np.diag([1e-5, 1e-5, 1e-5, 1e-6, 1e-6, 1e-6])
 T_KC = se3.exp(torch.tensor([0.1, 0.0, 0.05, 0.0, 0.3, 0.0], dtype=torch.float64))
 
 
@@ -30,7 +31,7 @@ class Patches:
         return float((T_kc - T_by_image)[:3, 3].norm()) < 0.01
 
 
-def registered(patches: int = 40, status: Status = Status.OK, covariance: np.ndarray | None = None) -> RegisteredPose:
+def registered(patches: int = 40, status: Status = Status.OK, covariance: np.ndarray | None = SURE) -> RegisteredPose:
     """A view registered with a keyframe at x = 0.5 m that is turned by 90 degrees."""
     result = TrackingResult(T_KC.numpy(), status, 100, 50, 0.01, covariance, patches, Patches())  # type: ignore[arg-type]
     reference = keyframe(0, 0.0)
@@ -76,6 +77,16 @@ def test_few_patches_decide_nothing(weak: RegisteredPose) -> None:
         assert not weak.refutes(alignment)
 
 
+@pytest.mark.parametrize(("shift", "turn", "sure"), [(0.024, 0.9, True), (0.026, 0.9, False), (0.024, 1.1, False)])
+def test_patches_in_a_strip_confirm_nothing(shift: float, turn: float, sure: bool) -> None:
+    """They agree with poses that are turned about the strip: the covariance tells. shift [m], turn [degrees]: expected errors."""
+    one_direction = np.diag([shift**2, 0, 0, 0, np.radians(turn) ** 2, 0])
+    pose = replace(registered(covariance=one_direction), reference=keyframe(0, 0.0))
+    pose = replace(pose, result=replace(pose.result, T_kc=np.eye(4)))
+    assert pose.is_sure == pose.confirms(replace(aligned(0.0), T_wc=pose.T_wc)) == sure
+    assert not registered(covariance=None).is_sure
+
+
 def test_the_covariance_is_that_of_the_pose_in_the_world() -> None:
     # exp(delta) T_kc moves the centre by the shift and by the turn about the keyframe's centre.
     generator = torch.Generator().manual_seed(0)
@@ -87,7 +98,7 @@ def test_the_covariance_is_that_of_the_pose_in_the_world() -> None:
     changes = torch.cat([moved[:, :3, 3] - pose.T_wc[:3, 3], turns], -1)
     assert pose.covariance is not None
     torch.testing.assert_close(pose.covariance, changes.T.cov(), rtol=0.1, atol=1e-9)
-    assert registered().covariance is None
+    assert registered(covariance=None).covariance is None
 
 
 def test_a_frame_that_nobody_predicted_becomes_a_keyframe_at_once() -> None:

@@ -48,7 +48,7 @@ class Alignment:
         """Whether the pose is expected to be far off, by its own covariance: depth and images hardly measure it."""
         if self.covariance is None:
             return False
-        shift, turn = (math.sqrt(float(self.covariance.diagonal()[part].sum())) for part in (slice(3), slice(3, 6)))
+        shift, turn = expected_error(self.covariance)
         return shift > _UNSURE[0] or turn > _UNSURE[1]
 
     @property
@@ -63,3 +63,9 @@ class Alignment:
     def distance(self, T_wc: Tensor) -> float:
         """About how far the finest image moves between this pose and another one (4, 4) [px]."""
         return self.focal * image_motion(T_wc, self.T_wc, self.radius)
+
+
+def expected_error(covariance: Tensor) -> tuple[float, float]:
+    """The error (root mean square) of a pose with this covariance (6, 6) of shift [m] and turn [rad]: [m], [rad]."""
+    variances = covariance.diagonal()
+    return math.sqrt(float(variances[:3].sum())), math.sqrt(float(variances[3:].sum()))

@@ -109,7 +109,7 @@ class AlignmentToMap(FrontEnd):
         if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
             return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)
         undecided |= unmeasured or (unseen and not confirmed and self._in_doubt)
-        return self._aligned(view, aligned, confirmed=confirmed and wide, undecided=undecided)
+        return self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
         """The result of depth alone for a view whose colour image is an older one: nothing ends a doubt, or helps depth that is degenerate.
@@ -126,15 +126,16 @@ class AlignmentToMap(FrontEnd):
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=False)
         return replace(tracked, evidence=replace(tracked.evidence, in_view=self.evidence.in_view))  # as of the last new image
 
-    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, undecided: bool) -> Tracked:
+    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, wide: bool, undecided: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.
 
-        confirmed: a registration in a wide step says that it is right. undecided: one says that it is wrong, and the image says neither,
-        or nothing ends a doubt, or the pose is expected to be far off and nothing in view tells.
+        confirmed: a registration says that it is right: then landmarks that lie elsewhere have moved. wide: that was in a wide step.
+        undecided: one says that it is wrong, and the image says neither, or nothing ends a doubt, or the pose is expected to be far off and
+        nothing in view tells.
         """
-        view.registered = confirmed
+        view.registered = confirmed and wide
         doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)
-        clear = confirmed or self.aligner.is_clear(aligned)
+        clear = view.registered or self.aligner.is_clear(aligned)
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
         return replace(tracked, evidence=replace(tracked.evidence, step=self._step(view, aligned.T_wc, aligned.radius)))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.alignment import Alignment, expected_error
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.geometry import se3
@@ -16,6 +16,9 @@ from idfslam.tracking.tracker import TrackingResult
 # [m], [rad] Difference of two poses of one view above which one of them is wrong. More: wrong poses are noticed later,
 # and fewer right ones are doubtful. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
 _APART = 0.05, math.radians(2)
+# [m], [rad] Error that is expected of a registered pose, up to which it confirms another one: twice that is the least that matters. More:
+# few patches in a strip of the image confirm poses that are turned about it. Such a strip had 16 cm and 3.7 degrees.
+_SURE = 0.025, math.radians(1)
 
 
 def are_apart(T_wc: Tensor, other: Tensor) -> bool:
@@ -48,8 +51,16 @@ class RegisteredPose:
         return to_world @ torch.from_numpy(self.result.covariance) @ to_world.T
 
     def confirms(self, aligned: Alignment) -> bool:
-        """Whether many patches confirm this pose, and that of an alignment as well."""
-        return self.result.convinces and self._agrees(aligned)
+        """Whether many patches confirm this pose, which they fix in every direction, and that of an alignment as well."""
+        return self.result.convinces and self.is_sure and self._agrees(aligned)
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether this pose is hardly off, by its covariance. Patches in a small part of the image may agree at poses far apart."""
+        if (covariance := self.covariance) is None:
+            return False
+        shift, turn = expected_error(covariance)
+        return shift <= _SURE[0] and turn <= _SURE[1]
 
     def refutes(self, aligned: Alignment) -> bool:
         """Whether many patches confirm this pose, and do not confirm that of an alignment, or the alignment is lost."""
