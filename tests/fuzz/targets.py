@@ -210,9 +210,9 @@ def _weights(folder: Path) -> Path:
 
 
 def _decoders(folder: Path) -> Path:
-    from idfslam.mapping.joint import occupancy_grids
+    from idfslam import mapping
 
-    return Path(shutil.copy(Path(occupancy_grids.__file__).parent / "weights/occupancy_decoders.safetensors", folder / "w.safetensors"))
+    return Path(shutil.copy(Path(mapping.__file__).parent / "weights/occupancy_decoders.safetensors", folder / "w.safetensors"))
 
 
 def _checkpoint(folder: Path) -> Path:

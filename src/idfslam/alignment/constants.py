@@ -16,7 +16,9 @@ OCCLUSION_SHARE = 0.05  # [1] share of the depth, added to `OCCLUSION`. More: hi
 MASKED = 1e-3  # [m] depth that a pixel has which shows what moves: it hides all landmarks. More: nothing, up to the nearest surface
 ROW_STEPS = 2  # [1] of the search for the row that sees a landmark. More: nothing; each divides the error by more than ten
 LEAST_SPREAD = 1e-3  # [1] least standard deviation of the landmarks' brightness, which divides the gain. More: smaller gains of bare images
-LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4  # [1] range of the change of exposure. Wider: other differences pass as a change of exposure
+# [1] Range of the change of exposure: a lamp that goes out leaves a third of the light. With 0.7 to 1.4 all frames after it were doubtful.
+# Wider: other differences pass as a change of exposure
+LEAST_GAIN, LARGEST_GAIN = 0.25, 4.0
 LEAST_GRADIENT = 1e-3  # [1/px] least gradient by which a difference of brightness is divided. More: bare places seem displaced less
 DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 
