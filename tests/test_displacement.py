@@ -87,8 +87,6 @@ def test_it_grows_with_the_error_and_not_with_blur_or_exposure(marks: Landmarks)
     off = {degrees: math.degrees(displacement(wall(turned(degrees)), marks, EYE, EYE)[1]) for degrees in (0.0, 0.5, 1.0, 3.0)}
     assert off[0.0] < 0.01 and 0.15 < off[0.5] < 0.5 and 0.3 < off[1.0] < 1.0 and off[3.0] > 0.9
     assert math.degrees(displacement(wall(EYE, gain=1.2, offset=-0.1), marks, EYE, EYE)[1]) < 0.01
-    assert math.degrees(displacement(wall(EYE, gain=0.35), marks, EYE, EYE)[1]) < 0.01  # a lamp goes out
-    assert math.degrees(displacement(wall(turned(3.0), gain=0.35), marks, EYE, EYE)[1]) > 0.9
     assert math.degrees(displacement(wall(EYE, blur=3.0), marks, EYE, EYE)[1]) < 0.2
 
 

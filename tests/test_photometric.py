@@ -132,7 +132,7 @@ def test_exposure_is_taken_out() -> None:
     other = photometric_term(Sighting(appearance(T_wc, gain=1.2, offset=-0.1), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)
     assert other.seen == same.seen
     assert other.noise == pytest.approx(1.2 * same.noise, rel=0.05)
-    far = photometric_term(Sighting(appearance(T_wc, gain=6.0), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)  # no exposure goes that far
+    far = photometric_term(Sighting(appearance(T_wc, gain=3.0), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)  # no exposure goes that far
     assert far.noise > 10 * same.noise
 
 

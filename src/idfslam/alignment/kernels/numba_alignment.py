@@ -262,7 +262,7 @@ def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
 
 @_inlined
 def _gain(variance_t: float, variance_v: float) -> float:
-    """The change of exposure, within its range, from the variances of the brightness of landmarks in the keyframe and in the frame."""
+    """The change of exposure from the variances of the brightness of landmarks in the keyframe and in the frame."""
     gain = np.sqrt(max(variance_v, 0.0)) / max(np.sqrt(max(variance_t, 0.0)), LEAST_SPREAD)
     return min(max(gain, LEAST_GAIN), LARGEST_GAIN)  # type: ignore[no-any-return]
 
