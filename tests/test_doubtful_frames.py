@@ -128,7 +128,7 @@ def test_a_pose_that_nothing_measures_is_in_doubt(sigma: float, displaced: float
     front_end.aligner.doubt.expect([0.01])
     T_wc, covariance = at(0.1, 0), torch.diag(torch.tensor([sigma**2] * 3 + [1e-6] * 3, dtype=torch.float64))
     found = Alignment(T_wc, Status.DEGENERATE, 1.0, 0.001, 0.1, 0.01, in_view, None, 5, covariance, displacement=0.01 * displaced)
-    result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, patches=patches)
+    result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, 1e-6 * np.eye(6), patches)
     front_end._begin = lambda view: None  # type: ignore[method-assign]
     front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
     front_end.frames.append(0.0, T_wc, Status.OK)

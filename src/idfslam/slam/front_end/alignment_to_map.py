@@ -103,7 +103,7 @@ class AlignmentToMap(FrontEnd):
         self.compensation.follow(view, aligned)
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
-        confirmed = registered is not None and registered.confirms(aligned)
+        confirmed = registered is not None and registered.confirms(aligned, wide=wide)
         unseen = not aligned.displacement or aligned.in_view < _CONFIRMED  # the image is no evidence
         unmeasured = unseen and not confirmed and aligned.is_unsure
         if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away

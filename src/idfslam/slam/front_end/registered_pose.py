@@ -50,9 +50,12 @@ class RegisteredPose:
         to_world = torch.block_diag(R, R) @ J
         return to_world @ torch.from_numpy(self.result.covariance) @ to_world.T
 
-    def confirms(self, aligned: Alignment) -> bool:
-        """Whether many patches confirm this pose, which they fix in every direction, and that of an alignment as well."""
-        return self.result.convinces and self.is_sure and self._agrees(aligned)
+    def confirms(self, aligned: Alignment, *, wide: bool = False) -> bool:
+        """Whether many patches confirm this pose, which they fix in every direction, and that of an alignment as well.
+
+        wide: after a wide step the views share a part of the image, and patches need not fix every direction.
+        """
+        return self.result.convinces and (wide or self.is_sure) and self._agrees(aligned)
 
     @property
     def is_sure(self) -> bool:
