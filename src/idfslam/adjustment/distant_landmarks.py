@@ -51,7 +51,8 @@ def distant_landmarks(views: Sequence[View], poses: Array, model: CameraModel) -
     for k, view in enumerate(views):
         of_view = seen.keyframe == k
         u, v = np.rint(seen.uv[of_view]).astype(np.int64).T
-        clear[of_view] = _open(view)[v, u]
+        rows, columns = view.grey.shape
+        clear[of_view] = _open(view)[v.clip(0, rows - 1), u.clip(0, columns - 1)]
     return points, seen[clear | (seen.reading > 0)]  # at the edge of what has depth, two surfaces are in the patch
 
 
