@@ -117,7 +117,7 @@ def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
             break
         factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
         noise *= factors
-        problem = without_outliers(_with_noise(problem, factors), residuals_over(at, factors[_kinds(problem.seen)]))
+        problem = without_outliers(_with_noise(problem, factors), at.residuals / factors[_kinds(problem.seen)])
     system = ReducedSystem(_equations(at, problem), problem.free, _information(problem))
     return Adjusted(problem, system, (float(noise[0]), float(noise[1]), float(noise[2])), converged and not late)
 
@@ -131,11 +131,6 @@ def adjust_briefly(problem: Problem, *, noise: Array, steps: int) -> tuple[Probl
     at = problem.linearised()
     factors = np.maximum(_noise_factors(at, problem), _LEAST_NOISE / noise)
     return _with_noise(problem, factors), noise * factors
-
-
-def residuals_over(at: Linearised, factors: Array) -> Array:
-    """(N, 3) residuals in units of the noise that is these factors (N, 3) of the stated one."""
-    return at.residuals / factors
 
 
 def without_outliers(problem: Problem, off: Array) -> Problem:

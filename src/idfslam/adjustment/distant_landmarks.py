@@ -112,11 +112,8 @@ class _Rays:
 def _hosted(k: int, uv: Array, images: Sequence[FrameFeatures], poses: Array, model: CameraModel) -> tuple[Array, Observations]:
     """The landmarks (L, 3) [m] of keyframe k's corners (N, 2), and their sightings, without readings."""
     T_ok = np.linalg.inv(poses) @ poses[k]
-    corners, count, spread = (
-        _Rays(uv, model.rays(uv), np.zeros(len(uv)), np.full(len(uv), 1 / _NEAREST)),
-        np.zeros(len(uv)),
-        np.zeros((len(uv), 2, 2)),
-    )
+    corners = _Rays(uv, model.rays(uv), least=np.zeros(len(uv)), most=np.full(len(uv), 1 / _NEAREST))
+    count, spread = np.zeros(len(uv)), np.zeros((len(uv), 2, 2))
     sightings = []
     for j in _neighbours(k, T_ok) if len(uv) else []:
         found, at, covariance = _searched(corners, images[k], images[j], T_ok[j], model)
