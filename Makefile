@@ -8,9 +8,8 @@ TORCH_INDEX ?=
 PIP := $(VENV)/bin/pip --disable-pip-version-check
 INSTALLED := $(VENV)/.installed
 DEV := $(VENV)/.dev
-COMPILED := $(VENV)/.compiled
 
-.PHONY: install demo dev test test-fast check fuzz docs
+.PHONY: install demo dev compiled test test-fast check fuzz docs
 
 install: $(INSTALLED)
 
@@ -32,19 +31,19 @@ $(DEV): $(INSTALLED)
 	$(PIP) install -c constraints.txt -e '.[dev]'
 	@touch $(DEV)
 
-# Numba keeps what it has compiled in src/. A demo of two frames has the kernels compiled once, so that no test waits for them.
-$(COMPILED): $(DEV)
-	@echo "Compiling kernels, once: about a minute."
-	@$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --overwrite --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1)
-	@touch $(COMPILED)
+# A demo of two frames has the kernels compiled, so that no test waits for them. What is compiled is kept until a source of kernels changes.
+compiled: $(DEV)
+	@$(VENV)/bin/python -c "from idfslam.compute.cache_folder import kernels_on_disk; exit(not kernels_on_disk())" || { \
+	echo "Compiling kernels: about a minute."; \
+	$(VENV)/bin/idf-slam demo --frames 2 --device cpu --no-report --overwrite --out $(VENV)/demo > $(VENV)/demo.log 2>&1 || (cat $(VENV)/demo.log; exit 1); }
 
 # Two processes, each with test modules of its own: much of the time goes into compiling kernels and starting programs, on one core.
 PYTEST = $(VENV)/bin/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-test: $(COMPILED)
+test: compiled
 	$(PYTEST)
 
-test-fast: $(COMPILED)
+test-fast: compiled
 	$(PYTEST) -m "not slow"
 
 check: $(DEV)

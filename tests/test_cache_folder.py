@@ -4,12 +4,14 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 import idfslam
 from idfslam.compute import cache_folder
+from idfslam.compute.kernel_sources import fingerprint
 
 PROJECT = """
 import os, sys, tempfile
@@ -23,6 +25,8 @@ import torch
 torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
 print(prepare_caches().folder, project.stats.cache_path if project._cache.cache_path else None, os.environ.get("MPLCONFIGDIR"))
 """
+
+KERNELS = f"kernels-{fingerprint()}"
 
 
 @pytest.fixture(scope="module")
@@ -47,16 +51,16 @@ def project(installation: Path, *words: str, **variables: str) -> tuple[list[str
 @pytest.mark.slow
 def test_an_installation_that_can_be_written_to_is_used() -> None:
     place, kernels, matplotlib = project(cache_folder.INSTALLATION.parent)[0]
-    assert place == str(cache_folder.INSTALLATION)
-    assert kernels == str(cache_folder.INSTALLATION / "geometry" / "__pycache__")
+    assert place == str(cache_folder.INSTALLATION / "__pycache__" / KERNELS)
+    assert Path(kernels).parent == Path(place)
     assert matplotlib == "None"
 
 
 @pytest.mark.slow
 def test_else_the_users_cache_folder_without_a_word(sealed: Path, tmp_path: Path) -> None:
     words, lines = project(sealed, XDG_CACHE_HOME=str(tmp_path))
-    assert words[0] == str(tmp_path / "idf-slam")
-    assert Path(words[1]).parent == tmp_path / "idf-slam"
+    assert words[0] == str(tmp_path / "idf-slam" / KERNELS)
+    assert Path(words[1]).parent == Path(words[0])
     assert not lines
 
 
@@ -64,8 +68,8 @@ def test_else_the_users_cache_folder_without_a_word(sealed: Path, tmp_path: Path
 def test_else_a_temporary_folder_with_one_line(sealed: Path, tmp_path: Path) -> None:
     words, lines = project(sealed, HOME="/dev/null/home", TMPDIR=str(tmp_path))
     folder = tmp_path / f"idf-slam-{os.getuid()}"
-    assert words[0] == str(folder)
-    assert Path(words[1]).parent == folder
+    assert words[0] == str(folder / KERNELS)
+    assert Path(words[1]).parent == folder / KERNELS
     assert words[2] == str(folder / "matplotlib")
     assert folder.stat().st_mode & 0o777 == 0o700
     assert len(lines) == 1
@@ -76,7 +80,7 @@ def test_else_a_temporary_folder_with_one_line(sealed: Path, tmp_path: Path) -> 
 @pytest.mark.skipif(not os.access("/dev/shm", os.W_OK), reason="needs /dev/shm")
 def test_else_a_folder_in_memory(sealed: Path) -> None:
     words, lines = project(sealed, "memory", HOME="/dev/null/home")
-    assert words[0] == f"/dev/shm/idf-slam-{os.getuid()}"
+    assert words[0] == f"/dev/shm/idf-slam-{os.getuid()}/{KERNELS}"
     assert len(lines) == 1
     shutil.rmtree(words[0])
 
@@ -92,9 +96,11 @@ def test_else_no_folder_with_one_line(sealed: Path) -> None:
 @pytest.mark.slow
 def test_the_users_variable_comes_first(sealed: Path, tmp_path: Path) -> None:
     words, lines = project(cache_folder.INSTALLATION.parent, NUMBA_CACHE_DIR=str(tmp_path))
-    assert (words[0], lines) == (str(tmp_path), [])
+    assert (words[0], lines) == (str(tmp_path / KERNELS), [])
+    inherited = project(cache_folder.INSTALLATION.parent, NUMBA_CACHE_DIR=words[0])[0]  # the variable as this program has set it
+    assert inherited[0] == words[0]
     words, lines = project(sealed, NUMBA_CACHE_DIR="/dev/null/kernels", XDG_CACHE_HOME=str(tmp_path))
-    assert words[0] == str(tmp_path / "idf-slam")
+    assert words[0] == str(tmp_path / "idf-slam" / KERNELS)
     assert lines == [f"NUMBA_CACHE_DIR=/dev/null/kernels cannot be written to: compiled kernels are kept in {tmp_path / 'idf-slam'}"]
 
 
@@ -115,3 +121,15 @@ def test_a_full_disk_is_used_only_with_kernels_on_it(monkeypatch: pytest.MonkeyP
     assert not cache_folder.usable(tmp_path)
     (tmp_path / "kernel.nbi").touch()
     assert cache_folder.usable(tmp_path)
+
+
+def test_kernels_of_other_sources_go_when_nothing_has_used_them_for_a_month(tmp_path: Path) -> None:
+    used, recent, old, other = (tmp_path / name for name in ("kernels-1", "kernels-2", "kernels-3", "matplotlib"))
+    days = {used: 40, recent: 20, old: 40, other: 40}
+    for folder, age in days.items():
+        folder.mkdir()
+        (folder / "kernel.nbi").touch()
+        os.utime(folder, (0, time.time() - age * 86400))
+    cache_folder._remove_unused(used)
+    assert [folder.exists() for folder in (used, recent, old, other)] == [True, True, False, True]
+    assert time.time() - used.stat().st_mtime < 60

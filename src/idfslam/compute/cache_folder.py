@@ -1,13 +1,15 @@
 """The folder in which compiled kernels are kept between runs, and the folders of other libraries that need one.
 
 Numba keeps kernels beside the source files, or in the user's cache folder. In a container neither may be writable, and Numba then refuses
-to compile at all. `prepare_caches` finds a folder that can be written to, before Numba is imported:
+to compile at all. `prepare_caches` finds a place that can be written to, before Numba is imported:
 
 1. NUMBA_CACHE_DIR, if the user has set it,
-2. the installation,
+2. the installation, in `__pycache__`,
 3. the user's cache folder: `$XDG_CACHE_HOME/idf-slam` or `~/.cache/idf-slam`, and their like on Windows and macOS,
 4. a folder of this user in the temporary folder (TMPDIR), or in memory (/dev/shm),
 5. none: kernels are compiled in every process.
+
+There, they are in a folder that is named by their sources (`compute/kernel_sources.py`), so that none is older than a constant in it.
 
 Matplotlib and torch are given a folder too if the user's cache folder cannot be written to.
 """
@@ -17,14 +19,19 @@ import os
 import shutil
 import sys
 import tempfile
+import time
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from idfslam.compute.kernel_sources import INSTALLATION, fingerprint
+
 log = logging.getLogger(__name__)
 
 VARIABLE = "NUMBA_CACHE_DIR"
-INSTALLATION = Path(__file__).parents[1]
+_NAME = "kernels-"  # and a fingerprint
+_KEPT = 30 * 24 * 3600.0  # [s] kernels of other sources are removed when no process has used them for so long; larger: the disk fills
 _ROOM = 2**26  # [bytes] free space that an empty folder needs; all kernels take 12 MB. Larger: fuller disks are passed over
 _IN_MEMORY = "/dev/shm"  # a folder in memory, which Linux has even where the disk is read-only
 _TORCH = "TORCHINDUCTOR_CACHE_DIR"
@@ -35,7 +42,7 @@ _OTHERS = {"MPLCONFIGDIR": "matplotlib", _TORCH: "torch", "TRITON_CACHE_DIR": "t
 class KernelCache:
     """Where compiled kernels are kept."""
 
-    folder: Path | None  # None: nowhere
+    folder: Path | None  # those of the present sources; None: nowhere
     problem: str | None = None  # why they are not kept where the user would expect them
 
 
@@ -50,35 +57,44 @@ def prepare_caches() -> KernelCache:
         log.warning(found.problem)
     if found.folder is None:
         _compile_without_cache()
-    elif found.folder != INSTALLATION:
+    else:
         _set_numba_folder(found.folder)
+        _remove_unused(found.folder)
     _prepare_others()
     return found
 
 
 def kernels_on_disk() -> bool:
-    """Whether compiled kernels are in the cache. It looks for one that is compiled with the others, later than its source was written."""
-    folder, source = prepare_caches().folder, INSTALLATION / "mapping" / "kernels" / "numba_field.py"
-    if folder is None or not source.exists():
-        return False
-    return any(index.stat().st_mtime >= source.stat().st_mtime for index in folder.rglob("numba_field.learn-*.nbi"))
+    """Whether compiled kernels are in the cache. It looks for one that is compiled with the others."""
+    folder = prepare_caches().folder
+    return folder is not None and any(folder.rglob("numba_field.learn-*.nbi"))
 
 
 def _kernel_cache() -> KernelCache:
     is_set = os.environ.get(VARIABLE)
-    if is_set and usable(Path(is_set)):
-        return KernelCache(Path(is_set))
+    if is_set and usable(folder := _folder_in(_place(Path(is_set)))):
+        return KernelCache(folder)
     problem = f"{VARIABLE}={is_set} cannot be written to" if is_set else None
-    for folder in (INSTALLATION if _installation_usable() else None, user_folder()):
-        if folder is not None and (folder == INSTALLATION or usable(folder)):
-            return KernelCache(folder, problem and f"{problem}: compiled kernels are kept in {folder}")
+    for place in (INSTALLATION / "__pycache__", user_folder()):
+        if place is not None and usable(folder := _folder_in(place)):
+            return KernelCache(folder, problem and f"{problem}: compiled kernels are kept in {place}")
     problem = problem or "neither the installation nor a cache folder of yours can be written to"
     temporary = temporary_folder()
     if temporary is not None:
         advice = f"set {VARIABLE} to keep them elsewhere"
-        return KernelCache(temporary, f"{problem}: compiled kernels are kept in the temporary folder {temporary}; {advice}")
+        text = f"{problem}: compiled kernels are kept in the temporary folder {temporary}; {advice}"
+        return KernelCache(_folder_in(temporary), text)
     advice = f"set {VARIABLE} to a folder that can be written to"
     return KernelCache(None, f"{problem}, nor a temporary folder: kernels are compiled anew in every process, for about a minute; {advice}")
+
+
+def _folder_in(place: Path) -> Path:
+    return place / (_NAME + fingerprint())
+
+
+def _place(folder: Path) -> Path:
+    """The place that the user has set, also if it was this program that set the variable, in the process that started this one."""
+    return folder.parent if folder.name.startswith(_NAME) else folder
 
 
 def user_folder() -> Path | None:
@@ -117,21 +133,18 @@ def temporary_folder() -> Path | None:
 
 
 def usable(folder: Path) -> bool:
-    """Whether files can be written to the folder, which is made if need be, and its disk has room for kernels or holds them already."""
+    """Whether files can be written to the folder, which is made if need be, and its disk has room for kernels or holds them already.
+
+    Folders in it may belong to another user, who ran the program first.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-        return shutil.disk_usage(folder).free >= _ROOM or any(folder.rglob("*.nbi"))
+        writable = all(os.access(inner, os.W_OK) for inner in folder.iterdir() if inner.is_dir())
+        return writable and (shutil.disk_usage(folder).free >= _ROOM or any(folder.rglob("*.nbi")))
     except OSError:
         return False
-
-
-def _installation_usable() -> bool:
-    """Whether Numba can write beside each source file. Some folders may belong to another user, who ran the program first."""
-    caches = (Path(folder, "__pycache__") for folder, _, files in os.walk(INSTALLATION) if "__init__.py" in files)
-    written = all(os.access(folder if folder.exists() else folder.parent, os.W_OK) for folder in caches)
-    return written and usable(INSTALLATION / "__pycache__")
 
 
 def _set_numba_folder(folder: Path) -> None:
@@ -140,6 +153,16 @@ def _set_numba_folder(folder: Path) -> None:
         import numba
 
         numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+
+
+def _remove_unused(folder: Path) -> None:
+    """Marks the folder as used now, and removes those beside it that no process has used for long."""
+    now = time.time()
+    with suppress(OSError):  # another process removes them too, or they belong to another user
+        os.utime(folder)
+        for other in folder.parent.glob(f"{_NAME}*"):
+            if now - other.stat().st_mtime > _KEPT:
+                shutil.rmtree(other, ignore_errors=True)
 
 
 def _compile_without_cache() -> None:
