@@ -5,7 +5,7 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.mapping.losses import geometric_residuals, photometric_residuals, rendering_losses
-from idfslam.mapping.rendering import Rendered
+from idfslam.mapping.tsdf_rendering import Rendered
 from idfslam.tracking.finetuning import correspondence_loss, depth_loss
 
 TR = 0.1

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from idfslam.mapping.joint.occupancy_losses import depth_and_colour_loss, variance_weighted_loss
-from idfslam.mapping.volume_rendering import RenderedRays
+from idfslam.mapping.occupancy_rendering import RenderedRays
 
 
 def rendered(depth: list[float], deviation: list[float], colour: float = 0.5) -> RenderedRays:

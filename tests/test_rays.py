@@ -7,9 +7,9 @@ import torch
 
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.mapping.active_sampling import compiled_group_pixels, plain_group_pixels
 from idfslam.mapping.ray_samples import compiled_sample_points, plain_sample_points
 from idfslam.mapping.rays import Rays, compiled_cast, plain_cast
-from idfslam.mapping.sampling import compiled_group_pixels, plain_group_pixels
 
 CAMERA = Camera(47, 33, 40.0, 42.0, 22.5, 16.25)
 

@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.rendering import world_rays
 from idfslam.mapping.sphere_tracing import march_cones, trace, trace_image
+from idfslam.mapping.tsdf_rendering import world_rays
 
 CAMERA = Camera(100, 76, 90.0, 90.0, 49.5, 37.5)  # neither side a multiple of the tiles
 TR = 0.06

@@ -9,9 +9,9 @@ from helpers.grey_archive import grey_archive
 from helpers.painted_wall import at, painted
 from idfslam.frame import Frame, Status
 from idfslam.geometry.pose_distance import apparent_motions
-from idfslam.graph.archive import Archive
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.swap_file import SwapFile
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.views.encoded_view import MOVING, decode_depth, encode
 from idfslam.views.image_archive import archive_of
@@ -72,7 +72,7 @@ def test_images_are_rectified_once() -> None:
     assert view.rectification_of_taken is None
     view.rectify(Rectification(RowTimes(0.03, 0.03, 0.0), np.array([0, 0, 0, 0, 1.0, 0])))
     assert view.rectification_of_taken is view.rectification is not None
-    view.keep_in(Archive(4), 0)
+    view.keep_in(SwapFile(4), 0)
     assert view.rectification_of_taken is None
 
 

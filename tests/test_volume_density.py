@@ -8,10 +8,10 @@ import torch
 
 from helpers.flat_wall import keyframe
 from idfslam.config import IMAP, VolumeDensityConfig
+from idfslam.mapping.active_sampling import cell_of
 from idfslam.mapping.joint.density_map import DensityMap
 from idfslam.mapping.joint.fourier_features import FourierFeatures
 from idfslam.mapping.joint.volume_density import VolumeDensity
-from idfslam.mapping.sampling import cell_of
 
 
 def test_fourier_features() -> None:

@@ -13,7 +13,7 @@ from idfslam.errors import CameraError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.geometry.camera import Camera
 from idfslam.live import Capture
-from idfslam.live.replay import Replay
+from idfslam.live.playback import Playback
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 
@@ -60,7 +60,7 @@ class HandFed:
         self.closed = True
 
 
-class PulledOut(Replay):
+class PulledOut(Playback):
     """A recording whose camera is gone after some frames."""
 
     def __init__(self, recording: Dataset, *, after: int) -> None:

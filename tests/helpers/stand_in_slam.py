@@ -42,7 +42,7 @@ class StandInSlam:
     def mesh(self, resolution: float) -> trimesh.Trimesh:
         return trimesh.creation.box((3.0, 2.2, 3.6))
 
-    def archive_in(self, folder: Path) -> None: ...
+    def swap_to(self, folder: Path) -> None: ...
 
     def archive(self) -> ImageArchive:
         return grey_archive()

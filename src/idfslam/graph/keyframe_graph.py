@@ -11,11 +11,11 @@ from torch import Tensor
 
 from idfslam.config import KeyframeConfig
 from idfslam.geometry import se3
-from idfslam.graph.archive import Archive
 from idfslam.graph.covisibility import covisibility
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.path_length import path_lengths
 from idfslam.graph.submaps import merged_poses, separate_origin
+from idfslam.graph.swap_file import SwapFile
 from idfslam.storage.state import State
 
 _HIDING = 1e-3  # [m] depth that stands for what hides all behind it. More: nothing, up to the nearest surface
@@ -31,7 +31,7 @@ class KeyframeGraph:
     def __init__(self, config: KeyframeConfig, *, verify: bool = False) -> None:
         """verify: a new keyframe gets edges only to keyframes at a short path of measured edges. False: to all covisible ones (paper)."""
         self.config, self.verify = config, verify
-        self.archive = Archive(config.in_memory)
+        self.swap = SwapFile(config.in_memory)
         self.keyframes: list[Keyframe] = []
         self.last_keyframe: Keyframe | None = None  # the last selected frame, stored or culled
         self.unverified_from: int | None = None  # the first keyframe stored since a relocalisation that is not verified yet
@@ -53,7 +53,7 @@ class KeyframeGraph:
         """Takes over `state`. `revive` makes the keyframes with their images."""
         for kept in state["keyframes"]:
             self.keyframes.append(revive(kept))
-            self.keyframes[-1].keep_in(self.archive, self.keyframes[-1].host)
+            self.keyframes[-1].keep_in(self.swap, self.keyframes[-1].host)
         last = state["last_keyframe"]
         self.last_keyframe = self.keyframes[last] if isinstance(last, int) else last and revive(last)
         self.unverified_from = None if state["unverified_from"] < 0 else state["unverified_from"]
@@ -95,7 +95,7 @@ class KeyframeGraph:
 
     def _store(self, keyframe: Keyframe) -> None:
         self.keyframes.append(keyframe)
-        keyframe.keep_in(self.archive, keyframe.host)
+        keyframe.keep_in(self.swap, keyframe.host)
         for i in keyframe.covisible:
             self.keyframes[i].covisible.add(keyframe.host)
         for i in keyframe.edges:

@@ -1,4 +1,4 @@
-"""The images of a keyframe: rectified, without what moves, and kept in the archive while they are not in use."""
+"""The images of a keyframe: rectified, without what moves, and in the swap file while they are not in use."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.graph.archive import Archive, Stored
+from idfslam.graph.swap_file import Stored, SwapFile
 from idfslam.sensing.rectification import Rectification, rectified
 
 # [1] Share of the cells of a grid over the image with a reading, from which the image has depth. Less begins no map that the next view
@@ -23,8 +23,8 @@ _GRID = 12, 16  # rows and columns of these cells; more: sparse depth covers les
 _EIGHT_BITS = np.float32(1 / 255)  # step of a colour channel of 8 bits, as most cameras have it
 
 
-class ArchivedFeatures(Protocol):
-    """The tracker's features of a frame, as the archive sees them."""
+class SwappableFeatures(Protocol):
+    """The tracker's features of a frame, as the swap file sees them."""
 
     def packed(self) -> tuple[list[Tensor], Callable[[Sequence[Tensor]], Any]]:
         """The tensors, and a function that makes the features from them again."""
@@ -49,7 +49,7 @@ class Images:
 class KeyframeImages:
     """The images of a frame, and the tracker's features of them.
 
-    The archive may release both from memory. They are read again on the next access.
+    The swap file may take both out of memory. They are read again on the next access.
     """
 
     def __init__(self, frame: Frame, depth: Tensor, colour: Tensor) -> None:
@@ -63,10 +63,10 @@ class KeyframeImages:
         self._shown: dict[str, tuple[Images, Images]] = {}  # the images, and what is left of them without these pixels
         self._device = depth.device
         self._images: Images | None = Images(frame, depth, colour)
-        self._taken: Images | None = None  # the images before rectification, until the archive gets them
+        self._taken: Images | None = None  # the images before rectification, until the swap file gets them
         self._features: Any = None
-        self._archive: Archive | None = None
-        self._number = 0  # by which the archive knows them
+        self._swap: SwapFile | None = None
+        self._number = 0  # by which the swap file knows them
         self._images_at: Stored | None = None
         self._features_at: tuple[Stored, Callable[[Sequence[Tensor]], Any]] | None = None
         self._checksum: int | None = None  # of the images
@@ -78,20 +78,20 @@ class KeyframeImages:
 
     @property
     def unmasked(self) -> Images:
-        """The images with what moves, rectified; they are read from the archive if they are not in memory."""
+        """The images with what moves, rectified; they are read from the swap file if they are not in memory."""
         if self._images is None and self._taken is not None:
             assert self.rectification is not None
             self._images = self._rectified(self._taken, self.rectification)
         if self._images is None:
-            assert self._archive is not None and self._images_at is not None
-            colour, depth = self._archive.read(self._images_at)
+            assert self._swap is not None and self._images_at is not None
+            colour, depth = self._swap.read(self._images_at)
             if colour.dtype == torch.uint8:
                 colour = torch.from_numpy(np.multiply(colour.numpy(), _EIGHT_BITS, dtype=np.float32))
             frame = Frame(self.index, self.timestamp, colour.numpy(), depth.numpy(), self.camera, *self._times)
             self._images = Images(frame, depth.to(self._device), colour.to(self._device))
         images = self._images
-        if self._archive is not None:
-            self._archive.used(self._number, self)
+        if self._swap is not None:
+            self._swap.used(self._number, self)
         return images
 
     @property
@@ -133,7 +133,7 @@ class KeyframeImages:
         self._taken, self._images, self.rectification = self.taken_unmasked, None, rectification
         self._forget_derived()
         self._images_at = self._checksum = None
-        if self._archive is not None:
+        if self._swap is not None:
             self._keep_rectified()
 
     def _forget_derived(self) -> None:
@@ -183,33 +183,33 @@ class KeyframeImages:
         """The tracker's features of the frame; None before they were extracted."""
         features = self._features
         if features is None and self._features_at is not None:
-            assert self._archive is not None
+            assert self._swap is not None
             stored, unpack = self._features_at
-            self._features = features = unpack(self._archive.read(stored))
-            self._archive.used(self._number, self)
+            self._features = features = unpack(self._swap.read(stored))
+            self._swap.used(self._number, self)
         return features
 
-    def keep_features(self, features: ArchivedFeatures) -> None:
+    def keep_features(self, features: SwappableFeatures) -> None:
         """Keeps the tracker's features with the images."""
         self._features = features
 
-    def keep_in(self, archive: Archive, number: int) -> None:
-        """Hands the images and features to an archive, which decides how long they stay in memory. number: by which it knows them."""
+    def keep_in(self, swap: SwapFile, number: int) -> None:
+        """Hands the images and features to a swap file, which decides how long they stay in memory. number: by which it knows them."""
         self._keep_rectified()
-        self._archive, self._number = archive, number
-        archive.used(number, self)
+        self._swap, self._number = swap, number
+        swap.used(number, self)
 
-    def put_away(self) -> None:
-        """Releases images and features from memory. They hardly ever change, so what the archive has is not written again.
+    def swap_out(self) -> None:
+        """Releases images and features from memory. They hardly ever change, so what the file has is not written again.
 
-        What the archive has no room for stays in memory.
+        What the file has no room for stays in memory.
         """
-        assert self._archive is not None
-        if self._images is not None and self._images_at is None and not self._archive.full:
-            self._images_at = self._archive.write(_reduced_to_bytes(self._images.frame))
-        if self._features is not None and self._features_at is None and not self._archive.full:
+        assert self._swap is not None
+        if self._images is not None and self._images_at is None and not self._swap.full:
+            self._images_at = self._swap.write(_reduced_to_bytes(self._images.frame))
+        if self._features is not None and self._features_at is None and not self._swap.full:
             tensors, unpack = self._features.packed()
-            stored = self._archive.write(tensors)
+            stored = self._swap.write(tensors)
             self._features_at = None if stored is None else (stored, unpack)
         self._images = None if self._images_at else self._images
         self._shown.clear()

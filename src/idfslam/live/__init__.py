@@ -67,12 +67,12 @@ def open_live(
     if not path:
         raise ConfigError(f"{name}: expected replay:PATH, with a recording in any layout or synthetic[:SEED][:kinect]")
     from idfslam.datasets import open_recording
-    from idfslam.live.replay import Replay
+    from idfslam.live.playback import Playback
 
     speed = _speed(name)
     values: dict[str, Any] = {"camera": camera, "camera_file": camera_file, "depth_scale": depth_scale}
     recording = open_recording(path, format=format, **values, topics=topics, start=start, stride=stride, truth=truth)
-    return LiveStream(Replay(recording, speed=speed), frames=frames)
+    return LiveStream(Playback(recording, speed=speed), frames=frames)
 
 
 def open_camera(name: str, calibration: Calibration) -> DepthCamera:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from idfslam.mapping.rendering import Rendered
+from idfslam.mapping.tsdf_rendering import Rendered
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from idfslam.compute.devices import repeatable, resolve_precision
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.mapping.active_sampling import CellPixels, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 from idfslam.mapping.field import Field, copy_of, load_field
 from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.loss_values import loss_values
@@ -20,9 +21,8 @@ from idfslam.mapping.map import Map
 from idfslam.mapping.objectives import Objective, RenderingObjective, SampleObjective
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
-from idfslam.mapping.rendering import RayMarch, render, world_rays
-from idfslam.mapping.sampling import CellPixels, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 from idfslam.mapping.training_view import PosedFrame, TrainingView
+from idfslam.mapping.tsdf_rendering import RayMarch, render, world_rays
 from idfslam.mapping.updates import MapUpdates
 from idfslam.sensing.light import Light
 from idfslam.storage.frame_memory import FrameMemory

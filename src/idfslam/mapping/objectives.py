@@ -15,7 +15,7 @@ from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.ray_samples import RaySamples, sample_points, uniform
 from idfslam.mapping.rays import Rays
-from idfslam.mapping.rendering import RayMarch, render
+from idfslam.mapping.tsdf_rendering import RayMarch, render
 
 
 class Objective(Protocol):

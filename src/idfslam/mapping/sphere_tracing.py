@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from idfslam.geometry.camera import Camera
-from idfslam.mapping.rendering import world_rays
+from idfslam.mapping.tsdf_rendering import world_rays
 
 # All of these were chosen by hand.
 LEAST_STEP = 0.1  # [tr] least step. Without it, steps vanish where a ray passes close to a surface. More: thin surfaces are missed

@@ -95,7 +95,7 @@ class SlamNode:
         self._folder = self._claim.enter_context(claimed(out, overwrite=p.overwrite))
         limit_torch_threads(config.field.encoding)
         self._state = RunState(Slam(config))
-        self._state.slam.archive_in(self._folder.partial)
+        self._state.slam.swap_to(self._folder.partial)
         self._timing = timing_of(p)
         self._received, self.dropped = ReceivedFrames(), 0
         self._newest: tuple[Any, Any, Any] | None = None

@@ -134,11 +134,11 @@ def _new_slam(
     prior: PriorMap | None,
     make_slam: Callable[[Config], Slam],
     console: Console | None,
-    archive: Path,
+    partial: Path,
 ) -> Slam:
     """The SLAM system, in the prior map if there is one. For a live camera everything is compiled before its first frame.
 
-    archive: the folder for the images that are not kept in memory.
+    partial: the folder for the images that are not kept in memory.
     """
     if console is not None and will_compile(config):
         console.print(COMPILING, highlight=False, soft_wrap=True)
@@ -147,7 +147,7 @@ def _new_slam(
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)
         warm_up(config, make_slam)
     slam = make_slam(config if prior is None else replace(config, field=prior.saved.field.config))  # the saved field keeps its own shape
-    slam.archive_in(archive)
+    slam.swap_to(partial)
     if prior is not None:
         slam.start_in(prior.saved, [(keyframe.frame, keyframe.T_wk) for keyframe in prior.keyframes], prior.archive)
     return slam

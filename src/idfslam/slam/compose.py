@@ -34,7 +34,7 @@ from idfslam.slam.back_end.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.back_end.joint_mapping import JointMapping
 from idfslam.slam.back_end.keyframe_pose import KeyframePose, KeyframeRegistration, PoseOptimisation, TrackedPose
 from idfslam.slam.back_end.light_estimation import LightEstimation
-from idfslam.slam.back_end.map_updates import MapUpdates
+from idfslam.slam.back_end.map_training import MapTraining
 from idfslam.slam.back_end.mapping_window import LossWindow, MappingWindow, OverlapWindow
 from idfslam.slam.back_end.polish import NoPolish, Polish, Polishing
 from idfslam.slam.back_end.refinement import KeyframeRefinement, NoRefinement, Refinement
@@ -302,7 +302,7 @@ def _joint_mapping(s: System) -> BackEnd:
 
 
 def _keyframe_mapping(s: System) -> BackEnd:
-    updates = MapUpdates(s.config, s.graph, s.frames, s.replay, s.relearn, s.mapper, s.refinement, s.timer)
+    updates = MapTraining(s.config, s.graph, s.frames, s.replay, s.relearn, s.mapper, s.refinement, s.timer)
     parts = s.keyframe_pose, s.hooks, updates, s.polish, s.finetuner, s.timer
     return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.features, *parts)
 

@@ -122,9 +122,9 @@ class Slam:
         """A frame on the map's device, at pose `T_wc` (4, 4)."""
         return Keyframe(frame, T_wc, torch.from_numpy(frame.depth).to(self.device), torch.from_numpy(frame.colour).to(self.device))
 
-    def archive_in(self, folder: Path) -> None:
-        """Makes the archive of images in a folder instead of that of temporary files. To be called before the first frame."""
-        self.graph.archive.folder = folder
+    def swap_to(self, folder: Path) -> None:
+        """Makes the swap file in a folder instead of that of temporary files. To be called before the first frame."""
+        self.graph.swap.folder = folder
 
     def start_in(self, saved: SavedMap, keyframes: Sequence[tuple[Frame, Tensor]], archive: ImageArchive | None = None) -> None:
         """Starts in a saved map with a field of this config, its keyframes with poses T_wk (4, 4), and its images, before the first frame.

@@ -8,15 +8,23 @@ from torch import Tensor
 
 from idfslam.compute.devices import resolve_precision
 from idfslam.config import Config
+from idfslam.mapping.active_sampling import (
+    CellPixels,
+    allot,
+    cell_shares,
+    draw_pixels,
+    group_pixels,
+    initial_cell_losses,
+    update_cell_losses,
+)
 from idfslam.mapping.joint.joint_map import Draw, JointMap, named
 from idfslam.mapping.joint.occupancy_losses import RayLosses, variance_weighted_loss
 from idfslam.mapping.joint.volume_density import VolumeDensity
 from idfslam.mapping.joint.window_poses import WindowPoses
+from idfslam.mapping.occupancy_rendering import OccupancyField, RenderedRays, farthest_sample, hierarchical_depths, volume_render
 from idfslam.mapping.rays import Rays, join
-from idfslam.mapping.rendering import stratified_depths
-from idfslam.mapping.sampling import CellPixels, allot, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 from idfslam.mapping.training_view import PosedFrame
-from idfslam.mapping.volume_rendering import OccupancyField, RenderedRays, farthest_sample, hierarchical_depths, volume_render
+from idfslam.mapping.tsdf_rendering import stratified_depths
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State, adam_dict, plain_adam
 

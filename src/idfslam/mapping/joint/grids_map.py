@@ -13,9 +13,9 @@ from idfslam.mapping.joint.joint_map import Draw, JointMap, named
 from idfslam.mapping.joint.occupancy_grids import LEVELS, OccupancyGrids, Stage, levels_of
 from idfslam.mapping.joint.occupancy_losses import RayLosses, depth_and_colour_loss, depth_errors, variance_weighted_loss
 from idfslam.mapping.joint.window_poses import WindowPoses
+from idfslam.mapping.occupancy_rendering import OccupancyField, RenderedRays, farthest_sample, near_surface_depths, volume_render
 from idfslam.mapping.rays import Rays, join
 from idfslam.mapping.training_view import TrainingView
-from idfslam.mapping.volume_rendering import OccupancyField, RenderedRays, farthest_sample, near_surface_depths, volume_render
 
 # [m] Reach behind a reading, and around the camera, within which features are in view (NICE-SLAM's code). More: more are learnt
 _BEHIND = 0.5

@@ -17,9 +17,9 @@ from idfslam.mapping.joint.occupancy_losses import RayLosses
 from idfslam.mapping.joint.window_poses import WindowPoses
 from idfslam.mapping.loss_values import loss_values
 from idfslam.mapping.map import Map
+from idfslam.mapping.occupancy_rendering import OccupancyField, RenderedRays
 from idfslam.mapping.rays import Rays, cast
 from idfslam.mapping.training_view import PosedFrame, TrainingView
-from idfslam.mapping.volume_rendering import OccupancyField, RenderedRays
 from idfslam.storage.state import State
 
 Draw = Callable[[], Sequence[PosedFrame]]

@@ -17,7 +17,7 @@ from idfslam.config import FieldConfig, OccupancyGridsConfig
 from idfslam.errors import ConfigError
 from idfslam.mapping.grid import GridEncoding
 from idfslam.mapping.joint.occupancy_decoder import CoarseDecoder, GridDecoder
-from idfslam.mapping.volume_rendering import OccupancyField
+from idfslam.mapping.occupancy_rendering import OccupancyField
 
 _SHARPNESS = 10.0  # [1] factor on a decoder's output before the sigmoid: a fact of the published network
 # [1] Standard deviation of first features, of the fine level and of the others (NICE-SLAM's code). More: surfaces appear where none is.

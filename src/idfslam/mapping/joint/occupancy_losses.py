@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from idfslam.mapping.volume_rendering import RenderedRays
+from idfslam.mapping.occupancy_rendering import RenderedRays
 
 _LEAST_VARIANCE = 1e-10  # [m^2] added to the variance, so that no weight is infinite (NICE-SLAM's code). More: sure depths weigh less
 

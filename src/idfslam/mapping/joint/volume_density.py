@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from idfslam.config import VolumeDensityConfig
 from idfslam.mapping.joint.fourier_features import FourierFeatures
-from idfslam.mapping.volume_rendering import OccupancyField, occupancy_of_density
+from idfslam.mapping.occupancy_rendering import OccupancyField, occupancy_of_density
 
 # [1/m] Density everywhere at first, about: rays then pass through a room. More: they end close to the camera, and depth is learnt later.
 # Chosen by hand.

@@ -12,7 +12,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop
 from idfslam.slam.back_end.finetuner import Finetuning
 from idfslam.slam.back_end.keyframe_pose import KeyframePose
-from idfslam.slam.back_end.map_updates import MapUpdates
+from idfslam.slam.back_end.map_training import MapTraining
 from idfslam.slam.back_end.polish import Polishing
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
@@ -66,7 +66,7 @@ class KeyframeMapping(BackEnd):
         features: KeyframeFeatures,
         keyframe_pose: KeyframePose,
         hooks: Sequence[KeyframeHook],
-        updates: MapUpdates,
+        updates: MapTraining,
         polish: Polishing,
         finetuner: Finetuning,
         timer: StageTimer,

@@ -10,7 +10,7 @@ from idfslam.frame import Frame
 from idfslam.live.depth_camera import Capture
 
 
-class Replay:
+class Playback:
     """Frame i comes (stamp i - stamp 0) / `speed` seconds after the first and keeps its stamp and true pose."""
 
     def __init__(self, recording: Dataset, *, speed: float = 1.0) -> None:

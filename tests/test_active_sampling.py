@@ -2,7 +2,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from idfslam.mapping.sampling import allot, cell_of, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
+from idfslam.mapping.active_sampling import allot, cell_of, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
 
 
 def generator(seed: int = 0) -> torch.Generator:

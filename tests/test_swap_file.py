@@ -1,4 +1,4 @@
-"""Images and features put away and had again."""
+"""Images and features swapped out and read again."""
 
 import errno
 import os
@@ -13,8 +13,8 @@ import torch
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
-from idfslam.graph.archive import Archive
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.swap_file import SwapFile
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.tracking.frame_features import FrameFeatures
 
@@ -24,7 +24,7 @@ CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 @pytest.fixture(autouse=True)
 def no_room_is_kept_free(monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk that the tests run on may be nearly full."""
-    monkeypatch.setattr("idfslam.graph.archive.LEFT_FREE", 0)
+    monkeypatch.setattr("idfslam.graph.swap_file.LEFT_FREE", 0)
 
 
 def keyframe(index: int, *, eight_bits: bool) -> Keyframe:
@@ -46,10 +46,10 @@ def features(index: int) -> FrameFeatures:
 
 @pytest.mark.parametrize("eight_bits", [True, False])
 def test_images_come_back_exactly(eight_bits: bool) -> None:
-    archive, keyframes = Archive(2), [keyframe(i, eight_bits=eight_bits) for i in range(5)]
+    swap, keyframes = SwapFile(2), [keyframe(i, eight_bits=eight_bits) for i in range(5)]
     before = [(k.frame, k.depth.clone(), k.colour.clone()) for k in keyframes]
     for k in keyframes:
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     assert [k._images is None for k in keyframes] == [True, True, True, False, False]
     for k, (frame, depth, colour) in zip(keyframes, before):
         assert torch.equal(k.depth, depth)
@@ -60,9 +60,9 @@ def test_images_come_back_exactly(eight_bits: bool) -> None:
 
 
 def test_a_stored_keyframe_that_is_rectified_comes_back_rectified() -> None:
-    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
+    swap, keyframes = SwapFile(1), [keyframe(i, eight_bits=True) for i in range(2)]
     for k in keyframes:
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     first, raw = keyframes[0], keyframes[0].colour.clone()  # in the file by now, and read again
     first.keep_features(features(0))
     first.rectify(Rectification(RowTimes(0.03), np.array([0.0, 0, 0, 0, 0, 3.0])))
@@ -99,20 +99,20 @@ def test_a_few_readings_begin_no_map(rows: int, columns: int, enough: bool) -> N
 
 
 def test_what_was_used_last_stays() -> None:
-    archive, keyframes = Archive(2), [keyframe(i, eight_bits=True) for i in range(3)]
+    swap, keyframes = SwapFile(2), [keyframe(i, eight_bits=True) for i in range(3)]
     for k in keyframes[:2]:
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     assert keyframes[0].depth.shape == (48, 64)  # used again
-    keyframes[2].keep_in(archive, keyframes[2].host)
+    keyframes[2].keep_in(swap, keyframes[2].host)
     assert [k._images is None for k in keyframes] == [False, True, False]
 
 
 def test_features_come_back_exactly_and_without_the_images() -> None:
-    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
+    swap, keyframes = SwapFile(1), [keyframe(i, eight_bits=True) for i in range(3)]
     assert keyframes[0].features is None
     for k in keyframes:
         k.keep_features(features(k.index))
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     for k in (keyframes[0], keyframes[2], keyframes[0]):
         before = features(k.index)
         assert (k._images, k._features) == (None, None)
@@ -122,13 +122,13 @@ def test_features_come_back_exactly_and_without_the_images() -> None:
             assert torch.equal(again, once)
             assert (again.dtype, again.stride()) == (once.dtype, once.stride())
         assert k._images is None
-    assert archive._end == 3 * (48 * 64 * 7 + 12 * 16 * (64 * 2 + 6 * 4))  # written once each, though put away twice
+    assert swap._end == 3 * (48 * 64 * 7 + 12 * 16 * (64 * 2 + 6 * 4))  # written once each, though swapped out twice
 
 
-def test_features_can_be_kept_after_the_images_were_put_away() -> None:
-    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(2)]
+def test_features_can_be_kept_after_the_images_were_swapped_out() -> None:
+    swap, keyframes = SwapFile(1), [keyframe(i, eight_bits=True) for i in range(2)]
     for k in keyframes:
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     keyframes[0].keep_features(features(0))
     assert keyframes[1].depth.shape == (48, 64)  # and the first is put away
     assert keyframes[0].depth.shape == (48, 64)
@@ -137,21 +137,21 @@ def test_features_can_be_kept_after_the_images_were_put_away() -> None:
 
 
 def test_the_file_lies_in_the_folder_that_is_set_and_is_not_seen(tmp_path: Path) -> None:
-    archive, keyframes = Archive(1), [keyframe(i, eight_bits=True) for i in range(3)]
-    archive.folder = tmp_path
+    swap, keyframes = SwapFile(1), [keyframe(i, eight_bits=True) for i in range(3)]
+    swap.folder = tmp_path
     for k in keyframes:
-        k.keep_in(archive, k.host)
-    assert archive._file is not None
-    assert os.fstat(archive._file.fileno()).st_dev == tmp_path.stat().st_dev
+        k.keep_in(swap, k.host)
+    assert swap._file is not None
+    assert os.fstat(swap._file.fileno()).st_dev == tmp_path.stat().st_dev
     assert list(tmp_path.iterdir()) == []  # deleted with the process, however that ends
 
 
-def stay_in_memory(archive: Archive, count: int = 4) -> list[Keyframe]:
-    """Keyframes handed to an archive without room: all images and features stay, and stay exact."""
+def stay_in_memory(swap: SwapFile, count: int = 4) -> list[Keyframe]:
+    """Keyframes handed to a swap file without room: all images and features stay, and stay exact."""
     keyframes = [keyframe(i, eight_bits=True) for i in range(count)]
     for k in keyframes:
         k.keep_features(features(k.index))
-        k.keep_in(archive, k.host)
+        k.keep_in(swap, k.host)
     for k in keyframes:
         assert torch.equal(k.depth, keyframe(k.index, eight_bits=True).depth)
         assert torch.equal(k.features.trunk, features(k.index).trunk)
@@ -159,10 +159,10 @@ def stay_in_memory(archive: Archive, count: int = 4) -> list[Keyframe]:
 
 
 def test_a_folder_that_is_gone_leaves_images_in_memory(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    archive = Archive(1)
-    archive.folder = tmp_path / "gone"
-    stay_in_memory(archive)
-    assert caplog.messages == [f"{archive.folder}: No such file or directory; the images of further keyframes stay in memory"]
+    swap = SwapFile(1)
+    swap.folder = tmp_path / "gone"
+    stay_in_memory(swap)
+    assert caplog.messages == [f"{swap.folder}: No such file or directory; the images of further keyframes stay in memory"]
 
 
 def test_no_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
@@ -170,28 +170,28 @@ def test_no_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch, caplog: 
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/nonexistent']")
 
     monkeypatch.setattr("tempfile.gettempdir", none)
-    stay_in_memory(Archive(1))
+    stay_in_memory(SwapFile(1))
     assert len(caplog.messages) == 1
     assert "the folder of temporary files: No usable temporary directory" in caplog.text
 
 
 def test_room_is_left_on_the_disk(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr("idfslam.graph.archive.LEFT_FREE", 1 << 62)
-    archive = Archive(1)
-    stay_in_memory(archive)
-    assert archive._file is None
+    monkeypatch.setattr("idfslam.graph.swap_file.LEFT_FREE", 1 << 62)
+    swap = SwapFile(1)
+    stay_in_memory(swap)
+    assert swap._file is None
     assert "would be left on the disk; the images of further keyframes stay in memory" in caplog.text
 
 
 def test_a_disk_that_becomes_full_keeps_what_is_there(caplog: pytest.LogCaptureFixture) -> None:
     """A file that cannot grow stands for the disk: the third keyframe is written half."""
-    archive, limits = Archive(1), resource.getrlimit(resource.RLIMIT_FSIZE)
+    swap, limits = SwapFile(1), resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (115_000, limits[1]))
-        keyframes = stay_in_memory(archive)
+        keyframes = stay_in_memory(swap)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert archive.full
+    assert swap.full
     assert [k._images_at is not None for k in keyframes] == [True, True, False, False]
     assert len(caplog.messages) == 1
     assert "File too large; the images of further keyframes stay in memory" in caplog.text

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from idfslam.mapping.rendering import importance_depths, stratified_depths
 from idfslam.mapping.surface_field import SurfaceField
+from idfslam.mapping.tsdf_rendering import importance_depths, stratified_depths
 
 _OPEN = 1e10  # [m] length of the last sample of a ray: what is dense there ends the ray. It is NeRF's. Less: rays may pass through
 _FLOOR = 1e-10  # [1] least share of light behind a sample, so that products have gradients (NICE-SLAM's code). More: walls shine through

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from idfslam.mapping.volume_rendering import (
+from idfslam.mapping.occupancy_rendering import (
     composite,
     farthest_sample,
     hierarchical_depths,

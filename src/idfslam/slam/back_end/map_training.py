@@ -20,7 +20,7 @@ from idfslam.storage.state import Stateful
 _UPDATES_AFTER_MOVE = 10
 
 
-class MapUpdates(Stateful):
+class MapTraining(Stateful):
     """Trains the map on views and on replayed keyframes, whose poses it refines first."""
 
     def __init__(

@@ -7,7 +7,7 @@ from torch import Tensor
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.losses import LossWeights, rendering_losses
-from idfslam.mapping.rendering import (
+from idfslam.mapping.tsdf_rendering import (
     RayMarch,
     importance_depths,
     render,
