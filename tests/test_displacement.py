@@ -88,6 +88,8 @@ def test_it_grows_with_the_error_and_not_with_blur_or_exposure(marks: Landmarks)
     assert off[0.0] < 0.01 and 0.15 < off[0.5] < 0.5 and 0.3 < off[1.0] < 1.0 and off[3.0] > 0.9
     assert math.degrees(displacement(wall(EYE, gain=1.2, offset=-0.1), marks, EYE, EYE)[1]) < 0.01
     assert math.degrees(displacement(wall(EYE, blur=3.0), marks, EYE, EYE)[1]) < 0.2
+    in_the_dark = [math.degrees(displacement(wall(turned(degrees), gain=0.35), marks, EYE, EYE)[1]) for degrees in (0.0, 3.0)]
+    assert in_the_dark[0] < 0.01 and in_the_dark[1] > 0.9
 
 
 def test_without_a_landmark_in_view_it_is_unknown(marks: Landmarks) -> None:

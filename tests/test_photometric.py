@@ -11,7 +11,7 @@ from torch import Tensor
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.image_pyramid import pyramid
 from idfslam.alignment.landmarks import Landmarks, landmarks
-from idfslam.alignment.photometric import photometric_term, plain_photometric_term
+from idfslam.alignment.photometric import exposure, photometric_term, plain_photometric_term
 from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
@@ -132,8 +132,30 @@ def test_exposure_is_taken_out() -> None:
     other = photometric_term(Sighting(appearance(T_wc, gain=1.2, offset=-0.1), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)
     assert other.seen == same.seen
     assert other.noise == pytest.approx(1.2 * same.noise, rel=0.05)
-    far = photometric_term(Sighting(appearance(T_wc, gain=3.0), marks, T_wk, T_wc, 0), floor=1e-4, widest=3.0)  # no exposure goes that far
-    assert far.noise > 10 * same.noise
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "expected"),
+    [(0.35, 0.0, 0.35), (0.9, 0.0, 0.9), (2.5, 0.0, 2.5), (0.35, 0.3, 0.7), (3.0, -1.0, 1.4), (0.0, 0.01, 0.14)],
+)
+def test_contrast_is_exposure_only_as_far_as_the_mean_says_so(gain: float, offset: float, expected: float) -> None:
+    """A lamp that goes out takes brightness and contrast; blur takes contrast alone, and is no change of exposure beyond 0.7."""
+    target = torch.from_numpy(np.random.default_rng(0).uniform(0.2, 0.75, 500)).float()
+    inside = torch.arange(500) % 3 > 0
+    found, rest = exposure(target, gain * target + offset, inside)
+    assert float(found) == pytest.approx(expected, rel=1e-3)
+    assert float((found * target + rest)[inside].mean()) == pytest.approx(float((gain * target + offset)[inside].mean()))
+
+
+@pytest.mark.parametrize("gain", [0.3, 2.0])
+def test_the_light_that_changes_hides_nothing(gain: float) -> None:
+    """The compiled term is the plain one; the differences that are left are as many times as large as the light."""
+    T_wk, T_wc = EYE, pose(0.03, 0, 0.02, 0, 0.01, 0)
+    marks = marks_at(T_wk)
+    same, other = (Sighting(appearance(T_wc, gain=g), marks, T_wk, T_wc, 0) for g in (1.0, gain))
+    found, plain = photometric_term(other, floor=1e-6, widest=3.0), plain_photometric_term(other, floor=1e-6, widest=3.0)
+    assert found.noise == pytest.approx(plain.noise, rel=2e-3)
+    assert found.noise == pytest.approx(gain * photometric_term(same, floor=1e-6, widest=3.0).noise, rel=0.05)
 
 
 def test_noise_is_that_of_the_images() -> None:

@@ -16,9 +16,15 @@ OCCLUSION_SHARE = 0.05  # [1] share of the depth, added to `OCCLUSION`. More: hi
 MASKED = 1e-3  # [m] depth that a pixel has which shows what moves: it hides all landmarks. More: nothing, up to the nearest surface
 ROW_STEPS = 2  # [1] of the search for the row that sees a landmark. More: nothing; each divides the error by more than ten
 LEAST_SPREAD = 1e-3  # [1] least standard deviation of the landmarks' brightness, which divides the gain. More: smaller gains of bare images
-# [1] Range of the change of exposure. Wider: a lamp that goes out makes no doubt, and blur passes as a change of exposure: with 0.25 to 4
+# [1] Range of the ratio of two images' contrasts, over the change of exposure. Wider: blur passes as a change of exposure: with 0.25 to 4
 # steps of fr1/rpy were off by up to 8.5 degrees instead of 3.6, and 60 of 76 off frames were called good instead of 2 of 15
 LEAST_GAIN, LARGEST_GAIN = 0.7, 1.4
+# [1] Ratio of two images' mean brightness, and its inverse, within which their exposure counts as the same: the means differ at a wrong
+# pose too. More: a lamp that goes out is sooner taken for a wrong pose
+SAME_EXPOSURE = 1.2
+LEAST_MEAN = 1e-3  # [1] least mean brightness of an image, which divides that of the other. More: changes of dark images count less
+# [1] Range of the change of exposure. Wider: an image that is nearly black confirms any pose
+LEAST_CHANGE, LARGEST_CHANGE = 0.2, 5.0
 LEAST_GRADIENT = 1e-3  # [1/px] least gradient by which a difference of brightness is divided. More: bare places seem displaced less
 DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 

@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 
 from idfslam.alignment.constants import (
     DEVIATION,
+    LARGEST_CHANGE,
     LARGEST_GAIN,
+    LEAST_CHANGE,
     LEAST_GAIN,
     LEAST_GRADIENT,
+    LEAST_MEAN,
     LEAST_RADIUS,
     LEAST_SLOPE,
     LEAST_SPREAD,
@@ -22,6 +25,7 @@ from idfslam.alignment.constants import (
     OCCLUSION,
     OCCLUSION_SHARE,
     ROW_STEPS,
+    SAME_EXPOSURE,
     SLOPE_FLOOR,
 )
 from idfslam.geometry.cholesky import solved
@@ -261,10 +265,12 @@ def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
 
 
 @_inlined
-def _gain(variance_t: float, variance_v: float) -> float:
-    """The change of exposure from the variances of the brightness of landmarks in the keyframe and in the frame."""
+def _gain(mean_t: float, mean_v: float, variance_t: float, variance_v: float) -> float:
+    """The gain by the brightness of landmarks in the keyframe and in the frame: `photometric.exposure`."""
+    of_means = max(mean_v, LEAST_MEAN) / max(mean_t, LEAST_MEAN)
+    change = min(max(min(max(1.0, of_means / SAME_EXPOSURE), of_means * SAME_EXPOSURE), LEAST_CHANGE), LARGEST_CHANGE)
     gain = np.sqrt(max(variance_v, 0.0)) / max(np.sqrt(max(variance_t, 0.0)), LEAST_SPREAD)
-    return min(max(gain, LEAST_GAIN), LARGEST_GAIN)  # type: ignore[no-any-return]
+    return min(max(gain, LEAST_GAIN * change), LARGEST_GAIN * change)  # type: ignore[no-any-return]
 
 
 @_compiled
@@ -403,7 +409,7 @@ def photometric_system(  # type: ignore[no-untyped-def]
     if n == 0:
         return 0, 0.0
     mean_t, mean_v = sum_t / n, sum_v / n
-    gain = _gain(sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
+    gain = _gain(mean_t, mean_v, sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
     J, w, r, rows = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n)
     for k in range(n):
         r[k] = values[0, k] - mean_v - gain * (target[seen[k]] - mean_t)
@@ -459,7 +465,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
         return 0, 0.0
     displaced = np.full(n + hidden, np.float64(width))
     mean_t, mean_v = sum_t / max(n, 1), sum_v / max(n, 1)
-    gain = _gain(sum_tt / max(n, 1) - mean_t**2, sum_vv / max(n, 1) - mean_v**2)
+    gain = _gain(mean_t, mean_v, sum_tt / max(n, 1) - mean_t**2, sum_vv / max(n, 1) - mean_v**2)
     for k in range(n):
         i = int(found[k, 3])
         du, dv = (found[k, 1] + gain * slopes[0, i]) / 2, (found[k, 2] + gain * slopes[1, i]) / 2
