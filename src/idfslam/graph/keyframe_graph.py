@@ -258,6 +258,11 @@ class KeyframeGraph:
 
     # References
 
+    def lacks_colour(self, view: Keyframe) -> bool:
+        """Whether a view's colour image shows nothing new, and that of the last keyframe something: with depth alone all are black."""
+        last = self.last_keyframe
+        return view.colour_is_older or (view.is_clipped and last is not None and not last.is_clipped)
+
     def references(self, count: int) -> list[Keyframe]:
         """Up to `count` references for the next frame: the last keyframe and its oldest covisible references."""
         return [] if self.last_keyframe is None else self.references_for(self.last_keyframe, count)[:count]

@@ -13,6 +13,7 @@ from torch import Tensor
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.swap_file import Stored, SwapFile
+from idfslam.sensing.clipping import is_clipped
 from idfslam.sensing.rectification import Rectification, rectified
 
 # [1] Share of the cells of a grid over the image with a reading, from which the image has depth. Less begins no map that the next view
@@ -58,6 +59,7 @@ class KeyframeImages:
         self.camera: Camera = frame.camera
         self.timing, self.depth_lag = frame.timing, frame.depth_lag  # of the images as they were taken
         self._times = frame.depth_timestamp, frame.timing
+        self.is_clipped = is_clipped(frame.colour)  # whether the colour image is black or white, and shows nothing
         self.rectification: Rectification | None = None  # what the images are rectified with; None: they are as they were taken
         self.moving: NDArray[np.bool_] | None = None  # (H, W) pixels that are hidden since they show what moves; None: none
         self._shown: dict[str, tuple[Images, Images]] = {}  # the images, and what is left of them without these pixels

@@ -40,14 +40,14 @@ class KeyframeSelection(Stateful):
         self._last_at, self._put_off = state["last_at"], state["put_off"]
 
     def selects(self, view: Keyframe, status: Status, in_view: float = 1.0, step: float = 0.0, *, clear: bool = True) -> bool:
-        """Whether the frame appended last becomes a keyframe. A frame without depth or with older colour, or in doubt, never does.
+        """Whether the frame appended last becomes a keyframe. A frame without depth or colour of its own, or in doubt, never does.
 
         in_view: the share of the references' landmarks that the frame sees. step: see `Evidence`.
         clear: whether its brightness is about as usual. If not, a frame may be blurred or bent. One that is sharp and of one moment is
         neither, only of another place: it becomes a keyframe all the same.
         """
         blurred = self._is_blurred(view)
-        unfit = view.colour_is_older or (not clear and (blurred or not view.taken.frame.synchronised))
+        unfit = self.graph.lacks_colour(view) or (not clear and (blurred or not view.taken.frame.synchronised))
         if not view.has_depth or unfit or status is Status.DOUBTFUL or (status is Status.LOST and not self.lost_frames):
             return False
         wide = step > WIDE

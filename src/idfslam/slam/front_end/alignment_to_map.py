@@ -88,7 +88,7 @@ class AlignmentToMap(FrontEnd):
 
     def track(self, view: Keyframe) -> Tracked:
         motion = self._begin(view)
-        if view.colour_is_older and (by_depth := self._by_depth(view, motion)) is not None:
+        if self.graph.lacks_colour(view) and (by_depth := self._by_depth(view, motion)) is not None:
             return by_depth
         T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
@@ -112,19 +112,22 @@ class AlignmentToMap(FrontEnd):
         return self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
-        """The result of depth alone for a view whose colour image is an older one: nothing ends a doubt, or helps depth that is degenerate.
+        """The result of depth alone for a view without colour: nothing ends a doubt, or helps depth that is degenerate.
 
-        None where the camera has not moved since the image was new, or depth does not tell.
+        None where depth does not tell, or the camera has not moved since an image that is repeated was new.
         """
         with self.timer.stage("align"):
             aligned = self.aligner.align(view, view.T_wk, [], motion=motion)
-        moved = image_motion(self.frames.T_wc(view.colour_since), aligned.T_wc, aligned.radius)
-        if aligned.status is Status.LOST or moved < _STANDS:
+        if aligned.status is Status.LOST or (not view.is_clipped and self._stands(view, aligned)):
             return None
         self.compensation.follow(view, aligned)
         doubtful = self._in_doubt or aligned.status is Status.DEGENERATE
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=False)
         return replace(tracked, evidence=replace(tracked.evidence, in_view=self.evidence.in_view))  # as of the last new image
+
+    def _stands(self, view: Keyframe, aligned: Alignment) -> bool:
+        """Whether the camera has not moved since a colour image that is repeated was new."""
+        return image_motion(self.frames.T_wc(view.colour_since), aligned.T_wc, aligned.radius) < _STANDS
 
     def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, wide: bool, undecided: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.

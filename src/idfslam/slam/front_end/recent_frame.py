@@ -53,7 +53,7 @@ class RecentFrame(Stateful):
         """Takes over the last frame, if one is needed and the one before shares too little with it. references: it was aligned to these."""
         if tracked.is_lost or tracked.evidence.in_view >= _ENOUGH or self._within(view, tracked.T_wc, references) >= _ENOUGH:
             self._landmarks = None
-        elif view.has_depth and not view.colour_is_older and self._shared(view, tracked.T_wc) < _SHARED:
+        elif view.has_depth and not (view.colour_is_older or view.is_clipped) and self._shared(view, tracked.T_wc) < _SHARED:
             self._landmarks, self._index = self.aligner.appearances.landmarks(view), view.index
 
     def _within(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
