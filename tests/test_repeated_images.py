@@ -39,14 +39,19 @@ def test_a_repeated_colour_image_is_told_with_the_frame_that_showed_it_first() -
     assert since == [0, 1, 1, 1, 4]
 
 
-def test_a_frame_that_is_repeated_as_a_whole_is_taken_as_it_is() -> None:
+def test_of_a_frame_that_is_repeated_as_a_whole_counts_what_did_before() -> None:
     """A camera that stands still, without noise, looks the same; and frames without any reading are no repeated depth."""
     repeated = RepeatedImages()
     first = frame(0, 0.1, 1.0)
     repeated.check(first)
     again = replace(first, index=1)
-    assert repeated.check(again) is again and repeated.colour_since == 0
-    for i in (2, 3):
+    assert repeated.check(again) is again and repeated.colour_since == 1
+    older_depth = frame(2, 0.2, 1.0)
+    assert not any(repeated.check(replace(older_depth, index=i)).depth.any() for i in (2, 3))
+    older_colour = frame(4, 0.2, 1.1)
+    for i in (4, 5):
+        assert repeated.check(replace(older_colour, index=i)).depth.any() and repeated.colour_since == 3
+    for i in (6, 7):
         empty = frame(i, 0.1 * i, 0.0)
         assert repeated.check(empty) is empty
 

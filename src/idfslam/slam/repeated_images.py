@@ -1,8 +1,9 @@
 """Repeated images: a camera that stalls, or a recorder that fills in, gives the colour or the depth image of the frame before once more.
 
 Such an image shows an earlier moment. It would hold the pose where the camera was then, and the other image would seem to confirm it.
-A sensor's noise never repeats, so images that are equal to the bit are one image. A frame of which both are repeated may as well be one of
-a camera that stands still and has no noise: it is taken as it is.
+A sensor's noise never repeats, so images that are equal to the bit are one image. A frame of which both are repeated is the frame before
+once more, or one of a camera that stands still and has no noise. In both cases it has that frame's pose, and what counts of that frame
+counts of it.
 """
 
 import logging
@@ -25,33 +26,36 @@ class RepeatedImages(Stateful):
 
     def __init__(self) -> None:
         self._checksums: tuple[int, int] | None = None  # of colour and depth of the last frame; None: no frame yet
+        self._depth_is_older = False  # whether the last frame's depth was left out
         self._told = False  # whether a repeated image was logged
         self.colour_since = 0
-        """The number of the frame that showed the last frame's colour image first."""
+        """The number of the frame at whose moment the last frame's colour image was new: its own, unless that is older than depth."""
 
     def state(self) -> State:
-        """The checksums, and since when colour has been the same."""
+        """The checksums, and since when colour and depth have been the same."""
         checksums = None if self._checksums is None else list(self._checksums)
-        return {"checksums": checksums, "told": self._told, "colour_since": self.colour_since}
+        older = self._depth_is_older
+        return {"checksums": checksums, "told": self._told, "colour_since": self.colour_since, "depth_is_older": older}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._checksums = None if state["checksums"] is None else (state["checksums"][0], state["checksums"][1])
-        self._told, self.colour_since = state["told"], state["colour_since"]
+        self._told, self.colour_since, self._depth_is_older = state["told"], state["colour_since"], state["depth_is_older"]
 
     def check(self, frame: Frame) -> Frame:
-        """The next frame; without depth if that is the image of the frame before, and colour is new."""
+        """The next frame; without depth if that is an older image than colour."""
         last, self._checksums = self._checksums, (_checksum(frame.colour), _checksum(frame.depth))
         same_colour, same_depth = (False, False) if last is None else (last[0] == self._checksums[0], last[1] == self._checksums[1])
-        if not same_colour:
+        has_depth = bool(frame.depth[::_CHECKED_ROWS].any())
+        again = same_colour and same_depth
+        if not same_colour or (again and self.colour_since == frame.index - 1):
             self.colour_since = frame.index
-        if same_colour == same_depth or not frame.depth[::_CHECKED_ROWS].any():
-            return frame
-        if not self._told:
+        self._depth_is_older = same_depth and has_depth and (not same_colour or self._depth_is_older)
+        if has_depth and same_colour != same_depth and not self._told:
             self._told = True
             repeated, other = ("colour", "depth") if same_colour else ("depth", "colour")
             log.warning("frame %d repeats the %s image of the frame before: %s alone tells of its pose", frame.index, repeated, other)
-        return frame if same_colour else replace(frame, depth=np.zeros_like(frame.depth))
+        return replace(frame, depth=np.zeros_like(frame.depth)) if self._depth_is_older else frame
 
 
 def _checksum(image: NDArray[np.float32]) -> int:
