@@ -20,7 +20,8 @@ import torch  # noqa: E402
 
 from idfslam.adjustment.bundle_adjustment import Adjusted, Array, Problem, adjust, adjust_briefly, exp  # noqa: E402
 from idfslam.adjustment.camera_model import NAMES, CameraModel  # noqa: E402
-from idfslam.adjustment.residuals import Indices, Observations, camera_points, tracks  # noqa: E402
+from idfslam.adjustment.observations import Indices, Observations, determined  # noqa: E402
+from idfslam.adjustment.residuals import camera_points  # noqa: E402
 from idfslam.geometry.camera import Camera  # noqa: E402
 from idfslam.graph.loop_consistency import link  # noqa: E402
 from idfslam.graph.pose_graph import RelativePoses  # noqa: E402
@@ -69,7 +70,7 @@ def problem(keyframes: int, landmarks: int, laps: int, rng: np.random.Generator)
     for i in range(1, keyframes):
         off.append(off[-1] @ np.linalg.inv(poses[i - 1]) @ poses[i] @ steps[i])
     start = np.array(off)
-    found, seen = tracks(start_points(poses, start, points, host), seen)
+    found, seen = determined(start_points(poses, start, points, host), seen)
     relative = torch.from_numpy(np.linalg.inv(start[:-1]) @ start[1:])
     edges = RelativePoses.of([link(i, i + 1, T) for i, T in enumerate(relative)])
     return Problem(model, start, found, seen, np.arange(keyframes) == 0, np.zeros(len(NAMES), bool), edges)

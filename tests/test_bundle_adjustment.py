@@ -9,7 +9,7 @@ import torch
 from helpers.point_problem import CAMERA, perturbed, true_problem, values
 from idfslam.adjustment.bundle_adjustment import Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.residuals import tracks
+from idfslam.adjustment.observations import determined
 from idfslam.geometry import se3
 from idfslam.graph.pose_graph import Edge, RelativePoses
 
@@ -94,7 +94,7 @@ def test_a_measured_relative_pose_holds_a_keyframe_without_landmarks() -> None:
     T = torch.from_numpy(problem.poses)
     relative = se3.inverse(T[last - 1]) @ T[last]
     edges = RelativePoses.of([Edge(last - 1, last, relative, 0.01, 0.004)])
-    points, seen = tracks(problem.points, problem.seen[problem.seen.keyframe != last])
+    points, seen = determined(problem.points, problem.seen[problem.seen.keyframe != last])
     found = adjust(replace(problem, points=points, seen=seen, edges=edges))
     poses = torch.from_numpy(found.problem.poses)
     assert float((poses[last - 1] - T[last - 1]).abs().max()) > 0.005

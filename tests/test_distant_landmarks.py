@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from idfslam.adjustment.bundle_adjustment import Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
-from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import camera_points, together
+from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.observations import Array, Observations, together
+from idfslam.adjustment.residuals import camera_points
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 
@@ -37,9 +38,14 @@ def views_of(frames: list[Frame]) -> list[View]:
     return [View.of(replace(frame, depth=np.where(frame.depth < REACH, frame.depth, 0).astype(np.float32))) for frame in frames]
 
 
+def found_in(views: list[View], poses: np.ndarray) -> tuple[Array, Observations]:
+    """The distant landmarks of views at poses T_wk (K, 4, 4)."""
+    model = CameraModel.as_stated(views[0].camera)
+    return distant_landmarks(views, [features_of(view, model) for view in views], poses, model)
+
+
 def test_landmarks_lie_on_the_surface_that_the_sensor_does_not_reach(frames: list[Frame], true: np.ndarray) -> None:
-    views = views_of(frames)
-    points, seen = distant_landmarks(views, true, CameraModel.as_stated(views[0].camera))
+    points, seen = found_in(views_of(frames), true)
     assert len(points) > 150
     host = seen[seen.distant]
     z = camera_points(true, points, host)[:, 2]
@@ -51,13 +57,12 @@ def test_landmarks_lie_on_the_surface_that_the_sensor_does_not_reach(frames: lis
 
 def test_what_moves_and_black_borders_have_none(frames: list[Frame], true: np.ndarray) -> None:
     views = views_of(frames)
-    model = CameraModel.as_stated(views[0].camera)
     left = np.zeros(views[0].grey.shape, bool)
     left[:, :160] = True
     hidden = [replace(view, moving=left, depth=np.where(left, 0, view.depth).astype(np.float32)) for view in views]
     black = [replace(view, grey=np.where(left, 0, view.grey).astype(np.uint8)) for view in views]
     for some in (hidden, black):
-        seen = distant_landmarks(some, true, model)[1]
+        seen = found_in(some, true)[1]
         assert len(seen) > 500
         assert seen.uv[:, 0].min() > 159
 
@@ -65,7 +70,7 @@ def test_what_moves_and_black_borders_have_none(frames: list[Frame], true: np.nd
 def test_a_sensor_that_reaches_everything_has_none(frames: list[Frame], true: np.ndarray) -> None:
     views = [View.of(frame) for frame in frames]
     assert (views[0].depth > 0).all()
-    assert len(distant_landmarks(views, true, CameraModel.as_stated(views[0].camera))[0]) == 0
+    assert len(found_in(views, true)[0]) == 0
 
 
 def test_they_hold_what_scarce_depth_does_not(frames: list[Frame], true: np.ndarray) -> None:
@@ -75,8 +80,8 @@ def test_they_hold_what_scarce_depth_does_not(frames: list[Frame], true: np.ndar
         T[:3, 3] += 0.005 * rng.standard_normal(3)
         T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(0.002 * rng.standard_normal(3)).as_matrix()
     fixed = np.arange(len(poses)) == 0
-    near = find_tracks(views, poses, model, coarse=False)
-    both = together(near, distant_landmarks(views, poses, model))
+    near = find_tracks(views, [features_of(view, model) for view in views], poses, model, coarse=False)
+    both = together([near, found_in(views, poses)])
     off = []
     for points, sightings in (near, both):
         adjusted = adjust(Problem(model, poses, points, sightings, fixed, np.zeros(len(NAMES), bool)))

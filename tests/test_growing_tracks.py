@@ -8,7 +8,8 @@ import torch
 
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
-from idfslam.adjustment.residuals import Array, Observations, residuals
+from idfslam.adjustment.observations import Array, Observations
+from idfslam.adjustment.residuals import residuals
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.tracking.frame_features import FrameFeatures, averaged_depth, brightness

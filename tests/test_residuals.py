@@ -8,7 +8,8 @@ import pytest
 from helpers.point_problem import CAMERA, PIXEL, true_problem, values
 from idfslam.adjustment.bundle_adjustment import Problem, exp
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.residuals import Array, Observations, linearise, residuals, tracks
+from idfslam.adjustment.observations import Array, Observations, determined
+from idfslam.adjustment.residuals import linearise, residuals
 
 MODEL = CameraModel(CAMERA, values(focal=0.02, aspect=0.001, cx=0.01, cy=-0.01, k1=0.05, k2=-0.03, range=0.01, across=0.002, along2=0.003))
 STEP = 1e-6
@@ -64,7 +65,7 @@ def test_a_landmark_needs_two_views_and_three_measurements() -> None:
     keyframe, landmark = np.array([0, 1, 0, 0, 1]), np.array([0, 0, 1, 2, 2])
     uv, root = np.zeros((5, 2)), np.tile(np.eye(2), (5, 1, 1))
     seen = Observations(keyframe, landmark, uv, root, np.array([1.0, 0.0, 1.0, 0.0, 0.0]), np.ones(5), uv)
-    points, kept = tracks(np.array([[0.0, 0, 1], [0, 0, 2], [0, 0, 3]]), seen)
+    points, kept = determined(np.array([[0.0, 0, 1], [0, 0, 2], [0, 0, 3]]), seen)
     assert points.tolist() == [[0, 0, 1]]
     assert kept.landmark.tolist() == [0, 0]
     assert len(replace(kept)) == 2

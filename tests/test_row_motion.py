@@ -9,7 +9,8 @@ import torch
 from helpers.point_problem import CAMERA, perturbed, true_problem, values
 from idfslam.adjustment.bundle_adjustment import Problem, adjust, exp, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.residuals import Array, camera_points, linearise, residuals
+from idfslam.adjustment.observations import Array
+from idfslam.adjustment.residuals import camera_points, linearise, residuals
 from idfslam.adjustment.row_motion import KeyframeMotion, RowMotion, Velocities, displaced
 from idfslam.geometry import se3
 from idfslam.sensing.rectification import Rectification, RowTimes

@@ -6,7 +6,8 @@ import pytest
 from helpers.point_problem import CAMERA, perturbed, true_problem
 from idfslam.adjustment.bundle_adjustment import Problem
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.residuals import Array, linearise
+from idfslam.adjustment.observations import Array
+from idfslam.adjustment.residuals import linearise
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
 
 K, P = 4, len(NAMES)

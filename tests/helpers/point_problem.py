@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from idfslam.adjustment.bundle_adjustment import Problem
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.residuals import Array, Observations, camera_points, tracks
+from idfslam.adjustment.observations import Array, Observations, determined
+from idfslam.adjustment.residuals import camera_points
 from idfslam.geometry.camera import Camera
 
 CAMERA = Camera(320, 240, 290.0, 288.0, 158.0, 121.0)
@@ -48,7 +49,7 @@ def true_problem(model: CameraModel, *, keyframes: int = 8, landmarks: int = 250
     sigma = SHARE * reading
     reading = reading + noise * sigma * rng.standard_normal(len(reading))
     seen = replace(every, uv=uv, reading=reading, reading_sigma=sigma)[inside & (p[:, 2] > 0.3)]
-    points, seen = tracks(points, seen)
+    points, seen = determined(points, seen)
     return Problem(model, poses, points, seen, np.arange(keyframes) == 0, np.array([name != "depth_scale" for name in NAMES]))
 
 

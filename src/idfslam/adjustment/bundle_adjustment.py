@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
-from idfslam.adjustment.residuals import Array, Indices, Linearised, Observations, camera_points, linearise, tracks
+from idfslam.adjustment.observations import Array, Indices, Observations, determined
+from idfslam.adjustment.residuals import Linearised, camera_points, linearise
 from idfslam.adjustment.row_motion import KeyframeMotion, TimeErrors, Velocities, row_motion, with_inexact_times
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
 from idfslam.geometry import se3
@@ -107,7 +108,7 @@ def in_motion(
 def adjust(problem: Problem, *, seconds: float = np.inf) -> Adjusted:
     """Adjusts everything that is free. After `seconds` no further step begins: then, and only then, the clock decides about the result."""
     end, noise = perf_counter() + seconds, np.ones(len(KINDS))
-    points, seen = tracks(problem.points, problem.seen)
+    points, seen = determined(problem.points, problem.seen)
     problem = replace(problem, points=points, seen=seen)
     for last in [False] * (_ROUNDS - 1) + [True]:
         problem, converged = _minimised(problem, end, _STEPS)
@@ -138,7 +139,7 @@ def without_outliers(problem: Problem, off: Array) -> Problem:
     seen = problem.seen
     seen = replace(seen, reading=np.where(np.abs(off[:, 2]) < _OUTLIER, seen.reading, 0.0))
     seen = seen[np.linalg.norm(off[:, :2], axis=1) < _OUTLIER]
-    points, seen = tracks(problem.points, seen)
+    points, seen = determined(problem.points, seen)
     return replace(problem, points=points, seen=seen)
 
 

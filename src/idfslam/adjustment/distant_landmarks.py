@@ -6,7 +6,7 @@ tried at several inverse depths of the interval, some pixels apart along the epi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.landmark_tracks import View, features_of, found_in, readings, root_of
-from idfslam.adjustment.residuals import Array, Indices, Observations, joined
+from idfslam.adjustment.landmark_tracks import View, found_in, sightings, with_readings
+from idfslam.adjustment.observations import Array, Observations, joined, together
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
 
@@ -35,18 +35,15 @@ _OFF_LINE = 4.0  # [px] the same beside the line. More: worse poses are mended, 
 _SIGHTINGS = 4  # least of a landmark, with its host's. More: fewer and surer landmarks
 
 
-def distant_landmarks(views: Sequence[View], poses: Array, model: CameraModel) -> tuple[Array, Observations]:
+def distant_landmarks(
+    views: Sequence[View], images: Sequence[FrameFeatures], poses: Array, model: CameraModel
+) -> tuple[Array, Observations]:
     """Landmarks (L, 3) [m] in the world that their hosts have no depth of, and where keyframes at poses T_wk (K, 4, 4) see them.
 
-    model: of the views' size.
+    images: `features_of` views and model.
     """
-    images = [features_of(view, model) for view in views]
-    found = [_hosted(k, _corners(view), images, poses, model) for k, view in enumerate(views)]
-    firsts = np.cumsum([0, *(len(hosted) for hosted, _ in found)])
-    points = np.concatenate([np.zeros((0, 3)), *(hosted for hosted, _ in found)])
-    seen = joined([replace(seen, landmark=seen.landmark + first) for first, (_, seen) in zip(firsts, found)])
-    reading, sigma, slope = readings(views, seen.keyframe, seen.uv)
-    seen = replace(seen, reading=reading, reading_sigma=sigma, slope=slope)[np.lexsort((seen.keyframe, seen.landmark))]
+    points, seen = together([_hosted(k, _corners(view), images, poses, model) for k, view in enumerate(views)])
+    seen = with_readings(views, seen)
     clear = np.zeros(len(seen), bool)
     for k, view in enumerate(views):
         of_view = seen.keyframe == k
@@ -114,24 +111,18 @@ def _hosted(k: int, uv: Array, images: Sequence[FrameFeatures], poses: Array, mo
     T_ok = np.linalg.inv(poses) @ poses[k]
     corners = _Rays(uv, model.rays(uv), least=np.zeros(len(uv)), most=np.full(len(uv), 1 / _NEAREST))
     count, spread = np.zeros(len(uv)), np.zeros((len(uv), 2, 2))
-    sightings = []
+    found = []
     for j in _neighbours(k, T_ok) if len(uv) else []:
-        found, at, covariance = _searched(corners, images[k], images[j], T_ok[j], model)
-        fits = corners.narrow(found, at, T_ok[j], model)
-        sightings.append((j, fits, at, covariance))
+        is_found, at, covariance = _searched(corners, images[k], images[j], T_ok[j], model)
+        fits = corners.narrow(is_found, at, T_ok[j], model)
+        found.append((j, fits, at, covariance))
         count, spread = count + fits, spread + covariance * fits[:, None, None]
     kept = (count >= _SIGHTINGS - 1) & (corners.least > 0)  # otherwise it may be anywhere beyond
     number, T = np.cumsum(kept) - 1, poses[k]
-    parts = [_seen(k, number[kept], uv[kept], spread[kept] / count[kept, None, None])]
-    parts += [_seen(j, number[fits & kept], at[fits & kept], covariance[fits & kept]) for j, fits, at, covariance in sightings]
+    parts = [sightings(k, number[kept], uv[kept], spread[kept] / count[kept, None, None])]
+    parts += [sightings(j, number[fits & kept], at[fits & kept], covariance[fits & kept]) for j, fits, at, covariance in found]
     points = corners.at(0.5).points.numpy()[kept] @ T[:3, :3].T + T[:3, 3]
     return points, joined(parts)
-
-
-def _seen(keyframe: int, landmark: Indices, uv: Array, covariance: Array) -> Observations:
-    """Sightings without readings: covariance (N, 2, 2) of pixels uv (N, 2)."""
-    n = len(landmark)
-    return Observations(np.full(n, keyframe, np.int64), landmark, uv, root_of(covariance), np.zeros(n), np.ones(n), np.zeros((n, 2)))
 
 
 def _neighbours(k: int, T_ok: Array) -> list[int]:

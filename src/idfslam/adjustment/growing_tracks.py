@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import Taken, found_in, root_of
 from idfslam.adjustment.local_depth import local_depth
-from idfslam.adjustment.residuals import Array, Indices, Observations, joined, tracks
+from idfslam.adjustment.observations import Array, Indices, Observations, determined, joined
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
@@ -158,7 +158,7 @@ class GrowingTracks(Stateful):
         seen = everything[np.isin(everything.landmark, wanted)]
         seen = seen[np.lexsort((seen.keyframe, seen.landmark))]
         numbers = np.searchsorted(wanted, seen.landmark)
-        return tracks(self._points(wanted, hosts, poses), replace(seen, landmark=numbers))
+        return determined(self._points(wanted, hosts, poses), replace(seen, landmark=numbers))
 
     def _own(self, k: int) -> Observations:
         """The sightings of a host's landmarks by itself, of those that another one sees."""

@@ -5,7 +5,7 @@ and some from as far away as possible. Where poses and camera are not yet exact,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.local_depth import local_depth
-from idfslam.adjustment.residuals import Array, Observations, tracks
+from idfslam.adjustment.observations import Array, Indices, Observations, determined, joined, together
 from idfslam.frame import Frame
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
@@ -56,37 +56,31 @@ class View:
 
 
 def find_tracks(
-    views: Sequence[View], poses: Array, model: CameraModel, *, recordings: NDArray[np.int64] | None = None, coarse: bool
+    views: Sequence[View],
+    images: Sequence[FrameFeatures],
+    poses: Array,
+    model: CameraModel,
+    *,
+    recordings: Indices | None = None,
+    coarse: bool,
 ) -> tuple[Array, Observations]:
-    """Landmarks (L, 3) [m] in the world, and where keyframes at poses T_wk (K, 4, 4) see them. model: of the views' size.
+    """Landmarks (L, 3) [m] in the world, and where keyframes at poses T_wk (K, 4, 4) see them. images: `features_of` views and model.
 
     recordings: (K,) numbers of the recordings that the keyframes are of, each of which has a world of its own; None: there is one.
     coarse: poses and camera may be wrong by up to about 20 pixels rather than by 5.
     """
-    images = [features_of(view, model) for view in views]
     of = np.zeros(len(views), np.int64) if recordings is None else recordings
-    taken, found = [Taken(view.grey.shape) for view in views], []
+    taken, found = [Taken(view.grey.shape) for view in views], list[tuple[Array, Observations]]()
     for k in range(len(views)):
         patches = images[k].patches
         patches = patches[torch.from_numpy(np.flatnonzero(taken[k].free(patches.uv.numpy())))]
-        found.append(_hosted(k, patches, images, poses, model, _partners(k, images, poses, of == of[k]), coarse=coarse))
+        points, seen = _hosted(k, patches, images, poses, model, _partners(k, images, poses, of == of[k]), coarse=coarse)
         for j in range(len(views)):
-            taken[j].take(found[-1].sightings[2][found[-1].sightings[0] == j])
-    rays = [(hosted.landmarks, hosted) for hosted in found if len(hosted.landmarks)]
-    offsets = np.cumsum([0, *(len(landmarks) for landmarks, _ in rays)])
-    points = np.concatenate([np.zeros((0, 3)), *(landmarks for landmarks, _ in rays)])
-    parts = [np.concatenate([np.zeros((0, *shape)), *columns]) for shape, columns in zip(_SHAPES, zip(*(h.sightings for _, h in rays)))]
-    if not rays:
-        parts = [np.zeros((0, *shape)) for shape in _SHAPES]
-    keyframe, number, uv, root = parts
-    number = number + np.repeat(offsets[:-1], [len(h.sightings[0]) for _, h in rays])
-    keyframe, number = keyframe.astype(np.int64), number.astype(np.int64)
-    order = np.lexsort((keyframe, number))
-    seen = Observations(keyframe, number, uv, root, *readings(views, keyframe, uv))[order]
-    return tracks(points, seen[seen.reading > 0])  # without a surface all around, what is in front of it moves in the patch too
-
-
-_SHAPES = ((), (), (2,), (2, 2))
+            taken[j].take(seen.uv[seen.keyframe == j])
+        found.append((points, seen))
+    points, seen = together(found)
+    seen = with_readings(views, seen)
+    return determined(points, seen[seen.reading > 0])  # without a surface all around, what is in front of it moves in the patch too
 
 
 class Taken:
@@ -104,12 +98,6 @@ class Taken:
         """Landmarks are seen at pixels (N, 2)."""
         for u, v in np.rint(uv).astype(np.int64):
             self._taken[max(v - _APART, 0) : v + _APART + 1, max(u - _APART, 0) : u + _APART + 1] = True
-
-
-@dataclass(frozen=True)
-class _Hosted:
-    landmarks: Array  # (L, 3) [m] in the world
-    sightings: tuple[Array, Array, Array, Array]  # keyframe (N,), number of the landmark (N,), uv (N, 2), root of its information (N, 2, 2)
 
 
 def features_of(view: View, model: CameraModel) -> FrameFeatures:
@@ -136,27 +124,28 @@ def _partners(k: int, images: Sequence[FrameFeatures], poses: Array, candidates:
 
 def _hosted(
     k: int, patches: Patches, images: Sequence[FrameFeatures], poses: Array, model: CameraModel, partners: Sequence[int], *, coarse: bool
-) -> _Hosted:
-    """The landmarks of keyframe k's patches that are found in any partner."""
-    sightings = []
+) -> tuple[Array, Observations]:
+    """The landmarks (L, 3) [m] of those of keyframe k's patches that are found in any partner, and their sightings, without readings."""
+    found = []
     for j in partners:
         T_jk = np.linalg.inv(poses[j]) @ poses[k]
         if coarse and (better := aligned_patches(torch.from_numpy(np.linalg.inv(T_jk)), images[j], images[k])) is not None:
             T_jk = np.linalg.inv(better[0].numpy())
-        sightings.append((j, *found_in(patches, images[k], images[j], T_jk, model)))
-    counts = np.zeros(len(patches))
-    own = np.zeros((len(patches), 2, 2))
-    for _, at, _, covariance in sightings:
+        found.append((j, *found_in(patches, images[k], images[j], T_jk, model)))
+    counts, own = np.zeros(len(patches)), np.zeros((len(patches), 2, 2))
+    for _, at, _, covariance in found:
         counts[at] += 1
         own[at] += covariance
-    seen = np.flatnonzero(counts)
-    numbers = np.cumsum(counts > 0) - 1
-    own = own[seen] / counts[seen, None, None]
-    columns = [(np.full(len(seen), float(k)), np.arange(float(len(seen))), patches.uv.numpy()[seen], root_of(own))]
-    columns += [(np.full(len(at), float(j)), numbers[at].astype(float), uv, root_of(covariance)) for j, at, uv, covariance in sightings]
-    keyframe, number, uv, root = (np.concatenate(column) for column in zip(*columns))
-    T = poses[k]
-    return _Hosted(patches.points.numpy()[seen] @ T[:3, :3].T + T[:3, 3], (keyframe, number, uv, root))
+    seen, number, T = np.flatnonzero(counts), np.cumsum(counts > 0) - 1, poses[k]
+    parts = [sightings(k, np.arange(len(seen)), patches.uv.numpy()[seen], own[seen] / counts[seen, None, None])]
+    parts += [sightings(j, number[at], uv, covariance) for j, at, uv, covariance in found]
+    return patches.points.numpy()[seen] @ T[:3, :3].T + T[:3, 3], joined(parts)
+
+
+def sightings(keyframe: int, landmark: Indices, uv: Array, covariance: Array) -> Observations:
+    """What a keyframe sees of landmarks (N,), without readings: at pixels uv (N, 2), with this covariance (N, 2, 2)."""
+    n = len(landmark)
+    return Observations(np.full(n, keyframe, np.int64), landmark, uv, root_of(covariance), np.zeros(n), np.ones(n), np.zeros((n, 2)))
 
 
 def found_in(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Array, Array, Array]:
@@ -192,14 +181,14 @@ def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch
     return (depth[v, u] == 0) | ((depth[v, u] - z).abs() < _NEAR_SURFACE * z)
 
 
-def readings(views: Sequence[View], keyframe: NDArray[np.int64], uv: Array) -> tuple[Array, Array, Array]:
-    """Depth (N,) [m] that the keyframes (N,) state at pixels uv (N, 2), its standard deviation, and its slope (N, 2) [m/px]."""
-    reading, sigma, slope = np.zeros(len(uv)), np.ones(len(uv)), np.zeros((len(uv), 2))
+def with_readings(views: Sequence[View], seen: Observations) -> Observations:
+    """The sightings, sorted, with the depth that the keyframes state where they see a landmark."""
+    reading, sigma, slope = np.zeros(len(seen)), np.ones(len(seen)), np.zeros((len(seen), 2))
     for k, view in enumerate(views):
-        chosen = keyframe == k
+        chosen = seen.keyframe == k
         if chosen.any():
-            reading[chosen], sigma[chosen], slope[chosen] = local_depth(view.depth, uv[chosen])
-    return reading, sigma, slope
+            reading[chosen], sigma[chosen], slope[chosen] = local_depth(view.depth, seen.uv[chosen])
+    return replace(seen, reading=reading, reading_sigma=sigma, slope=slope)[np.lexsort((seen.keyframe, seen.landmark))]
 
 
 def root_of(covariance: Array) -> Array:

@@ -1,80 +1,19 @@
-"""The measurements of a bundle adjustment, and their residuals with analytic derivatives.
+"""The residuals of a bundle adjustment, with analytic derivatives.
 
 A landmark X, seen from a keyframe T_wk, has p = R^T (X - t) in its frame. It is measured where the image shows it, uv, and mostly by a
 reading of depth there: the residuals are project(p) - uv and p_z - depth(reading), in standard deviations.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
+from idfslam.adjustment.observations import Array, Observations
 from idfslam.adjustment.row_motion import RowMotion, displaced, hat
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _EXACT = np.zeros(0)  # no time of a sensor is an unknown
 _NEAREST = 1e-3  # [m] least depth of a point that is projected; raised, points near the camera do not count
-
-
-@dataclass(frozen=True)
-class Observations:
-    """N sightings of landmarks in keyframes, sorted by landmark, then by keyframe. Each pair occurs once."""
-
-    keyframe: Indices  # (N,)
-    landmark: Indices  # (N,)
-    uv: Array  # (N, 2) [px]
-    root: Array  # (N, 2, 2) [1/px] square roots of the information of uv: root^T root
-    reading: Array  # (N,) [m] depth as the sensor states it; 0: none
-    reading_sigma: Array  # (N,) [m] its standard deviation
-    slope: Array  # (N, 2) [m/px] of the readings around it, along rows and columns
-    rows: RowMotion | None = None  # when they were seen; None: at the keyframes' time stamps
-
-    def __len__(self) -> int:
-        return len(self.keyframe)
-
-    def __getitem__(self, chosen: NDArray[np.generic]) -> "Observations":
-        rows = None if self.rows is None else self.rows[chosen]
-        return Observations(**{name: part[chosen] for name, part in self.columns.items()}, rows=rows)
-
-    @property
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """What was measured, without the times of rows."""
-        return {name: part for name, part in vars(self).items() if name != "rows"}
-
-    @property
-    def distant(self) -> NDArray[np.bool_]:
-        """(N,) whether no keyframe has depth of its landmark."""
-        readings = np.bincount(self.landmark, weights=self.reading > 0)
-        return np.asarray(readings[self.landmark] == 0)
-
-
-def joined(parts: Sequence[Observations]) -> Observations:
-    """All of the observations."""
-    none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
-    nothing = Observations(none, none, flat, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0), flat)
-    columns: dict[str, Any] = {name: np.concatenate([part.columns[name] for part in [nothing, *parts]]) for name in nothing.columns}
-    return Observations(**columns)
-
-
-def together(first: tuple[Array, Observations], second: tuple[Array, Observations]) -> tuple[Array, Observations]:
-    """The landmarks (L, 3) of both, and their observations."""
-    points = np.concatenate([first[0], second[0]])
-    return points, joined([first[1], replace(second[1], landmark=second[1].landmark + len(first[0]))])
-
-
-def tracks(points: Array, seen: Observations) -> tuple[Array, Observations]:
-    """Those of landmarks (L, 3) that two keyframes see, and that three measurements or more determine, and their observations."""
-    counts = np.bincount(seen.landmark, minlength=len(points))
-    readings = np.bincount(seen.landmark, weights=seen.reading > 0, minlength=len(points))
-    kept = (counts >= 2) & (counts + readings >= 3)
-    numbers = np.cumsum(kept) - 1
-    seen = seen[kept[seen.landmark]]
-    return points[kept], replace(seen, landmark=numbers[seen.landmark])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.sparse import bmat, bsr_array, csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from idfslam.adjustment.residuals import Array, Linearised, Observations
+from idfslam.adjustment.observations import Array, Observations
+from idfslam.adjustment.residuals import Linearised
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from scipy.stats import chi2
 
 from idfslam.adjustment.bundle_adjustment import KINDS, Adjusted, Problem, adjust, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
-from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import Array, Observations, tracks
+from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.observations import Array, Observations, determined
 from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.trajectory import align
@@ -112,7 +112,8 @@ def self_calibrate(
     if start is not None:
         model, estimated = start.model, start.sigmas > 0
     for i in range(rounds):
-        points, seen = find_tracks(views, poses, model, recordings=of, coarse=i == 0 and start is None)
+        images = [features_of(view, model) for view in views]
+        points, seen = find_tracks(views, images, poses, model, recordings=of, coarse=i == 0 and start is None)
         if len(points) < _LEAST_LANDMARKS:
             return None
         before = model.values
@@ -152,7 +153,7 @@ def _by_jackknife(problem: Problem, of: NDArray[np.int64]) -> Array:
         left = stretch != i
         chosen = np.flatnonzero(left)
         first_of_each = np.isin(np.arange(len(of)), chosen[np.unique(of[left], return_index=True)[1]])
-        points, seen = tracks(problem.points, problem.seen[left[problem.seen.keyframe]])
+        points, seen = determined(problem.points, problem.seen[left[problem.seen.keyframe]])
         if left.sum() < _LEAST_KEYFRAMES or len(points) < _LEAST_LANDMARKS // 2:
             return np.zeros(len(NAMES))
         without = replace(problem, points=points, seen=seen, fixed=~left | first_of_each)

@@ -12,7 +12,8 @@ import torch
 from scipy.sparse import csr_array
 
 from idfslam.adjustment.bundle_adjustment import Adjusted, of_blocks, robust_weights
-from idfslam.adjustment.residuals import Array, Indices, Linearised
+from idfslam.adjustment.observations import Array, Indices
+from idfslam.adjustment.residuals import Linearised
 from idfslam.adjustment.schur_complement import ReducedSystem
 
 # Parts of an image's height and width. Of 2, 3, 4 on generated recordings 3 gave errors that were most alike to their covariances. More:

@@ -5,7 +5,6 @@ Where it is trusted, its poses are final: the map learns them in the polish, and
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -17,12 +16,11 @@ from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_m
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
 from idfslam.adjustment.growing_tracks import GrowingTracks
-from idfslam.adjustment.landmark_tracks import View, find_tracks
-from idfslam.adjustment.residuals import Array, Observations, joined, together
+from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.observations import Array, Observations, together
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import links
 from idfslam.graph.pose_graph import RelativePoses
@@ -93,37 +91,34 @@ class GlobalAdjustment(KeyframeAdjustment):
         if len(keyframes) < _LEAST_KEYFRAMES:
             return False
         poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
+        model = CameraModel.as_stated(View.of(keyframes[0].frame).camera)
         views = [View.of(keyframe.frame, keyframe.moving) for keyframe in keyframes] if len(keyframes) <= _MOST_KEYFRAMES else []
-        camera = View.of(keyframes[0].frame).camera
-        found = self._landmarks(views, poses, camera)
-        if len(found[0]) < _LEAST_LANDMARKS or (adjusted := self._agreed(poses, found, camera, end)) is None:
+        images = [features_of(view, model) for view in views]
+        found = find_tracks(views, images, poses, model, coarse=False) if views else self._found_during_the_run(poses)
+        if len(found[0]) < _LEAST_LANDMARKS or (adjusted := self._agreed(poses, found, model, end)) is None:
             return False
         if views:
             poses = adjusted.problem.poses
-            more = together(found, distant_landmarks(views, poses, CameraModel.as_stated(camera)))
-            adjusted = (self._agreed(poses, more, camera, end) if len(more[0]) > len(found[0]) else None) or adjusted
+            more = together([found, distant_landmarks(views, images, poses, model)])
+            adjusted = (self._agreed(poses, more, model, end) if len(more[0]) > len(found[0]) else None) or adjusted
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
         self._adjusted = adjusted
         return True
 
-    def _landmarks(self, views: Sequence[View], poses: Array, camera: Camera) -> tuple[Array, Observations]:
-        """Landmarks (L, 3) [m] with depth, and where keyframes at poses T_wk (K, 4, 4) see them. No views: those that the run has found."""
-        if views:
-            return find_tracks(views, poses, CameraModel.as_stated(camera), coarse=False)
-        if self.tracks is None:
-            return np.zeros((0, 3)), joined([])
-        return self.tracks.seen_by(np.ones(len(poses), bool), poses)
+    def _found_during_the_run(self, poses: Array) -> tuple[Array, Observations]:
+        """Landmarks (L, 3) [m], and where keyframes at poses T_wk (K, 4, 4) see them."""
+        return together([]) if self.tracks is None else self.tracks.seen_by(np.ones(len(poses), bool), poses)
 
-    def _agreed(self, poses: Array, landmarks: tuple[Array, Observations], camera: Camera, end: float) -> Adjusted | None:
+    def _agreed(self, poses: Array, landmarks: tuple[Array, Observations], model: CameraModel, end: float) -> Adjusted | None:
         """The adjustment of poses T_wk (K, 4, 4), the first of each submap fixed, until a time [s]. None if the images do not agree."""
         fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in self.graph.keyframes])
         edges = RelativePoses.of(links(self.graph, EDGES))
-        problem = Problem(CameraModel.as_stated(camera), poses, *landmarks, fixed, np.zeros(len(NAMES), bool), edges)
+        problem = Problem(model, poses, *landmarks, fixed, np.zeros(len(NAMES), bool), edges)
         if self.motions is not None:
             problem = in_motion(problem, [self.motions.of(keyframe) for keyframe in self.graph.keyframes])
         adjusted = adjust(problem, seconds=end - perf_counter())
         kept = adjusted.problem.seen
-        noise = noise_of(kept[~kept.distant], camera.width)
+        noise = noise_of(kept[~kept.distant], model.stated.width)
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px", *_counts(adjusted), noise)
         return adjusted if noise <= AGREE and adjusted.complete else None
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.adjustment.bundle_adjustment import KINDS, Problem, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
-from idfslam.adjustment.residuals import Array
+from idfslam.adjustment.observations import Array
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
