@@ -23,7 +23,7 @@ from idfslam.adjustment.camera_model import NAMES, CameraModel  # noqa: E402
 from idfslam.adjustment.observations import Indices, Observations, determined  # noqa: E402
 from idfslam.adjustment.residuals import camera_points  # noqa: E402
 from idfslam.geometry.camera import Camera  # noqa: E402
-from idfslam.graph.loop_consistency import link  # noqa: E402
+from idfslam.graph.measured_edges import measured_edge  # noqa: E402
 from idfslam.graph.pose_graph import RelativePoses  # noqa: E402
 
 CAMERA = Camera(320, 240, 288.0, 288.0, 159.5, 119.5)
@@ -72,7 +72,7 @@ def problem(keyframes: int, landmarks: int, laps: int, rng: np.random.Generator)
     start = np.array(off)
     found, seen = determined(start_points(poses, start, points, host), seen)
     relative = torch.from_numpy(np.linalg.inv(start[:-1]) @ start[1:])
-    edges = RelativePoses.of([link(i, i + 1, T) for i, T in enumerate(relative)])
+    edges = RelativePoses.of([measured_edge(i, i + 1, T) for i, T in enumerate(relative)])
     return Problem(model, start, found, seen, np.arange(keyframes) == 0, np.zeros(len(NAMES), bool), edges)
 
 

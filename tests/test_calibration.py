@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from helpers.point_problem import CAMERA, values
 from idfslam.adjustment.camera_findings import doubts, findings
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.self_calibration import Estimate, confirmed, fitting
+from idfslam.adjustment.self_calibration import CameraEstimate, confirmed, fitting
 from idfslam.adjustment.sensor_times import SensorTime
 from idfslam.cli.command_line import main
 from idfslam.config import FAST
@@ -33,10 +33,10 @@ from idfslam.runs.run_config import RecordingSource
 from idfslam.sensing.depth_deformation import DepthDeformation
 
 
-def estimate(sigma: float = 1e-4, **deviations: float) -> Estimate:
+def estimate(sigma: float = 1e-4, **deviations: float) -> CameraEstimate:
     """An estimate whose values all have one standard deviation, but for the scale of depth, which is not determined."""
     of = np.array([0.0 if name == "depth_scale" else sigma for name in NAMES])
-    return Estimate(CameraModel(CAMERA, values(**deviations)), np.diag(of**2), [], 500, 2000, 0.2)
+    return CameraEstimate(CameraModel(CAMERA, values(**deviations)), np.diag(of**2), [], 500, 2000, 0.2)
 
 
 # What is told

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from idfslam.adjustment.bundle_adjustment import Problem, adjust
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
-from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.landmark_tracks import KeyframeView, features_of, find_tracks
 from idfslam.adjustment.observations import Array, Observations, together
 from idfslam.adjustment.residuals import camera_points
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -33,12 +33,12 @@ def true() -> np.ndarray:
     return np.linalg.inv(poses[0]) @ poses
 
 
-def views_of(frames: list[Frame]) -> list[View]:
+def views_of(frames: list[Frame]) -> list[KeyframeView]:
     """The views of a sensor of short reach."""
-    return [View.of(replace(frame, depth=np.where(frame.depth < REACH, frame.depth, 0).astype(np.float32))) for frame in frames]
+    return [KeyframeView.of(replace(frame, depth=np.where(frame.depth < REACH, frame.depth, 0).astype(np.float32))) for frame in frames]
 
 
-def found_in(views: list[View], poses: np.ndarray) -> tuple[Array, Observations]:
+def found_in(views: list[KeyframeView], poses: np.ndarray) -> tuple[Array, Observations]:
     """The distant landmarks of views at poses T_wk (K, 4, 4)."""
     model = CameraModel.as_stated(views[0].camera)
     return distant_landmarks(views, [features_of(view, model) for view in views], poses, model)
@@ -68,7 +68,7 @@ def test_what_moves_and_black_borders_have_none(frames: list[Frame], true: np.nd
 
 
 def test_a_sensor_that_reaches_everything_has_none(frames: list[Frame], true: np.ndarray) -> None:
-    views = [View.of(frame) for frame in frames]
+    views = [KeyframeView.of(frame) for frame in frames]
     assert (views[0].depth > 0).all()
     assert len(found_in(views, true)[0]) == 0
 

@@ -8,9 +8,9 @@ import pytest
 
 from idfslam.adjustment import self_calibration
 from idfslam.adjustment.camera_model import NAMES
-from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.row_motion import KeyframeMotion
-from idfslam.adjustment.self_calibration import Estimate, Footage, of_size, self_calibrate, with_scale
+from idfslam.adjustment.self_calibration import CameraEstimate, PosedViews, of_size, self_calibrate, with_scale
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld import handheld_room
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -24,29 +24,31 @@ STILL = KeyframeMotion(RowTimes(), np.zeros(6), np.eye(6), np.zeros(6), None)
 
 
 @pytest.fixture(scope="module")
-def footage() -> Footage:
+def footage() -> PosedViews:
     """Ten keyframes of a generated room with the noise of a Kinect, at true poses."""
     room = SyntheticRoom(seed=0, frames=600, width=320, height=240, noise=True)
     start = np.linalg.inv(room.ground_truth[0])
-    return Footage([View.of(room[i]) for i in FRAMES], np.array([start @ room.ground_truth[i] for i in FRAMES]), [STILL] * len(FRAMES))
+    return PosedViews(
+        [KeyframeView.of(room[i]) for i in FRAMES], np.array([start @ room.ground_truth[i] for i in FRAMES]), [STILL] * len(FRAMES)
+    )
 
 
-def stated(footage: Footage, *, focal: float = 1.0, shift: float = 0.0) -> Footage:
+def stated(footage: PosedViews, *, focal: float = 1.0, shift: float = 0.0) -> PosedViews:
     """The same with another stated camera."""
     c = footage.views[0].camera
     camera = Camera(c.width, c.height, c.fx * focal, c.fy * focal, c.cx + shift, c.cy)
     return replace(footage, views=[replace(view, camera=camera) for view in footage.views])
 
 
-def first_of(footage: Footage, count: int) -> Footage:
-    return Footage(footage.views[:count], footage.poses[:count], footage.motions[:count])
+def first_of(footage: PosedViews, count: int) -> PosedViews:
+    return PosedViews(footage.views[:count], footage.poses[:count], footage.motions[:count])
 
 
-def of(estimate: Estimate, name: str) -> tuple[float, float]:
+def of(estimate: CameraEstimate, name: str) -> tuple[float, float]:
     return float(estimate.model.values[NAMES.index(name)]), float(estimate.sigmas[NAMES.index(name)])
 
 
-def test_a_camera_that_is_right_stays(footage: Footage) -> None:
+def test_a_camera_that_is_right_stays(footage: PosedViews) -> None:
     estimate = self_calibrate([footage])
     assert estimate is not None
     assert estimate.landmarks > 300
@@ -56,12 +58,12 @@ def test_a_camera_that_is_right_stays(footage: Footage) -> None:
         assert sigma < 0.002
 
 
-def test_no_camera_where_none_explains_the_images(footage: Footage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_camera_where_none_explains_the_images(footage: PosedViews, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(self_calibration, "EXPLAINED", 0.05)
     assert self_calibrate([footage], rounds=1, explained=True) is None
 
 
-def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: Footage) -> None:
+def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: PosedViews) -> None:
     """The focal length is 4 % too long, the centre is 5 px off."""
     estimate = self_calibrate([stated(footage, focal=1.04, shift=5.0)])
     assert estimate is not None
@@ -71,7 +73,7 @@ def test_a_wrong_camera_is_found_from_poses_that_fit_it(footage: Footage) -> Non
         assert abs(value - true) < 3 * sigma
 
 
-def test_keyframes_that_contradict_the_others_make_it_less_sure(footage: Footage) -> None:
+def test_keyframes_that_contradict_the_others_make_it_less_sure(footage: PosedViews) -> None:
     """The images of the last two of ten keyframes are 1 % larger, as through another lens."""
     c = footage.views[0].camera
     M = np.array([[1.01, 0, -0.01 * c.cx], [0, 1.01, -0.01 * c.cy]])
@@ -83,7 +85,7 @@ def test_keyframes_that_contradict_the_others_make_it_less_sure(footage: Footage
     assert abs(value) < 4 * sigma
 
 
-def test_an_estimate_may_be_gone_on_from(footage: Footage) -> None:
+def test_an_estimate_may_be_gone_on_from(footage: PosedViews) -> None:
     wrong = [stated(footage, focal=1.04, shift=5.0)]
     once, twice = self_calibrate(wrong, rounds=1), self_calibrate(wrong, rounds=2)
     again = self_calibrate(wrong, rounds=1, start=once)
@@ -93,7 +95,7 @@ def test_an_estimate_may_be_gone_on_from(footage: Footage) -> None:
     np.testing.assert_array_equal(again.covariance, twice.covariance)
 
 
-def test_true_poses_tell_the_scale_of_depth(footage: Footage) -> None:
+def test_true_poses_tell_the_scale_of_depth(footage: PosedViews) -> None:
     """Depth is 2 % too long."""
     longer = replace(footage, views=[replace(view, depth=view.depth * np.float32(1.02)) for view in footage.views])
     estimate = self_calibrate([longer])
@@ -106,17 +108,17 @@ def test_true_poses_tell_the_scale_of_depth(footage: Footage) -> None:
     assert abs(value - (1 / 1.02 - 1)) < 3 * sigma
 
 
-def test_two_keyframes_are_too_few(footage: Footage) -> None:
+def test_two_keyframes_are_too_few(footage: PosedViews) -> None:
     assert self_calibrate([first_of(footage, 2)]) is None
 
 
-def test_a_camera_that_stands_still_tells_nothing_of_itself(footage: Footage) -> None:
-    still = Footage([footage.views[0]] * 4, np.tile(np.eye(4), (4, 1, 1)), [STILL] * 4)
+def test_a_camera_that_stands_still_tells_nothing_of_itself(footage: PosedViews) -> None:
+    still = PosedViews([footage.views[0]] * 4, np.tile(np.eye(4), (4, 1, 1)), [STILL] * 4)
     estimate = self_calibrate([still])
     assert estimate is None or not any(estimate.determined(name) for name in ("focal", "cx", "cy", "k1"))
 
 
-def test_values_are_of_any_size(footage: Footage) -> None:
+def test_values_are_of_any_size(footage: PosedViews) -> None:
     """Deviations of the centre are shares of the width."""
     estimate = self_calibrate([first_of(footage, 5)])
     assert estimate is not None
@@ -127,23 +129,23 @@ def test_values_are_of_any_size(footage: Footage) -> None:
 
 
 @pytest.fixture(scope="module")
-def shaken() -> Footage:
+def shaken() -> PosedViews:
     """Ten keyframes of a shaken camera with rolling shutters, at true poses, rectified with velocities that are off."""
     room = handheld_room(Faults.named("shutter=1.5"), 1, 150, 320, 240)
     rng, start, timing = np.random.default_rng(0), np.linalg.inv(room.ground_truth[0]), room.true_timing
     times = RowTimes(timing.readout or 0.0, timing.depth_readout or 0.0, 0.0)
-    views, motions, chosen = list[View](), list[KeyframeMotion](), range(5, 125, 12)
+    views, motions, chosen = list[KeyframeView](), list[KeyframeMotion](), range(5, 125, 12)
     for i in chosen:
         given = Rectification(times, room.velocity(i) + rng.standard_normal(6) * ([0.05] * 3 + [0.1] * 3))
-        views.append(View.of(rectified(room[i], given)))
+        views.append(KeyframeView.of(rectified(room[i], given)))
         near = slice(i - 5, i + 6)
         found = motion_around(room.timestamps[i], room.timestamps[near], room.ground_truth[near], times)
         assert found is not None
         motions.append(replace(found, rectification=given))
-    return Footage(views, start @ room.ground_truth[chosen], motions)
+    return PosedViews(views, start @ room.ground_truth[chosen], motions)
 
 
-def test_a_right_camera_with_rolling_shutters_stays(shaken: Footage) -> None:
+def test_a_right_camera_with_rolling_shutters_stays(shaken: PosedViews) -> None:
     """What an unknown velocity bends is not the lens's."""
     known, blind = self_calibrate([shaken], rounds=1), self_calibrate([replace(shaken, motions=[STILL] * 10)], rounds=1)
     assert known is not None and blind is not None
@@ -156,7 +158,7 @@ def test_a_right_camera_with_rolling_shutters_stays(shaken: Footage) -> None:
     assert abs(of(blind, "cy")[0]) > 0.008  # 2.6 px
 
 
-def test_times_of_the_sensor_that_are_not_exact_do_not_pass_for_a_lens(shaken: Footage) -> None:
+def test_times_of_the_sensor_that_are_not_exact_do_not_pass_for_a_lens(shaken: PosedViews) -> None:
     """Read-out times that are 7 ms too short, and depth that is 2 ms early."""
     wrong = [replace(m, times=RowTimes(m.times.readout - 0.007, m.times.depth_readout - 0.007, 0.002)) for m in shaken.motions]
     late = replace(shaken, motions=wrong)

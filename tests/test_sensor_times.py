@@ -8,7 +8,7 @@ import pytest
 
 from helpers.point_problem import CAMERA, values
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.self_calibration import Estimate
+from idfslam.adjustment.self_calibration import CameraEstimate
 from idfslam.adjustment.sensor_times import SensorTime, mean_times, time_findings
 from idfslam.alignment.timing_estimation import TimingEstimator
 from idfslam.datasets.cameras.camera_files import read_given
@@ -41,7 +41,7 @@ def test_what_is_told() -> None:
 
 
 def test_the_file_gets_the_sure_ones(tmp_path: Path) -> None:
-    estimate = Estimate(CameraModel(CAMERA, values()), np.zeros((len(NAMES), len(NAMES))), [], 500, 2000, 0.2)
+    estimate = CameraEstimate(CameraModel(CAMERA, values()), np.zeros((len(NAMES), len(NAMES))), [], 500, 2000, 0.2)
     write_camera(tmp_path / "camera.json", estimate, Read(), FOUND)  # type: ignore[arg-type]
     written = json.loads((tmp_path / "camera.json").read_text())["camera"]
     assert (written["readout"], written["depth_delay"]) == (0.0224, -0.0104) and "depth_readout" not in written

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idfslam.adjustment.camera_model import NAMES, CameraModel
-from idfslam.adjustment.self_calibration import Estimate, fitting
+from idfslam.adjustment.self_calibration import CameraEstimate, fitting
 
 # [standard deviations] from which on a value counts as off; raised, fewer doubts are told. Deviations are estimates themselves: chance
 # brings a right value so far once in 10 000 times (Student's t with 14 degrees of freedom: two estimates from eight stretches)
@@ -31,7 +31,7 @@ class Finding:
     doubt: str = ""  # what is wrong with the stated value; empty if it is right, or wrong by so little that it does not matter
 
 
-def findings(estimate: Estimate) -> list[Finding]:
+def findings(estimate: CameraEstimate) -> list[Finding]:
     """What was found of each property."""
     of_each = [_focal(estimate), _centre(estimate), _distortion(estimate), _scale(estimate), _deformation(estimate)]
     right = fitting(estimate)
@@ -41,12 +41,12 @@ def findings(estimate: Estimate) -> list[Finding]:
     ]
 
 
-def doubts(estimate: Estimate) -> list[str]:
+def doubts(estimate: CameraEstimate) -> list[str]:
     """What is wrong with the stated camera by so much that it matters; the worst first."""
     return [finding.doubt for finding in findings(estimate) if finding.doubt]
 
 
-def _of(estimate: Estimate, name: str) -> tuple[float, float]:
+def _of(estimate: CameraEstimate, name: str) -> tuple[float, float]:
     """Value and standard deviation; 0 if it is not determined."""
     i = NAMES.index(name)
     return float(estimate.model.values[i]), float(estimate.sigmas[i])
@@ -56,7 +56,7 @@ def _off(value: float, sigma: float, matters: float) -> bool:
     return sigma > 0 and abs(value) > max(_CERTAIN * sigma, matters)
 
 
-def _focal(estimate: Estimate) -> Finding:
+def _focal(estimate: CameraEstimate) -> Finding:
     c, stated = estimate.model.camera, estimate.model.stated
     (focal, sigma), (_, of_aspect) = _of(estimate, "focal"), _of(estimate, "aspect")
     if not sigma:
@@ -69,7 +69,7 @@ def _focal(estimate: Estimate) -> Finding:
     return Finding("focal length", found, meaning, f"the focal length looks {_percent(excess)} too {word}" * _off(focal, sigma, _FOCAL))
 
 
-def _centre(estimate: Estimate) -> Finding:
+def _centre(estimate: CameraEstimate) -> Finding:
     c, stated, width = estimate.model.camera, estimate.model.stated, estimate.model.stated.width
     values = [_of(estimate, name) for name in ("cx", "cy")]
     if not all(sigma for _, sigma in values):
@@ -82,7 +82,7 @@ def _centre(estimate: Estimate) -> Finding:
     return Finding("principal point", found, meaning, f"the principal point looks {math.hypot(*shift):.1f} px off" * off)
 
 
-def _distortion(estimate: Estimate) -> Finding:
+def _distortion(estimate: CameraEstimate) -> Finding:
     (k1, s1), (k2, s2) = (_of(estimate, name) for name in ("k1", "k2"))
     if not s1 and not s2:
         return Finding("distortion", "not determined", "the views do not tell it: let objects pass the image's corners")
@@ -100,7 +100,7 @@ def _corner(model: CameraModel) -> float:
     return math.sqrt(r2) * r2 * (k1 + k2 * r2) * c.fx
 
 
-def _scale(estimate: Estimate) -> Finding:
+def _scale(estimate: CameraEstimate) -> Finding:
     value, sigma = _of(estimate, "depth_scale")
     if not sigma:
         told = "images and depth of a moving camera fit together at any scale: true poses (--truth) would tell it"
@@ -113,7 +113,7 @@ def _scale(estimate: Estimate) -> Finding:
     return Finding("depth scale", f"readings times {factor:.4f} ± {sigma:.4f}", meaning, off)
 
 
-def _deformation(estimate: Estimate) -> Finding:
+def _deformation(estimate: CameraEstimate) -> Finding:
     d = estimate.model.deformation
     sigmas = estimate.sigmas[NAMES.index("depth_scale") + 1 :]
     if not sigmas.any():

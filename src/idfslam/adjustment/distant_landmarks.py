@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.landmark_tracks import View, found_in, sightings, with_readings
+from idfslam.adjustment.landmark_tracks import KeyframeView, found_in, sightings, with_readings
 from idfslam.adjustment.observations import Array, Observations, joined, together
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
@@ -36,7 +36,7 @@ _SIGHTINGS = 4  # least of a landmark, with its host's. More: fewer and surer la
 
 
 def distant_landmarks(
-    views: Sequence[View], images: Sequence[FrameFeatures], poses: Array, model: CameraModel
+    views: Sequence[KeyframeView], images: Sequence[FrameFeatures], poses: Array, model: CameraModel
 ) -> tuple[Array, Observations]:
     """Landmarks (L, 3) [m] in the world that their hosts have no depth of, and where keyframes at poses T_wk (K, 4, 4) see them.
 
@@ -53,7 +53,7 @@ def distant_landmarks(
     return points, seen[clear | (seen.reading > 0)]  # at the edge of what has depth, two surfaces are in the patch
 
 
-def _open(view: View) -> NDArray[np.bool_]:
+def _open(view: KeyframeView) -> NDArray[np.bool_]:
     """(H, W) the pixels of a view around which there is no reading, nothing that moves, and no border that an undistorted image has."""
     closed = (view.depth > 0) | (view.grey == 0)
     if view.moving is not None:
@@ -62,7 +62,7 @@ def _open(view: View) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(closed.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=1) == 0)
 
 
-def _corners(view: View) -> Array:
+def _corners(view: KeyframeView) -> Array:
     """(N, 2) [px] the best corner of each cell of a view, where it is open."""
     half = cv2.pyrDown(view.grey)
     strength = cv2.cornerMinEigenVal(half, _WINDOW)

@@ -36,7 +36,7 @@ _PIXELS = (2 * 5 + 1) ** 2  # of a patch of `align_patches`: a fact of it
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class KeyframeView:
     """A keyframe's images, of at most 480 rows, as the camera states them."""
 
     grey: NDArray[np.uint8]  # (H, W)
@@ -45,18 +45,18 @@ class View:
     moving: NDArray[np.bool_] | None = None  # (H, W) what moves; None: nothing
 
     @staticmethod
-    def of(frame: Frame, moving: NDArray[np.bool_] | None = None) -> "View":
+    def of(frame: Frame, moving: NDArray[np.bool_] | None = None) -> "KeyframeView":
         """The view of a frame, of which the pixels `moving` (H, W) show what moves."""
         grey = brightness(frame)
         size = grey.shape[1], grey.shape[0]
         if size == (frame.camera.width, frame.camera.height):
-            return View(grey, frame.depth, frame.camera, moving)
+            return KeyframeView(grey, frame.depth, frame.camera, moving)
         hidden = None if moving is None else cv2.resize(moving.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return View(grey, subsampled_depth(frame.depth, size[1], size[0]), frame.camera.resized(*size), hidden)
+        return KeyframeView(grey, subsampled_depth(frame.depth, size[1], size[0]), frame.camera.resized(*size), hidden)
 
 
 def find_tracks(
-    views: Sequence[View],
+    views: Sequence[KeyframeView],
     images: Sequence[FrameFeatures],
     poses: Array,
     model: CameraModel,
@@ -100,7 +100,7 @@ class Taken:
             self._taken[max(v - _APART, 0) : v + _APART + 1, max(u - _APART, 0) : u + _APART + 1] = True
 
 
-def features_of(view: View, model: CameraModel) -> FrameFeatures:
+def features_of(view: KeyframeView, model: CameraModel) -> FrameFeatures:
     """The images of a view with points as the model has them, without features of the network."""
     depth = model.deformation.corrected(view.depth * np.float32(model.depth_factor))
     height = min(_ROWS, view.camera.height)
@@ -181,7 +181,7 @@ def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch
     return (depth[v, u] == 0) | ((depth[v, u] - z).abs() < _NEAR_SURFACE * z)
 
 
-def with_readings(views: Sequence[View], seen: Observations) -> Observations:
+def with_readings(views: Sequence[KeyframeView], seen: Observations) -> Observations:
     """The sightings, sorted, with the depth that the keyframes state where they see a landmark."""
     reading, sigma, slope = np.zeros(len(seen)), np.ones(len(seen)), np.zeros((len(seen), 2))
     for k, view in enumerate(views):

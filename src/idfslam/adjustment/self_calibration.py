@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from idfslam.adjustment.bundle_adjustment import KINDS, Adjusted, Problem, adjust, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
-from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.landmark_tracks import KeyframeView, features_of, find_tracks
 from idfslam.adjustment.observations import Array, Observations, determined
 from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.geometry.camera import Camera
@@ -56,17 +56,17 @@ recordings have 0.15 to 0.2. Shaken blurred ones with a right camera have 0.4, a
 
 
 @dataclass(frozen=True)
-class Footage:
+class PosedViews:
     """K keyframes of one recording, with roughly right poses T_wk (K, 4, 4), and how each moved while its images were taken."""
 
-    views: Sequence[View]
+    views: Sequence[KeyframeView]
     poses: Array
     motions: Sequence[KeyframeMotion]
     time_sigmas: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [s] of colour's read-out, depth's, and depth's delay
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CameraEstimate:
     """The camera that fits, and how sure it is."""
 
     model: CameraModel
@@ -92,21 +92,21 @@ class Estimate:
 
 
 def self_calibrate(
-    footage: Sequence[Footage], *, rounds: int = ROUNDS, start: Estimate | None = None, explained: bool = False
-) -> Estimate | None:
+    recordings: Sequence[PosedViews], *, rounds: int = ROUNDS, start: CameraEstimate | None = None, explained: bool = False
+) -> CameraEstimate | None:
     """The camera of recordings with one and the same camera; None if they show too little.
 
-    rounds: most times that tracks are searched. start: an estimate from the same footage to go on from. explained: None too where the
+    rounds: most times that tracks are searched. start: an estimate from the same views to go on from. explained: None too where the
     camera does not explain the images, which the first adjustment tells: it has the most freedom to fit them.
     """
-    views = [view for part in footage for view in part.views]
+    views = [view for part in recordings for view in part.views]
     if len(views) < _LEAST_KEYFRAMES:
         return None
-    motions = [motion for part in footage for motion in part.motions]
-    time_sigmas = _TIMES * np.array([part.time_sigmas for part in footage])
-    poses = np.concatenate([part.poses for part in footage] if start is None else start.poses)
-    starts = np.cumsum([0, *(len(part.views) for part in footage)])
-    of = np.repeat(np.arange(len(footage)), np.diff(starts))
+    motions = [motion for part in recordings for motion in part.motions]
+    time_sigmas = _TIMES * np.array([part.time_sigmas for part in recordings])
+    poses = np.concatenate([part.poses for part in recordings] if start is None else start.poses)
+    starts = np.cumsum([0, *(len(part.views) for part in recordings)])
+    of = np.repeat(np.arange(len(recordings)), np.diff(starts))
     fixed = np.isin(np.arange(len(views)), starts[:-1])
     model, estimated = CameraModel.as_stated(views[0].camera), np.arange(len(NAMES)) != _SCALE
     if start is not None:
@@ -129,7 +129,7 @@ def self_calibrate(
     kept = adjusted.problem.seen
     own = np.sqrt(np.diag(covariance).clip(min=0))
     covariance = _with_sigmas(_honest(covariance), _moderated(_by_jackknife(adjusted.problem, of), own))
-    return Estimate(
+    return CameraEstimate(
         model, covariance, np.split(poses, starts[1:-1]), len(adjusted.problem.points), len(kept), noise_of(kept, views[0].camera.width)
     )
 
@@ -196,17 +196,17 @@ def _determined(problem: Problem, adjusted: Adjusted) -> tuple[Adjusted, NDArray
         adjusted = adjust(problem)
 
 
-def fitting(estimate: Estimate) -> list[str]:
+def fitting(estimate: CameraEstimate) -> list[str]:
     """The names of GROUPS whose values may well be as stated: together they are no farther from it than their covariance explains."""
     return _kept(estimate)[0]
 
 
-def confirmed(estimate: Estimate) -> CameraModel:
+def confirmed(estimate: CameraEstimate) -> CameraModel:
     """The camera with its stated values wherever they fit, and the others as they are then: conditioned on these."""
     return replace(estimate.model, values=_kept(estimate)[1])
 
 
-def _kept(estimate: Estimate) -> tuple[list[str], Array]:
+def _kept(estimate: CameraEstimate) -> tuple[list[str], Array]:
     """The groups that stay as stated, the best fitting first, and the values (P,) given that they do."""
     values, C, kept = estimate.model.values, estimate.covariance, list[str]()
     while True:
@@ -226,7 +226,7 @@ def _surprise(values: Array, C: Array, places: NDArray[np.int64]) -> float:
     return float(values[at] @ np.linalg.solve(C[np.ix_(at, at)], values[at]) / chi2.ppf(_CHANCE, len(at)))
 
 
-def with_scale(estimate: Estimate, truth: Sequence[Array]) -> Estimate | None:
+def with_scale(estimate: CameraEstimate, truth: Sequence[Array]) -> CameraEstimate | None:
     """The estimate with the scale of depth that true poses (K, 4, 4) of each recording's keyframes tell, NaN: unknown.
 
     None if fewer than three keyframes of a recording have one, or if the camera stood still.

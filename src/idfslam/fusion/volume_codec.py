@@ -21,10 +21,7 @@ def tensors_of(volume: TsdfVolume) -> dict[str, Tensor]:
     steps = volume.distance.view(np.uint16).copy()
     steps[..., 1:] -= volume.distance.view(np.uint16)[..., :-1]
     planes = {"low": (steps & 255).astype(np.uint8), "high": (steps >> 8).astype(np.uint8), "trust": volume.trust}
-    packed = {
-        name: torch.from_numpy(np.frombuffer(zlib.compress(plane.tobytes(), _LEVEL), np.uint8).copy()) for name, plane in planes.items()
-    }
-    return {"blocks": torch.from_numpy(volume.blocks.astype(np.int32)), **packed}
+    return {"blocks": torch.from_numpy(volume.blocks.astype(np.int32)), **{name: _packed(plane) for name, plane in planes.items()}}
 
 
 def volume_of(tensors: dict[str, Tensor], voxel: float, truncation: float) -> TsdfVolume:

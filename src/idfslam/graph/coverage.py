@@ -29,7 +29,7 @@ _MOST = 1000  # views, beyond which every other one is dropped. More: more memor
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _MappedView:
     """A view that the map learnt from."""
 
     host: int  # keyframe
@@ -39,19 +39,19 @@ class _Seen:
     hidden: NDArray[np.bool_] | None  # pixels of that which show what moves; None: none
 
     @classmethod
-    def of(cls, view: Keyframe, host: int, T_kc: NDArray[np.float64]) -> "_Seen":
+    def of(cls, view: Keyframe, host: int, T_kc: NDArray[np.float64]) -> "_MappedView":
         """What a view shows at a pose T_kc (4, 4) in its host."""
         packed, camera = pack_depth(view.unmasked.frame.depth, view.camera), view.camera
         hidden = None if view.moving is None else _resized(view.moving, packed.counts.shape)
         return cls(host, view.index, reduced_view(T_kc, view.frame.depth, camera, _ROWS), packed, hidden)
 
-    def without(self, moving: NDArray[np.bool_]) -> "_Seen":
+    def without(self, moving: NDArray[np.bool_]) -> "_MappedView":
         """The same view with more pixels of its finer depth that show what moves."""
         coarser = _resized(moving, self.view.depth.shape)
         view = replace(self.view, depth=np.where(coarser, np.float32(0), self.view.depth))
         return replace(self, view=view, hidden=moving if self.hidden is None else moving | self.hidden)
 
-    def placed(self, host: int, T_kc: Tensor) -> "_Seen":
+    def placed(self, host: int, T_kc: Tensor) -> "_MappedView":
         """The same view at another pose (4, 4) in a host."""
         return replace(self, host=host, view=replace(self.view, T_wc=T_kc.numpy()))
 
@@ -67,7 +67,7 @@ class Coverage(Stateful):
 
     def __init__(self, graph: KeyframeGraph) -> None:
         self.graph = graph
-        self._views: list[_Seen] = []
+        self._views: list[_MappedView] = []
         self.observed = ObservedSpace()
 
     def state(self) -> State:
@@ -96,7 +96,7 @@ class Coverage(Stateful):
     def add(self, view: Keyframe) -> None:
         """Adds a view that the map learns from, relative to the host of the last keyframe."""
         host, T_kc = self.graph.relative_to_host(view.T_wk)
-        self._append(_Seen.of(view, host, T_kc.numpy()))
+        self._append(_MappedView.of(view, host, T_kc.numpy()))
         if len(self._views) > _MOST:
             del self._views[1::2]  # the views left are still spread over the whole run
 
@@ -104,7 +104,7 @@ class Coverage(Stateful):
         """Replaces the view of a stored keyframe, whose depth has changed."""
         for i, seen in enumerate(self._views):
             if seen.host == keyframe.host and np.allclose(seen.view.T_wc, np.eye(4), atol=_SAME_POSE):
-                self._views[i] = _Seen.of(keyframe, seen.host, seen.view.T_wc)
+                self._views[i] = _MappedView.of(keyframe, seen.host, seen.view.T_wc)
 
     def hide(self, moving: Sequence[NDArray[np.bool_]]) -> None:
         """Takes the depth of what moves out of the views: these pixels (h, w) of the depth of each of `packed`."""
@@ -117,7 +117,7 @@ class Coverage(Stateful):
         for view in views:
             k = int(np.linalg.norm(centres - view.T_wc[:3, 3], axis=1).argmin())
             T_kc = se3.inverse(self.graph.keyframes[k].T_wk).numpy() @ view.T_wc
-            self._append(_Seen(k, EARLIER, DepthView(T_kc, view.depth, view.camera), pack_depth(view.depth, view.camera), None))
+            self._append(_MappedView(k, EARLIER, DepthView(T_kc, view.depth, view.camera), pack_depth(view.depth, view.camera), None))
 
     def follow(self, keyframes: Sequence[Keyframe]) -> None:
         """Adds the new places of what the views of these keyframes, which have moved, observed."""
@@ -130,15 +130,15 @@ class Coverage(Stateful):
         """Places the views of this run anew. in_host: the host of a frame, and its pose (4, 4) there (`FramePoses.in_host`)."""
         self._views = [seen if seen.index == EARLIER else seen.placed(*in_host(seen.index)) for seen in self._views]
 
-    def _append(self, seen: _Seen) -> None:
+    def _append(self, seen: _MappedView) -> None:
         self._views.append(seen)
         self.observed.add(self._posed(seen).points())
 
-    def _posed(self, seen: _Seen) -> DepthView:
+    def _posed(self, seen: _MappedView) -> DepthView:
         """A view at the present pose of its host keyframe."""
         return replace(seen.view, T_wc=self.graph.keyframes[seen.host].T_wk.numpy() @ seen.view.T_wc)
 
-    def _of_main_submap(self) -> list[_Seen]:
+    def _of_main_submap(self) -> list[_MappedView]:
         main = self.graph.main_submap
         return [seen for seen in self._views if self.graph.keyframes[seen.host].submap == main]
 
@@ -163,12 +163,12 @@ class Coverage(Stateful):
         return (depth.view(T_wc) for T_wc, depth in self.packed())
 
 
-def _revived(kept: State) -> _Seen:
+def _revived(kept: State) -> _MappedView:
     """The view that a state was made from."""
     packed = PackedDepth(kept["packed"].numpy().view(np.uint16), kept["unit"], Camera(**kept["packed_camera"]))
     shape, bits = packed.counts.shape, kept["hidden"]
     hidden = None if bits is None else np.unpackbits(bits.numpy(), count=packed.counts.size).reshape(shape).astype(np.bool_)
-    return _Seen(
+    return _MappedView(
         kept["keyframe"], kept["index"], DepthView(kept["T_kc"].numpy(), kept["depth"].numpy(), Camera(**kept["camera"])), packed, hidden
     )
 

@@ -18,7 +18,8 @@ from idfslam.config import LoopConfig
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.path_length import edge_pairs, path_lengths
+from idfslam.graph.measured_edges import measured_edges
+from idfslam.graph.path_length import path_lengths
 from idfslam.graph.pose_graph import Edge, optimise
 from idfslam.storage.state import State
 
@@ -26,9 +27,6 @@ log = logging.getLogger(__name__)
 
 # All of these were chosen by hand. With them no wrong loop passes in ten corridors with look-alike doors (docs/results.md).
 
-# Standard deviation of an edge: [m] and [m per m], [rad] and [rad per rad]. More: loops bend the graph more, and fewer fail the chi-square
-# test.
-_EDGE_SIGMA = (0.01, 0.02), (0.004, 0.02)
 # Standard deviation of a loop [m], [rad]; it comes from one alignment, whatever the path's length. More: loops correct less.
 _LOOP_SIGMA = 0.005, 0.002
 # [m], [rad] Correction below which the two keyframes get an edge instead of a loop. More: small drift stays.
@@ -139,7 +137,7 @@ class LoopConsistency:
         """Optimises the pose graph with all loops, old and new, and refuses those that fail the chi-square test."""
         self.waiting = None
         loops = [*self.closed, *new]
-        edges = links(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP_SIGMA, loop=True) for loop in loops]
+        edges = measured_edges(graph) + [Edge(loop.a, loop.b, loop.T_ab, *_LOOP_SIGMA, loop=True) for loop in loops]
         poses, kept = optimise([k.T_wk for k in graph.keyframes], edges)
         if not any(kept[len(self.closed) :]):
             self._refuse(new[-1], "the pose graph contradicts it")
@@ -163,23 +161,3 @@ class LoopConsistency:
     def _refuse(self, loop: Loop, why: str) -> None:
         self.refused += 1
         log.info("loop between keyframes %d and %d refused: %s", loop.a, loop.b, why)
-
-
-def links(graph: KeyframeGraph, factor: float = 1.0) -> list[Edge]:
-    """The edges between stored keyframes, at the present poses. factor: on their standard deviations."""
-    a, b = edge_pairs(graph.keyframes)
-    T = torch.stack([keyframe.T_wk for keyframe in graph.keyframes])
-    T_ab = se3.inverse(T[a]) @ T[b]
-    return [Edge(*edge) for edge in zip(a.tolist(), b.tolist(), T_ab, *(sigma.tolist() for sigma in _sigmas(T_ab, factor)))]
-
-
-def link(a: int, b: int, T_ab: Tensor, factor: float = 1.0) -> Edge:
-    """The edge between two keyframes whose measured relative pose is T_ab (4, 4). factor: on its standard deviations."""
-    translation, rotation = _sigmas(T_ab, factor)
-    return Edge(a, b, T_ab, float(translation), float(rotation))
-
-
-def _sigmas(T_ab: Tensor, factor: float) -> tuple[Tensor, Tensor]:
-    """The standard deviations (...) [m], [rad] of edges T_ab (..., 4, 4)."""
-    translation = factor * (_EDGE_SIGMA[0][0] + _EDGE_SIGMA[0][1] * T_ab[..., :3, 3].norm(dim=-1))
-    return translation, factor * (_EDGE_SIGMA[1][0] + _EDGE_SIGMA[1][1] * se3.angle(T_ab))

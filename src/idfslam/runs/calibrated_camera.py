@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.self_calibration import Estimate, confirmed
+from idfslam.adjustment.self_calibration import CameraEstimate, confirmed
 from idfslam.adjustment.sensor_times import SensorTime
 from idfslam.datasets import Dataset
 from idfslam.datasets.cameras.camera_json import DEFORMATION
@@ -35,7 +35,7 @@ def check_camera_path(path: Path) -> None:
         raise ConfigError(f"--out {path}: {parent} is a file, expected a folder: choose another name")
 
 
-def write_camera(path: Path, estimate: Estimate, recording: Dataset, times: Mapping[str, SensorTime] = MappingProxyType({})) -> None:
+def write_camera(path: Path, estimate: CameraEstimate, recording: Dataset, times: Mapping[str, SensorTime] = MappingProxyType({})) -> None:
     """Writes the camera file of a recording that was read as `recording` and calibrated. Stated values that fit stay, guesses do not.
 
     times: of the sensor, by name; those that differ from zero for sure are written.

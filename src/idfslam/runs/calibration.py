@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from idfslam.adjustment.camera_findings import findings
-from idfslam.adjustment.self_calibration import EXPLAINED, Estimate, Footage, of_size, self_calibrate, with_scale
+from idfslam.adjustment.self_calibration import EXPLAINED, CameraEstimate, PosedViews, of_size, self_calibrate, with_scale
 from idfslam.adjustment.sensor_times import SensorTime, mean_times
 from idfslam.config import Config
 from idfslam.datasets import Dataset
@@ -30,7 +30,7 @@ _MOST_KEYFRAMES = 120  # in all, evenly spread; more: slower, and more exact whe
 class Calibrated(NamedTuple):
     """The camera of recordings."""
 
-    estimate: Estimate
+    estimate: CameraEstimate
     recording: Dataset  # the first one, as it was read
     times: Mapping[str, SensorTime]  # of the sensor, by name: those that the recordings do not state
 
@@ -59,7 +59,7 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
     if console is not None:
         count = sum(len(found.views) for found in maps)
         console.print(f"adjusting {count} keyframes, their landmarks and the camera together", highlight=False)
-    estimate = self_calibrate([Footage(found.views, found.poses, found.motions, found.time_sigmas) for found in maps])
+    estimate = self_calibrate([PosedViews(found.views, found.poses, found.motions, found.time_sigmas) for found in maps])
     if estimate is None:
         found = f"{sum(len(found.views) for found in maps)} keyframes with too few landmarks in common"
         raise RecordingError(f"{first.name}: {found}, expected several views of one place: record a textured room from many sides")
@@ -75,7 +75,7 @@ def calibrate_from(maps: Sequence[Keyframes], *, truth: bool, console: Console |
     return Calibrated(replace(estimate, model=of_size(estimate.model, first.camera)), first, mean_times(list(of_each.values())))
 
 
-def unexplained(estimate: Estimate) -> str:
+def unexplained(estimate: CameraEstimate) -> str:
     """What to say of an estimate that does not explain the images."""
     found = f"no camera explains the images to better than {estimate.noise:.2f} px of 640, expected {EXPLAINED}"
     return f"{found}: blur or a shutter bends them, or objects move; record a still scene slowly"

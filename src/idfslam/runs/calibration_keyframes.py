@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from idfslam.adjustment.landmark_tracks import View
+from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.row_motion import KeyframeMotion
 from idfslam.adjustment.sensor_times import SensorTime
 from idfslam.config import Config
@@ -37,7 +37,7 @@ class Keyframes:
 
     recording: Dataset
     indices: NDArray[np.int64]
-    views: Sequence[View]
+    views: Sequence[KeyframeView]
     poses: NDArray[np.float64]
     motions: Sequence[KeyframeMotion]
     times: Mapping[str, SensorTime] = field(default_factory=dict)  # of the sensor, as the run over the recording found them
@@ -72,20 +72,20 @@ def keyframes_of(source: RecordingSource, recording: Dataset, config: Config, co
     return [Keyframes(recording, indices, [view for view, _ in seen], poses, [motion for _, motion in seen], times)]
 
 
-def rectified_keyframe(run: FinishedRun, frame: Frame, times: Mapping[str, SensorTime]) -> tuple[View, KeyframeMotion]:
+def rectified_keyframe(run: FinishedRun, frame: Frame, times: Mapping[str, SensorTime]) -> tuple[KeyframeView, KeyframeMotion]:
     """A frame of a run as a synchronised global shutter would have seen it, and how the camera moved, by the poses and times of the run."""
     rows, likeliest = row_times(frame, {name: time for name, time in times.items() if time.is_sure}), row_times(frame, times)
     if likeliest.synchronised:
-        return View.of(frame), unknown_motion(rows)
+        return KeyframeView.of(frame), unknown_motion(rows)
     around = stretch_around(run.trusted, frame.index, STAMPS)
     stamps, poses = run.trajectory.timestamps, run.trajectory.poses
     found = motion_around(stamps[frame.index], stamps[around], poses[around], likeliest)
     if found is None:
-        return View.of(frame), unknown_motion(likeliest)
+        return KeyframeView.of(frame), unknown_motion(likeliest)
     if rows.synchronised:
-        return View.of(frame), found
+        return KeyframeView.of(frame), found
     rectification = Rectification(rows, found.velocity)
-    return View.of(rectified(frame, rectification)), replace(found, rectification=rectification)
+    return KeyframeView.of(rectified(frame, rectification)), replace(found, rectification=rectification)
 
 
 def row_times(frame: Frame, found: Mapping[str, SensorTime]) -> RowTimes:
@@ -132,7 +132,7 @@ def keyframes_in(slam: Slam, recording: Dataset) -> list[Keyframes]:
 
 def _keyframes(recording: Dataset, group: Sequence[Keyframe], motions: KeyframeMotions, times: Mapping[str, SensorTime]) -> Keyframes:
     indices, poses = np.array([k.index for k in group]), np.array([k.T_wk.numpy() for k in group])
-    return Keyframes(recording, indices, [View.of(k.frame) for k in group], poses, [motions.of(k) for k in group], times)
+    return Keyframes(recording, indices, [KeyframeView.of(k.frame) for k in group], poses, [motions.of(k) for k in group], times)
 
 
 def _times(figures: Mapping[str, Any]) -> dict[str, SensorTime]:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_findings import doubts
 from idfslam.adjustment.camera_model import NAMES
-from idfslam.adjustment.landmark_tracks import View
-from idfslam.adjustment.self_calibration import Estimate, Footage, self_calibrate
+from idfslam.adjustment.landmark_tracks import KeyframeView
+from idfslam.adjustment.self_calibration import CameraEstimate, PosedViews, self_calibrate
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
@@ -37,13 +37,13 @@ class CameraCheck(KeyframeHook):
         """motions: with the likeliest times of rows. time_sigmas: standard deviations (3,) [s] of these times."""
         self.graph, self.motions, self.time_sigmas = graph, motions, time_sigmas
         self._early: Future[bool] | None = None  # the early check; True: it told doubts
-        self._final: Future[Estimate | None] | None = None  # that at the end of the run
-        self._estimate: Estimate | None = None  # of the latter
+        self._final: Future[CameraEstimate | None] | None = None  # that at the end of the run
+        self._estimate: CameraEstimate | None = None  # of the latter
 
     def on_keyframe(self, keyframe: Keyframe) -> Moved:
         """Starts the early check."""
         if len(self.graph.keyframes) == _EARLY and keyframe.host == _EARLY - 1 and self._early is None:
-            self._early = _beside(_told, self._footage(self.graph.keyframes))
+            self._early = _beside(_told, self._posed_views(self.graph.keyframes))
         return Moved()
 
     def on_finish(self) -> None:
@@ -52,14 +52,15 @@ class CameraCheck(KeyframeHook):
         keyframes = [keyframe for keyframe in self.graph.keyframes if keyframe.submap == largest]
         starts = np.unique(np.linspace(0, max(len(keyframes) - _STRETCH, 0), _STRETCHES).round().astype(int)).tolist()
         chosen = sorted({i for start in starts for i in range(start, min(start + _STRETCH, len(keyframes)))})
-        self._final = _beside(_estimated, self._footage([keyframes[i] for i in chosen]))
+        self._final = _beside(_estimated, self._posed_views([keyframes[i] for i in chosen]))
 
-    def _footage(self, keyframes: Sequence[Keyframe]) -> Footage:
+    def _posed_views(self, keyframes: Sequence[Keyframe]) -> PosedViews:
         """The views of keyframes with depth, at their present poses."""
         kept = [keyframe for keyframe in keyframes if keyframe.has_depth]
         poses = np.array([keyframe.T_wk.numpy() for keyframe in kept])
         sigmas = self.time_sigmas(kept[-1]) if kept else np.zeros(3)
-        return Footage([View.of(keyframe.frame) for keyframe in kept], poses, [self.motions.of(keyframe) for keyframe in kept], sigmas)
+        views, motions = [KeyframeView.of(keyframe.frame) for keyframe in kept], [self.motions.of(keyframe) for keyframe in kept]
+        return PosedViews(views, poses, motions, sigmas)
 
     def settle(self) -> None:
         """Tells doubts that the early check did not tell yet."""
@@ -77,29 +78,29 @@ class CameraCheck(KeyframeHook):
         return {"camera_doubts": doubts(e), "camera_deviations": deviations}
 
 
-def _beside(check: Callable[[Footage], Found], footage: Footage) -> "Future[Found]":
+def _beside(check: Callable[[PosedViews], Found], views: PosedViews) -> "Future[Found]":
     """Runs a check in a thread of its own."""
     pool = ThreadPoolExecutor(1, "camera-check")
-    running = pool.submit(check, footage)
+    running = pool.submit(check, views)
     pool.shutdown(wait=False)
     return running
 
 
-def _estimated(footage: Footage) -> Estimate | None:
+def _estimated(views: PosedViews) -> CameraEstimate | None:
     """The camera that fits; None if none is to be believed. Only a camera in doubt is searched for more exactly."""
-    estimate = self_calibrate([footage], rounds=1, explained=True)
+    estimate = self_calibrate([views], rounds=1, explained=True)
     if estimate is not None and estimate.explains_images and doubts(estimate):
-        estimate = self_calibrate([footage], rounds=1, start=estimate, explained=True)
+        estimate = self_calibrate([views], rounds=1, start=estimate, explained=True)
     return estimate if estimate is not None and estimate.explains_images else None
 
 
-def _told(footage: Footage) -> bool:
+def _told(views: PosedViews) -> bool:
     """Checks the camera, and says whether doubts were told."""
-    estimate = _estimated(footage)
+    estimate = _estimated(views)
     return estimate is not None and _tell(estimate)
 
 
-def _tell(estimate: Estimate) -> bool:
+def _tell(estimate: CameraEstimate) -> bool:
     found = doubts(estimate)
     if found:
         log.warning("the camera does not fit the images: %s; `idf-slam calibrate RECORDING --out camera.json` mends it", "; ".join(found))

@@ -16,13 +16,13 @@ from idfslam.adjustment.bundle_adjustment import Adjusted, Problem, adjust, in_m
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.distant_landmarks import distant_landmarks
 from idfslam.adjustment.growing_tracks import GrowingTracks
-from idfslam.adjustment.landmark_tracks import View, features_of, find_tracks
+from idfslam.adjustment.landmark_tracks import KeyframeView, features_of, find_tracks
 from idfslam.adjustment.observations import Array, Observations, together
 from idfslam.adjustment.self_calibration import noise_of
 from idfslam.adjustment.shared_errors import PoseCovariances
 from idfslam.geometry import se3
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.loop_consistency import links
+from idfslam.graph.measured_edges import measured_edges
 from idfslam.graph.pose_graph import RelativePoses
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
@@ -91,8 +91,8 @@ class GlobalAdjustment(KeyframeAdjustment):
         if len(keyframes) < _LEAST_KEYFRAMES:
             return False
         poses = np.array([keyframe.T_wk.numpy() for keyframe in keyframes])
-        model = CameraModel.as_stated(View.of(keyframes[0].frame).camera)
-        views = [View.of(keyframe.frame, keyframe.moving) for keyframe in keyframes] if len(keyframes) <= _MOST_KEYFRAMES else []
+        model = CameraModel.as_stated(KeyframeView.of(keyframes[0].frame).camera)
+        views = [KeyframeView.of(keyframe.frame, keyframe.moving) for keyframe in keyframes] if len(keyframes) <= _MOST_KEYFRAMES else []
         images = [features_of(view, model) for view in views]
         found = find_tracks(views, images, poses, model, coarse=False) if views else self._found_during_the_run(poses)
         if len(found[0]) < _LEAST_LANDMARKS or (adjusted := self._agreed(poses, found, model, end)) is None:
@@ -112,7 +112,7 @@ class GlobalAdjustment(KeyframeAdjustment):
     def _agreed(self, poses: Array, landmarks: tuple[Array, Observations], model: CameraModel, end: float) -> Adjusted | None:
         """The adjustment of poses T_wk (K, 4, 4), the first of each submap fixed, until a time [s]. None if the images do not agree."""
         fixed: NDArray[np.bool_] = np.array([keyframe.host == keyframe.submap for keyframe in self.graph.keyframes])
-        edges = RelativePoses.of(links(self.graph, EDGES))
+        edges = RelativePoses.of(measured_edges(self.graph, EDGES))
         problem = Problem(model, poses, *landmarks, fixed, np.zeros(len(NAMES), bool), edges)
         if self.motions is not None:
             problem = in_motion(problem, [self.motions.of(keyframe) for keyframe in self.graph.keyframes])

@@ -19,7 +19,7 @@ from idfslam.adjustment.self_calibration import noise_of
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
-from idfslam.graph.loop_consistency import link
+from idfslam.graph.measured_edges import measured_edge
 from idfslam.graph.pose_graph import Edge, RelativePoses
 from idfslam.slam.keyframe_adjustment.global_adjustment import AGREE, EDGES
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
@@ -57,7 +57,7 @@ class LocalAdjustment(KeyframeHook):
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._held = set(state["held"])
-        self._edges = {int(b): link(edge["a"], int(b), edge["T_ab"], EDGES) for b, edge in state["edges"].items()}
+        self._edges = {int(b): measured_edge(edge["a"], int(b), edge["T_ab"], EDGES) for b, edge in state["edges"].items()}
         self._noise = np.array(state["noise"])
         self._images = {int(k): list(times) for k, times in state["images"].items()}
 
@@ -106,7 +106,7 @@ class LocalAdjustment(KeyframeHook):
         self.tracks.add(number, features, depth, others, CameraModel.as_stated(features.grey_camera))
         self._images[number] = _rectified(keyframe)
         if older:
-            self._edges[number] = link(older[0], number, torch.from_numpy(others[0][2]), EDGES)
+            self._edges[number] = measured_edge(older[0], number, torch.from_numpy(others[0][2]), EDGES)
 
     def _window(self, keyframe: Keyframe) -> NDArray[np.bool_]:
         """(K,) the newest keyframes, of the same submap."""
