@@ -83,27 +83,29 @@ class Slam:
         view.colour_since = self.repeated.colour_since
         self.segmentation.predict(view)
         tracked = self._track(view, mode)  # Sec. V
-        if is_held_out(frame.index, self.config.hold_out):
-            tracked = replace(tracked, clear=False)  # neither map nor keyframes get it
         view.T_wk = tracked.T_wc
         self.frames.append(frame.timestamp, tracked.T_wc, tracked.status)
         self.recovery.close_gap(frame.index, mode)
-        evidence = tracked.evidence
-        in_view, step = evidence.in_view, evidence.step
-        selected = self.keyframe_selection.selects(view, tracked.status, in_view, step, clear=tracked.clear)  # Sec. III
-        mappable = tracked.may_be_mapped and view.has_depth and not selected
-        self._pending = (view, replace(tracked, alignment=None)) if mappable else None  # as a state has it
+        selected = self._selects(view, tracked)  # Sec. III
+        mappable = tracked.may_be_mapped and view.has_depth
+        self._pending = (view, replace(tracked, alignment=None)) if mappable and not selected else None  # as a state has it
         losses = self.back_end.add_keyframe(view, tracked) if selected else self.back_end.between_keyframes(view, tracked)  # Sec. IV
-        if tracked.may_be_mapped and view.has_depth:
+        if mappable:
             with self.timer.stage("archive"):
                 self.views.add(view, self.keyframe_selection.sharpness.latest)
         self.segmentation.remember(view, tracked)
         return self.history.report(frame, tracked, losses, keyframe=selected, moving=view.moving)
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
-        """Tracks a view from its predicted pose. The first frame with depth defines the world."""
-        if not self.graph.keyframes:
-            return self.segmentation.segment(view, Tracked.first(view.T_wk, has_depth=view.has_depth))
+        """Tracks a view from its predicted pose. One that is held out is not clear: neither map nor keyframes get it."""
+        tracked = self._track_in_map(view, mode) if self.graph.keyframes else self._first(view)
+        return replace(tracked, clear=False) if is_held_out(view.index, self.config.hold_out) else tracked
+
+    def _first(self, view: Keyframe) -> Tracked:
+        """The first frame with depth, which defines the world, or one before it."""
+        return self.segmentation.segment(view, Tracked.first(view.T_wk, has_depth=view.has_depth))
+
+    def _track_in_map(self, view: Keyframe, mode: Mode) -> Tracked:
         T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
         tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end)
         tracked = self.segmentation.segment(view, self.recovery.recover(view, tracked))
@@ -114,6 +116,10 @@ class Slam:
         else:  # the change since the last tracked pose is not the motion of one frame
             self.motion.stop()
         return tracked
+
+    def _selects(self, view: Keyframe, tracked: Tracked) -> bool:
+        evidence = tracked.evidence
+        return self.keyframe_selection.selects(view, tracked.status, evidence.in_view, evidence.step, clear=tracked.clear)
 
     def _predicted_pose(self) -> Tensor:
         return self.motion.predict(self.frames.T_wc(-1)) if len(self.frames) else torch.eye(4, dtype=torch.float64)
