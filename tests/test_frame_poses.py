@@ -80,6 +80,20 @@ def test_no_correction_is_spread_over_a_gap() -> None:
     np.testing.assert_allclose(frames.trajectory()[:10, 0, 3], 0.18 * np.arange(10), atol=1e-12)
 
 
+def test_how_far_a_submap_lies_apart_is_no_correction() -> None:
+    frames = wall_frames(places=(0.0,))
+    for i in (1, 2):
+        frames.append(i / 30, at(0.18 * i), Status.DOUBTFUL)
+    first = keyframe(3, 0.54)
+    first.T_wk = frames.graph.start_submap()
+    frames.append(0.1, first.T_wk, Status.OK)
+    assert frames.graph.insert(first) and first.submap == 1
+    frames.attach_last(first)
+    first.T_wk, first.submap = at(0.54), 0  # merged
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], 0.18 * np.arange(4), atol=1e-12)
+
+
 def test_state() -> None:
     frames = wall_frames(places=(0.0, 1.8))
     frames.append(1.0, at(1.9), Status.DEGENERATE)

@@ -73,9 +73,13 @@ class FramePoses(Stateful):
         self._frames.append(_FramePose(host, T_kc, status, timestamp))
 
     def attach_last(self, keyframe: Keyframe) -> None:
-        """Attaches the last frame, which has become a keyframe and was refined, to that keyframe's host."""
-        host, T_kc = self.graph.relative_to_host(keyframe.T_wk)
-        self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc, tracked=self._tracked(-1))
+        """Attaches the last frame, which has become a keyframe and was refined, to that keyframe's host.
+
+        The first frame of a submap was not tracked in it: where it is counts as where it was tracked, not how far the submaps lie apart.
+        """
+        (host, T_kc), tracked = self.graph.relative_to_host(keyframe.T_wk), self._tracked(-1)
+        begins = self.graph.keyframes[host].submap != self.graph.keyframes[tracked[0]].submap
+        self._frames[-1] = replace(self._frames[-1], host=host, T_kc=T_kc, tracked=(host, T_kc) if begins else tracked)
 
     def is_refined(self, i: int) -> bool:
         """Whether the i-th frame was refined after it was tracked, as keyframes are."""
