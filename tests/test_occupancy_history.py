@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from idfslam.compute.backend import plain_torch
 from idfslam.geometry.camera import Camera
@@ -17,6 +18,11 @@ def wall(number: int, *, body: float = 0.0, x: float = 0.0) -> StoredView:
     depth = np.full((240, 320), 3.0, np.float32)
     if body:
         depth[60:180, 120:180] = body
+    return posed(depth, number, x=x)
+
+
+def posed(depth: NDArray[np.float32], number: int, *, x: float = 0.0) -> StoredView:
+    """A view with a depth (240, 320) [m] from x [m]."""
     T_wc = np.eye(4)
     T_wc[0, 3] = x
     return StoredView(coarse_view(depth, np.zeros((240, 320, 3), np.float32), CAMERA), T_wc, number)
@@ -37,6 +43,18 @@ def test_a_tenth_of_the_views_must_have_seen_through() -> None:
     stands = [wall(i, body=1.5) for i in range(40)]
     assert not OccupancyHistory.of([*stands, wall(65), wall(70)]).moving(stands[0]).any()  # 2 of 42
     assert OccupancyHistory.of([*stands, *(wall(65 + i) for i in range(5))]).moving(stands[0])[BODY].all()  # 5 of 45
+
+
+def test_legs_that_no_view_saw_through_belong_to_the_body_that_left_and_a_box_that_it_touched_does_not() -> None:
+    depth = np.full((240, 320), 3.0, np.float32)
+    depth[60:180, 180:240] = 1.55  # a box beside it
+    left = depth.copy()
+    left[90:, :180] = 0  # later views look at the box and at the upper quarter of the place where it stood
+    depth[60:180, 120:180] = 1.5
+    stands, later = [posed(depth, 5 * i) for i in range(12)], [posed(left, 65), posed(left, 70)]
+    moving = OccupancyHistory.of([*stands, *later]).moving(stands[6])
+    assert moving[BODY].all()
+    assert moving.sum() == 40 * 20
 
 
 @pytest.mark.parametrize(("last", "moves"), [(100, True), (101, False)])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from idfslam.compute.backend import plain_torch
-from idfslam.segmentation.smooth_continuation import continued
+from idfslam.segmentation.smooth_continuation import continued, valleys
 
 FOCAL, HEIGHT = 93.3, 1.4  # [cells], [m] of a camera above the floor
 ROWS = np.arange(80)[:, None] - 19.5  # below the horizon
@@ -13,6 +13,15 @@ def floor() -> np.ndarray:
     """(80, 107) [m] the depth of a floor; none above the horizon."""
     depth = np.where(ROWS > 20, FOCAL * HEIGHT / np.maximum(ROWS, 1), 0).astype(np.float32)
     return np.tile(depth, (1, 107))
+
+
+def test_a_valley_lies_where_an_upright_body_meets_the_floor_and_none_on_either() -> None:
+    depth = floor()
+    depth[20:61, 50:60] = depth[61, 0]
+    found = valleys(depth)
+    assert found[61, 50:60].all()
+    assert not found[:61, 50:60].any()
+    assert not valleys(floor()).any()
 
 
 def test_a_floor_goes_on_where_it_was_hidden() -> None:

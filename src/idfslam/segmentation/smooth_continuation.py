@@ -19,6 +19,9 @@ _STEP = 0.03  # [1/m] largest difference of inverse depth to the neighbour. More
 # [1] of the cells of a connected region that must be known to stay for the others to belong to them. More: less is continued. Less: a body
 # of which an earlier view missed a part is taken for scene
 _MAJORITY = 0.5
+# [cells], [1/m]: likewise, of a valley between surfaces. More: less noise, and thinner things have none; fewer valleys, so that bodies are
+# continued over floors
+_VALLEY_SPAN, _VALLEY = 2, 0.015
 _PASSES = 3  # over the image, there and back. More: surfaces are continued round more corners, slower
 
 
@@ -30,4 +33,18 @@ def continued(stays: Cells, may: Cells, depth: NDArray[np.float32]) -> Cells:
     out = stays.copy()
     form(numba_segmentation.continue_smoothly)(out, may & (depth > 0), inverse, _SPAN, np.float32(_BEND), np.float32(_STEP), _PASSES)
     form(numba_segmentation.drop_regions)(out, stays, stays, inverse, np.float32(_STEP), False, 0, _MAJORITY)
+    return out
+
+
+def valleys(depth: NDArray[np.float32]) -> Cells:
+    """(h, w) the cells in which the surface bends away from the camera, by depth (h, w) [m]: such as between a body and its floor.
+
+    Bodies are mostly convex, so that these are where one ends (Stein et al., CVPR 2014).
+    """
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    out = np.zeros(depth.shape, np.bool_)
+    for image, bends in ((inverse, out), (inverse.T, out.T)):
+        before, middle, after = image[: -2 * _VALLEY_SPAN], image[_VALLEY_SPAN:-_VALLEY_SPAN], image[2 * _VALLEY_SPAN :]
+        measured = (before > 0) & (middle > 0) & (after > 0)
+        bends[_VALLEY_SPAN:-_VALLEY_SPAN] |= measured & (before - 2 * middle + after > _VALLEY)
     return out
