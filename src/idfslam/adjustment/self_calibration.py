@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from idfslam.adjustment.bundle_adjustment import KINDS, Adjusted, Problem, adjust, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, PRIORS, CameraModel
@@ -223,7 +223,8 @@ def _kept(estimate: CameraEstimate) -> tuple[list[str], Array]:
 def _surprise(values: Array, C: Array, places: NDArray[np.int64]) -> float:
     """The squared deviation of some values from the stated ones, in units of what chance explains."""
     at = places[C[places, places] > 0]
-    return float(values[at] @ np.linalg.solve(C[np.ix_(at, at)], values[at]) / chi2.ppf(_CHANCE, len(at)))
+    by_chance = 2 * gammaincinv(len(at) / 2, _CHANCE)  # the quantile of the chi-squared distribution
+    return float(values[at] @ np.linalg.solve(C[np.ix_(at, at)], values[at]) / by_chance)
 
 
 def with_scale(estimate: CameraEstimate, truth: Sequence[Array]) -> CameraEstimate | None:

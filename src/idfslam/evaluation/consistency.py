@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from idfslam.evaluation.doubt import ReportedFrames
 from idfslam.evaluation.trajectory_error import has_truth
@@ -94,7 +94,7 @@ def _carried(lever: Floats) -> Floats:
 
 def share_inside(nees: Floats, probability: float = 0.95) -> float:
     """The share of frames whose NEES lies below the quantile of the chi-squared distribution of 6 degrees of freedom."""
-    return float((nees * 6 <= chi2.ppf(probability, 6)).mean())
+    return float((nees * 6 <= 2 * gammaincinv(6 / 2, probability)).mean())
 
 
 @dataclass(frozen=True)
