@@ -1,4 +1,6 @@
-"""A keyframe: a selected frame, its pose, and its relations to the other keyframes of the graph.
+"""A keyframe: a frame, its pose, and its relations to the other keyframes of the graph.
+
+Each frame that is processed is an object of this class. It is called a view until it is selected.
 
 What other parts compute from a keyframe (image pyramids, landmarks, pixel groups, descriptors) belongs to those parts.
 """
