@@ -11,7 +11,7 @@ from idfslam.frame import Frame
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
-from idfslam.mapping.fused import distance_query
+from idfslam.mapping.compiled_field import distance_query
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InTurns
 

@@ -17,8 +17,8 @@ from idfslam.compute.cache_folder import prepare_caches
 from idfslam.compute.devices import KEPT_ON_CPU, bf16_pays, resolve_device, resolve_precision
 from idfslam.config import Config, TrackerConfig
 from idfslam.errors import IdfSlamError, pip_install
+from idfslam.mapping.compiled_field import compilable
 from idfslam.mapping.field import grids_of
-from idfslam.mapping.fused import fusable
 from idfslam.slam import System
 from idfslam.tracking.features import load_extractor
 
@@ -138,7 +138,7 @@ def _used(config: Config, advice: list[str]) -> dict[str, Any] | None:
     if config.device == "auto" and config.preset not in KEPT_ON_CPU and torch.version.cuda and not torch.cuda.is_available():
         advice.append("this torch is built for CUDA but finds no GPU: check the driver with nvidia-smi; runs use the CPU meanwhile")
     field = System(replace(config, tracker=TrackerConfig())).map.learnt()
-    kernels = "numba, fused" if fusable(field) else backend_of(device).value if any(grids_of(field)) else "torch"
+    kernels = "numba, fused" if compilable(field) else backend_of(device).value if any(grids_of(field)) else "torch"
     return {
         "preset": config.preset,
         "device": str(device),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.fusion.tsdf_volume import TsdfVolume
-from idfslam.mapping import fused, sphere_tracing
+from idfslam.mapping import compiled_field, sphere_tracing
 from idfslam.mapping.sphere_tracing import Trace
 from idfslam.mapping.surface_field import SurfaceField
 
@@ -38,7 +38,7 @@ class ImplicitSurface:
     @torch.no_grad()
     def of_field(self, points: Tensor) -> Tensor:
         """The field's own signed distance (N,) [tr] at points (N, 3) [m]."""
-        return fused.sdf_function(self.field)(points)
+        return compiled_field.sdf_function(self.field)(points)
 
     def refined(self, origins: NDArray[np.int64], cells: float, of_field: NDArray[np.float32]) -> NDArray[np.float32]:
         """The signed distance (B, S, S, S) [tr] at the points (origins + (i, j, k)) * cells [m] of B lattices, from the field's own."""
@@ -49,6 +49,6 @@ class ImplicitSurface:
 
     def tracer(self) -> Trace:
         """`sphere_tracing.trace` through this surface, compiled if possible."""
-        if fused.fusable(self.field):
-            return partial(fused.trace, self.field, volume=self.volume)
+        if compiled_field.compilable(self.field):
+            return partial(compiled_field.trace, self.field, volume=self.volume)
         return partial(sphere_tracing.trace, self.sdf)

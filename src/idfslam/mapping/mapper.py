@@ -13,8 +13,8 @@ from idfslam.config import FieldConfig, MapperConfig
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.mapping.active_sampling import CellPixels, cell_shares, draw_pixels, group_pixels, initial_cell_losses, update_cell_losses
+from idfslam.mapping.compiled_field import learns_in_steps
 from idfslam.mapping.field import Field, copy_of, load_field
-from idfslam.mapping.fused import learns_in_steps
 from idfslam.mapping.loss_values import loss_values
 from idfslam.mapping.losses import Losses
 from idfslam.mapping.map import Map

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from idfslam.compute.devices import repeatable
 from idfslam.config import MapperConfig
+from idfslam.mapping.compiled_field import compilable
+from idfslam.mapping.compiled_field import learn as compiled_learn
+from idfslam.mapping.compiled_field import learn_steps as compiled_steps
 from idfslam.mapping.field import Field
-from idfslam.mapping.fused import fusable
-from idfslam.mapping.fused import learn as fused_learn
-from idfslam.mapping.fused import learn_steps as fused_steps
 from idfslam.mapping.losses import Losses, LossWeights, rendering_losses
 from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.ray_samples import RaySamples, sample_points, uniform
@@ -82,9 +82,9 @@ class SampleObjective:
 
     def learn(self, field: Field, rays: Rays, generator: torch.Generator) -> Losses:
         """Adds the gradients of the loss to the field's; returns the loss. Fused if the field allows it."""
-        if fusable(field):
+        if compilable(field):
             samples = self.samples(rays, generator)
-            terms, colour_terms = fused_learn(field, samples, self.config.free_margin)
+            terms, colour_terms = compiled_learn(field, samples, self.config.free_margin)
             return self._losses(samples.near, len(rays), terms, colour_terms)
         losses = self(field, rays, generator)
         with repeatable(losses.total.device):
@@ -104,8 +104,8 @@ class SampleObjective:
         return RaySamples(points, near, target, weight, colour, like.new_full((near,), c.photometric_weight / near))
 
     def steps(self, field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, generator: torch.Generator) -> list[Losses]:
-        """`steps` steps of the optimiser, step i on every `steps`-th ray from i on; for fields with `fused.learns_in_steps`."""
-        learnt = fused_steps(field, optimiser, rays, steps, self.config, generator)
+        """`steps` steps of the optimiser, step i on every `steps`-th ray from i on; for fields with `compiled_field.learns_in_steps`."""
+        learnt = compiled_steps(field, optimiser, rays, steps, self.config, generator)
         count = len(rays) // steps
         return [self._losses(learnt.near, count, *terms) for terms in zip(learnt.terms, learnt.colour_terms)]
 

@@ -25,7 +25,7 @@ class MapOptimiser:
         self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
         self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate, fused=True)
-        for p in self.networks:  # torch makes this state at its first step, but `fused.learn_steps` does not call torch's steps
+        for p in self.networks:  # torch makes this state at its first step, but `compiled_field.learn_steps` does not call torch's steps
             self.adam.state[p] = {"step": torch.zeros((), device=p.device), **{name: torch.zeros_like(p) for name in MOMENTS}}
         if self.grid is not None:
             self._forget(self.grid)

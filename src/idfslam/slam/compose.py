@@ -22,7 +22,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.keyframe_interval import KeyframeInterval
 from idfslam.graph.keyframe_selection import KeyframeSelection
 from idfslam.graph.replay import Replay
-from idfslam.mapping.fused import distance_query
+from idfslam.mapping.compiled_field import distance_query
 from idfslam.mapping.joint.density_map import DensityMap
 from idfslam.mapping.joint.grids_map import GridsMap
 from idfslam.mapping.joint.joint_map import JointMap

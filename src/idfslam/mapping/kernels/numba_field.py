@@ -2,7 +2,7 @@
 
 The network's arithmetic is small. Writing every layer's output to memory and waking threads for every layer would cost more. Here points
 pass forward and backward through the whole network in blocks that stay in the first-level cache. Blocks are transposed, so that each loop
-runs over points and vectorises. `tests/test_fused.py` compares it with torch's autograd.
+runs over points and vectorises. `tests/test_compiled_field.py` compares it with torch's autograd.
 
 Sums over points are computed in a fixed number of parts, whatever the number of threads, so that results repeat exactly. Helpers are
 inlined by force for the same reason (`numba_grid`).

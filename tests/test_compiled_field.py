@@ -13,7 +13,7 @@ from torch import Tensor
 
 from helpers.plane_volume import plane_volume
 from idfslam.config import FieldConfig, MapperConfig
-from idfslam.mapping import fused, sphere_tracing
+from idfslam.mapping import compiled_field, sphere_tracing
 from idfslam.mapping.field import Field
 from idfslam.mapping.implicit_surface import ImplicitSurface
 from idfslam.mapping.kernels.numba_field import BLOCK
@@ -55,7 +55,7 @@ def gradients(taught: Field) -> dict[str, Tensor]:
     return {"tables": taught.encoding.gradient.clone(), **network}
 
 
-def learnt_fused(n: int) -> tuple[Losses, dict[str, Tensor]]:
+def learnt_compiled(n: int) -> tuple[Losses, dict[str, Tensor]]:
     taught = field()
     losses = SampleObjective(MAPPER, SMALL.truncation).learn(taught, rays(n), torch.Generator().manual_seed(1))
     return losses, gradients(taught)
@@ -77,7 +77,7 @@ def test_traced_rays(count: int) -> None:
     near = 0.2 * torch.rand(count, generator=generator)
     limits = {"far": 2.0, "truncation": SMALL.truncation}
     for start in (near, 0.05):
-        fast = fused.trace(taught, origins, directions, near=start, **limits)
+        fast = compiled_field.trace(taught, origins, directions, near=start, **limits)
         plain = sphere_tracing.trace(taught.sdf, origins, directions, near=start, **limits)
         same = (fast - plain).abs() < 1e-4
         assert same.float().mean() > 0.995  # a ray that grazes a surface may pass it by the last bit
@@ -101,11 +101,11 @@ def test_traced_rays_with_a_volume() -> None:
 # 5 samples near and 3 free a ray: 13 rays leave one block of 65 + 39 odd; 3 rays less than a block of each; 64 fill whole blocks alone
 @pytest.mark.parametrize("n", [1, 3, 13, 64, 150])
 def test_learning_is_that_of_autograd(n: int) -> None:
-    (losses, found), (plain_losses, expected) = learnt_fused(n), learnt_plain(n)
+    (losses, found), (plain_losses, expected) = learnt_compiled(n), learnt_plain(n)
     for name in ("total", "photometric", "free_space", "truncation", "per_ray"):
         torch.testing.assert_close(getattr(losses, name), getattr(plain_losses, name).detach(), rtol=1e-4, atol=1e-5)
     assert set(found) == set(expected)
-    assert len(found) == 1 + len(fused.parameters(field()))
+    assert len(found) == 1 + len(compiled_field.parameters(field()))
     for name, gradient in expected.items():
         largest = float(gradient.abs().max())
         assert largest > 0, name
@@ -116,7 +116,7 @@ def test_learning_adds_to_earlier_gradients() -> None:
     taught, objective = field(), SampleObjective(MAPPER, SMALL.truncation)
     for _ in range(2):
         objective.learn(taught, rays(20), torch.Generator().manual_seed(1))
-    for name, once in learnt_fused(20)[1].items():
+    for name, once in learnt_compiled(20)[1].items():
         torch.testing.assert_close(gradients(taught)[name], 2 * once, rtol=1e-5, atol=1e-6)
 
 
@@ -125,7 +125,7 @@ def in_steps(n: int, steps: int, *, compiled: bool) -> tuple[list[Losses], MapOp
     config = replace(MAPPER, samples=1, importance_samples=0, warm_up=2, learning_rate=0.003, table_rate=0.02)
     taught, generator = field(), torch.Generator().manual_seed(1)
     objective, optimiser = SampleObjective(config, SMALL.truncation), MapOptimiser(taught, config)
-    assert fused.learns_in_steps(taught, config)
+    assert compiled_field.learns_in_steps(taught, config)
     with optimiser.field.learning():
         if compiled:
             return objective.steps(taught, optimiser, rays(n * steps), steps, generator), optimiser
@@ -164,11 +164,11 @@ def test_many_samples_are_drawn_for_steps_at_once() -> None:
 
 @pytest.mark.parametrize("changes", [{"gradient_clip": 1.0}, {"supervision": "rendering"}])
 def test_other_ways_of_learning_are_taken_in_turns(changes: dict[str, float | str]) -> None:
-    assert not fused.learns_in_steps(field(), replace(MAPPER, **changes))
+    assert not compiled_field.learns_in_steps(field(), replace(MAPPER, **changes))
 
 
 def test_learning_repeats_exactly() -> None:
-    (losses, once), (losses_again, again) = learnt_fused(150), learnt_fused(150)
+    (losses, once), (losses_again, again) = learnt_compiled(150), learnt_compiled(150)
     assert torch.equal(losses.total, losses_again.total)
     assert all(torch.equal(once[name], again[name]) for name in once)
 
@@ -176,18 +176,18 @@ def test_learning_repeats_exactly() -> None:
 @pytest.mark.parametrize("n", [1, BLOCK - 1, BLOCK, 3 * BLOCK, 3 * BLOCK + 5])
 def test_distance_and_sdf_are_those_of_the_field(n: int) -> None:
     asked, where = field(), points(n)
-    value, gradient = fused.distance_query(asked)(where)
+    value, gradient = compiled_field.distance_query(asked)(where)
     expected, expected_gradient = asked.distance(where)
     torch.testing.assert_close(value, expected, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(gradient, expected_gradient, rtol=1e-3, atol=1e-3)
     with torch.no_grad():
-        torch.testing.assert_close(fused.sdf_function(asked)(where), asked.sdf(where), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(compiled_field.sdf_function(asked)(where), asked.sdf(where), rtol=1e-4, atol=1e-5)
     assert all(p.grad is None for p in asked.parameters())
 
 
 def test_queries_follow_the_weights() -> None:
     asked, where = field(), points(10)
-    query = fused.distance_query(asked)
+    query = compiled_field.distance_query(asked)
     before = query(where)[0]
     with torch.no_grad():
         asked.sdf_head.bias += 1
@@ -196,7 +196,7 @@ def test_queries_follow_the_weights() -> None:
 
 def test_queries_follow_tables_that_grew() -> None:
     asked, where = field(), points(100)
-    query = fused.distance_query(asked)
+    query = compiled_field.distance_query(asked)
     before = query(where)[0]
     asked.encoding.double_tables()
     torch.testing.assert_close(query(where)[0], before)
@@ -207,14 +207,14 @@ def test_queries_follow_tables_that_grew() -> None:
 )
 def test_other_networks_take_the_plain_path(changes: dict[str, int | str]) -> None:
     other = Field(replace(SMALL, **changes))
-    assert not fused.fusable(other)
+    assert not compiled_field.compilable(other)
     where = points(7)
-    assert torch.equal(fused.distance_query(other)(where)[0], other.distance(where)[0])
+    assert torch.equal(compiled_field.distance_query(other)(where)[0], other.distance(where)[0])
 
 
 def fingerprint() -> str:
     """Of all numbers that a step of learning gives, and of the map after several steps."""
-    losses, by_name = learnt_fused(3 * BLOCK + 1)
+    losses, by_name = learnt_compiled(3 * BLOCK + 1)
     numbers = [losses.total.detach(), *(by_name[name] for name in sorted(by_name))]
     numbers += in_steps(3 * BLOCK + 1, 3, compiled=True)[1].field.state_dict().values()
     return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in numbers)).hexdigest()
@@ -223,7 +223,7 @@ def fingerprint() -> str:
 @pytest.mark.slow
 def test_code_fresh_from_the_compiler_gives_what_cached_code_gives(tmp_path: Path) -> None:
     """To the bit, or a run that is resumed in another process would end elsewhere."""
-    command = [sys.executable, "-c", "import test_fused; print(test_fused.fingerprint())"]
+    command = [sys.executable, "-c", "import test_compiled_field; print(test_compiled_field.fingerprint())"]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     compiled, cached = (subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout for _ in range(2))
     assert any(tmp_path.rglob("*.nbc"))

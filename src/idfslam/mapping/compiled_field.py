@@ -1,4 +1,7 @@
-"""The fast path of a small field on the CPU: network and losses in one Numba kernel. Plain torch gives the same values."""
+"""A small field on the CPU, compiled: network and losses in one Numba kernel. Plain torch gives the same values.
+
+`compilable` says which fields these functions are for.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +28,7 @@ from idfslam.mapping.surface_field import SurfaceField
 _BETAS, _EPS = (0.9, 0.999), 1e-8  # torch's defaults for Adam: larger betas average over more steps
 
 
-def fusable(field: SurfaceField) -> TypeGuard[Field]:
+def compilable(field: SurfaceField) -> TypeGuard[Field]:
     """Whether the kernels support a field: one hidden layer on a feature grid, one more for colour, on the CPU in fp32."""
     if not isinstance(field, Field):
         return False
@@ -57,11 +60,11 @@ def _of_layers(*layers: nn.Module) -> list[nn.Parameter]:
 
 def distance_query(field: SurfaceField) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
     """`distance` of this field, compiled if possible."""
-    return lambda points: distance(field, points) if fusable(field) else field.distance(points)
+    return lambda points: distance(field, points) if compilable(field) else field.distance(points)
 
 
 def distance(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
-    """`Field.distance` for a fusable field."""
+    """`Field.distance` for a compilable field."""
     from idfslam.mapping.kernels import numba_field
 
     values, gradient = torch.empty(len(points)), torch.empty(len(points), 3)
@@ -80,11 +83,11 @@ def _grid(field: Field) -> tuple[NDArray[np.float32], NDArray[np.float32], tuple
 
 def sdf_function(field: SurfaceField) -> Callable[[Tensor], Tensor]:
     """`sdf` of this field without gradients, compiled if possible."""
-    return lambda points: sdf(field, points) if fusable(field) else field.sdf(points)
+    return lambda points: sdf(field, points) if compilable(field) else field.sdf(points)
 
 
 def sdf(field: Field, points: Tensor) -> Tensor:
-    """`Field.sdf` for a fusable field, without gradients."""
+    """`Field.sdf` for a compilable field, without gradients."""
     from idfslam.mapping.kernels.numba_field import infer
 
     assert isinstance(field.encoding, GridEncoding)
@@ -104,7 +107,7 @@ def trace(
     truncation: float,
     volume: TsdfVolume | None = None,
 ) -> Tensor:
-    """`sphere_tracing.trace` for a fusable field, with which a volume is blended."""
+    """`sphere_tracing.trace` for a compilable field, with which a volume is blended."""
     from idfslam.mapping.kernels import numba_tracing
 
     assert isinstance(field.encoding, GridEncoding)
@@ -147,7 +150,7 @@ class Learnt:
 
 def learns_in_steps(field: Field, config: MapperConfig) -> bool:
     """Whether `learn_steps` supports this field and config."""
-    return config.supervision == "samples" and not config.gradient_clip and fusable(field)
+    return config.supervision == "samples" and not config.gradient_clip and compilable(field)
 
 
 def learn_steps(field: Field, optimiser: MapOptimiser, rays: Rays, steps: int, config: MapperConfig, generator: torch.Generator) -> Learnt:
