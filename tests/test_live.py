@@ -27,14 +27,14 @@ from idfslam.live import Capture, LiveStream, absolute_path, is_live, open_live
 from idfslam.runs import result_folder
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.run_config import RecordingSource, read_config
-from idfslam.runs.runner import Run, run
+from idfslam.runs.runner import RunResult, run
 from idfslam.runs.source import open_feed
 from idfslam.slam import Slam
 from idfslam.slam.warm_up import made_up
 from idfslam.storage.ledger import Ledger
 
 
-def run_live(name: str, folder: Path, slam: Any = SeeingSlam) -> Run:
+def run_live(name: str, folder: Path, slam: Any = SeeingSlam) -> RunResult:
     source = RecordingSource(name)
     return run(open_feed(source), FAST, folder, source=source, make_slam=slam)
 

@@ -15,7 +15,7 @@ from idfslam.config import FAST, Config
 from idfslam.errors import DivergedError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.runs.run_config import RecordingSource
-from idfslam.runs.runner import Run, run
+from idfslam.runs.runner import RunResult, run
 from idfslam.runs.source import open_source
 
 
@@ -72,6 +72,6 @@ class InterruptedSlam(NearlyRightSlam):
         return super().process(frame)
 
 
-def run_known(recording: Path, folder: Path, slam: Any = NearlyRightSlam, *, overwrite: bool = False) -> Run:
+def run_known(recording: Path, folder: Path, slam: Any = NearlyRightSlam, *, overwrite: bool = False) -> RunResult:
     source = RecordingSource(str(recording))
     return run(open_source(source), FAST, folder, source=source, make_slam=slam, overwrite=overwrite)

@@ -19,10 +19,10 @@ from idfslam.evaluation.view_error import ViewError, summary
 from idfslam.pictures.view_comparison import PICTURE, VIEWS
 from idfslam.runs import result_folder
 from idfslam.runs.metrics import ate_rmse, measured_ate_rmse
-from idfslam.runs.runner import Run
+from idfslam.runs.runner import RunResult
 
 
-def print_run(run: Run, console: Console) -> None:
+def print_run(run: RunResult, console: Console) -> None:
     """Prints speed, keyframes, lost frames, the ATE if ground truth is known, and the result files."""
     m = run.metrics
     lines = [

@@ -22,7 +22,7 @@ from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.keyframes_file import read_keyframes
 from idfslam.runs.run_config import RecordingSource
-from idfslam.runs.runner import Run, run
+from idfslam.runs.runner import RunResult, run
 from idfslam.runs.source import open_source
 from idfslam.slam.warm_up import COMPILING, will_compile
 from idfslam.storage.ledger import Ledger
@@ -45,7 +45,7 @@ def demo(
     report: bool = True,
     overwrite: bool = False,
     console: Console | None = None,
-) -> tuple[Run, Evaluation, list[Path]]:
+) -> tuple[RunResult, Evaluation, list[Path]]:
     """Runs SLAM on `frames` frames of the synthetic room number `room`. Returns the run, its errors and the paths of the pictures.
 
     The first picture shows the room from outside with the camera's path. The others are the report's; without `report` there is one,

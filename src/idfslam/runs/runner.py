@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RunResult:
     """The results of a run."""
 
     folder: Path
@@ -58,7 +58,7 @@ def run(
     resume: bool = False,
     overwrite: bool = False,
     viewer: Viewer = NO_VIEWER,
-) -> Run:
+) -> RunResult:
     """Runs SLAM on a recording or a live camera, writes the results to `folder` and shows them in `viewer`.
 
     Every frame of a recording is processed; of a live camera, always the newest one.
@@ -107,10 +107,10 @@ def run(
             place.swap()
         if not stop.is_set():
             checkpoints.remove()
-    return Run(folder, trajectory_of(state.slam, recording), mesh, metrics)
+    return RunResult(folder, trajectory_of(state.slam, recording), mesh, metrics)
 
 
-def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None, viewer: Viewer = NO_VIEWER) -> Run | None:
+def resume(folder: Path, *, checkpoint_every: int = 0, console: Console | None = None, viewer: Viewer = NO_VIEWER) -> RunResult | None:
     """Continues the interrupted run of a result folder, with the values in its config.yaml; None if that run is complete.
 
     The results are those of a run without the interruption. Raises ResultError for a folder without a run of a recording, and what `run`

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from idfslam.datasets import Dataset
     from idfslam.runs.run_config import RecordingSource
-    from idfslam.runs.runner import Run as RunResult
+    from idfslam.runs.runner import RunResult
     from idfslam.viewer.viewer import Viewer
 
 
