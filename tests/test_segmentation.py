@@ -9,7 +9,7 @@ from idfslam.compute.backend import plain_torch
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.segmentation.carrying import BESIDE, carried
+from idfslam.segmentation.carrying import BESIDE, carried_with_ages
 from idfslam.segmentation.coarse_view import CoarseView, cell_size, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.constants import NEVER, SIGMAS, SLACK
 from idfslam.segmentation.free_space import PosedView, plain_vote, sigma, votes
@@ -237,7 +237,7 @@ def test_cells_are_carried_to_where_another_camera_sees_them() -> None:
     cells[40, 50] = True
     T_wc = np.eye(4)
     T_wc[2, 3], T_wc[0, 3] = 0.5, 2.0 * 1.5 / (280 / 3)  # half a metre nearer, and two cells (at 1.5 m) to the right
-    near, out = carried(view, np.eye(4), cells, view.camera, T_wc, ages=ages)
+    near, out = carried_with_ages(view, np.eye(4), cells, ages, view.camera, T_wc)
     v, u = np.nonzero(np.isfinite(near))
     assert (v.min(), v.max(), u.min(), u.max()) == (39, 41, 46, 48)  # from (53.0 - 50) 2 / 1.5 = 4 cells left of the middle, two more
     assert near[40, 47] == pytest.approx(1.5)
@@ -245,7 +245,7 @@ def test_cells_are_carried_to_where_another_camera_sees_them() -> None:
     assert out[39, 46] == 7 + BESIDE
     assert out[0, 0] == NEVER
     with plain_torch():
-        plain = carried(view, np.eye(4), cells, view.camera, T_wc, ages=ages)
+        plain = carried_with_ages(view, np.eye(4), cells, ages, view.camera, T_wc)
     np.testing.assert_array_equal(plain[0], near)
     np.testing.assert_array_equal(plain[1], out)
 

@@ -1,5 +1,8 @@
 """Cells of a view carried into another one: where would it see what they show, if that stood still?"""
 
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,32 +23,48 @@ Depth = NDArray[np.float32]
 BESIDE = 5
 
 
-def carried(view: CoarseView, T: Array, cells: Cells, camera: Camera, T_wc: Array, *, ages: Ages | None = None) -> tuple[Depth, Ages]:
+_AROUND = np.ones((3, 3), np.uint8)  # the cells that one covers where it is seen
+
+
+def carried(view: CoarseView, T: Array, cells: Cells, camera: Camera, T_wc: Array) -> Depth:
     """(h, w) [m] the depth at which a camera at a pose (4, 4) would see these cells of another posed view; infinite elsewhere.
 
-    A cell covers 3 x 3 cells. And (h, w) the least ages [frames] of what is seen, `BESIDE` more beside the middle cell, `NEVER` elsewhere.
-    ages: None: all are 0.
+    A cell covers 3 x 3 cells.
     """
+    return _spread(_middles(view, T, cells, np.zeros(cells.shape, np.int32), camera, T_wc)[0])
+
+
+def carried_with_ages(view: CoarseView, T: Array, cells: Cells, ages: Ages, camera: Camera, T_wc: Array) -> tuple[Depth, Ages]:
+    """`carried`, and (h, w) the least ages [frames] of what is seen, `BESIDE` more beside the middle cell, `NEVER` elsewhere."""
+    near, out = _middles(view, T, cells, ages, camera, T_wc)
+    return _spread(near), np.minimum(out, _spread(out.astype(np.float64)) + BESIDE).astype(np.int32)
+
+
+def _middles(view: CoarseView, T: Array, cells: Cells, ages: Ages, camera: Camera, T_wc: Array) -> tuple[Depth, Ages]:
+    """Depths and ages of `carried_with_ages` in the cells in which points are seen."""
     near, out = np.full((camera.height, camera.width), np.float32(np.inf)), np.full((camera.height, camera.width), NEVER, np.int32)
     if cells.any():
         carry = compiled_carry if compiles() else plain_carry
-        carry(view, cells, np.zeros(cells.shape, np.int32) if ages is None else ages, camera, np.linalg.inv(T_wc) @ T, near, out)
+        carry(view, cells, ages, camera, np.linalg.inv(T_wc) @ T, near, out)
     return near, out
+
+
+def _spread(least: NDArray[Any]) -> NDArray[Any]:
+    """(h, w) the least within 3 x 3 cells."""
+    return cv2.erode(least, _AROUND, borderType=cv2.BORDER_REPLICATE)
 
 
 def compiled_carry(view: CoarseView, cells: Cells, ages: Ages, camera: Camera, T_oc: Array, near: Depth, out: Ages) -> None:
     """`plain_carry` by Numba."""
     from idfslam.segmentation.kernels import numba_segmentation
 
-    numba_segmentation.carry(cells, ages, BESIDE, view.depth, *intrinsics(view.camera, camera), T_oc, near, out)  # type: ignore[call-arg]
+    numba_segmentation.carry(cells, ages, view.depth, *intrinsics(view.camera, camera), T_oc, near, out)  # type: ignore[call-arg]
 
 
 def plain_carry(view: CoarseView, cells: Cells, ages: Ages, camera: Camera, T_oc: Array, near: Depth, out: Ages) -> None:
-    """Sets depths `near` and ages `out` (h, w) of the camera's cells, in numpy. T_oc (4, 4): of the view in the camera."""
+    """Sets depths `near` and ages `out` (h, w) of the cells in which points are seen, in numpy. T_oc (4, 4): of the view in the camera."""
     inside, row, column, r = seen_at(view, camera, T_oc)
-    for v, u in np.argwhere(inside & cells):
-        at = row[v, u], column[v, u]
-        place = slice(max(at[0] - 1, 0), at[0] + 2), slice(max(at[1] - 1, 0), at[1] + 2)
-        near[place] = np.minimum(near[place], r[v, u])
-        out[place] = np.minimum(out[place], ages[v, u] + BESIDE)
-        out[at] = min(out[at], ages[v, u])
+    shown = inside & cells
+    at = row[shown], column[shown]
+    np.minimum.at(near, at, r[shown].astype(np.float32))
+    np.minimum.at(out, at, ages[shown])

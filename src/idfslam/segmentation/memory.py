@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 from idfslam.segmentation.blind_zone import blind
-from idfslam.segmentation.carrying import carried
+from idfslam.segmentation.carrying import carried, carried_with_ages
 from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.constants import NEVER, SLACK
 from idfslam.segmentation.free_space import PosedView, Votes, votes
@@ -88,7 +88,7 @@ class Memory:
             return None
         self._number += 1
         segmented, through = self._expected
-        self._followed(segmented.view, T_wc, self._number)
+        self._learn_left(segmented.view, T_wc)
         self._keep(replace(segmented, T_wc=T_wc), through)
         return segmented.moving
 
@@ -107,7 +107,7 @@ class Memory:
         """What moves in a view of this number, and the cells (h, w) that other views saw through. near_left: where something left."""
         asked = self._witnesses.asked(T_wc, number, [self.recent, self.keyframes], moves=not self.still)
         found = votes(view, T_wc, list(asked.values()))
-        near, before = self._carried(view.camera, T_wc)
+        near, before = self._carried_with_ages(view.camera, T_wc)
         carried_on = np.abs(view.depth - near) < _SAME
         pauses = carried_on & (found.through > 0) & ~found.stands  # one who stands still where views of her have gathered
         scene = self._scene(found, found.moves | pauses, view)
@@ -136,22 +136,33 @@ class Memory:
             return np.zeros_like(moves)
         return continued(found.held & ~moves, ~moves & (found.through == 0), view.depth) & ~moves
 
-    def _carried(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere. And the ages of its cells."""
+    def _carried(self, camera: Camera, T_wc: Array) -> NDArray[np.float32]:
+        """(h, w) [m] the depth at which a camera would see what moved last; infinite elsewhere."""
         if self._last is None:
-            return np.full((camera.height, camera.width), np.float32(np.inf)), np.zeros((camera.height, camera.width), np.int32)
-        return carried(self._last.view, self._last.T_wc, self._last.moving, camera, T_wc, ages=self._last.age)
+            return np.full((camera.height, camera.width), np.float32(np.inf))
+        return carried(self._last.view, self._last.T_wc, self._last.moving, camera, T_wc)
+
+    def _carried_with_ages(self, camera: Camera, T_wc: Array) -> tuple[NDArray[np.float32], Ages]:
+        """`_carried`, and the ages of its cells."""
+        if self._last is None:
+            return self._carried(camera, T_wc), np.zeros((camera.height, camera.width), np.int32)
+        return carried_with_ages(self._last.view, self._last.T_wc, self._last.moving, self._last.age, camera, T_wc)
 
     def _followed(self, view: CoarseView, T_wc: Array, number: int) -> list[Cells]:
         """(h, w) each: the cells near the places that something has left since the recent views. One of them learns what has left."""
-        newest = len(self.recent) - 1
-        look = newest if self._turn % 2 else self._turn // 2 % max(newest, 1)  # one a frame: the newest, then another in turns
-        if self.recent:
-            kept = self.recent[look]
-            found = votes(kept.view, self._pose(kept), [PosedView(view, T_wc, np.zeros(view.depth.shape, np.bool_))])
-            left = grown(found.moves, found.stays, kept.view.depth)
-            self.recent[look] = replace(kept, left=kept.left | left, moving=kept.moving | left)
+        self._learn_left(view, T_wc)
         return self._all_near_left(view, T_wc, number)
+
+    def _learn_left(self, view: CoarseView, T_wc: Array) -> None:
+        """One recent view a frame learns what a view at a pose (4, 4) saw through: the newest, then another one in turns."""
+        if not self.recent:
+            return
+        newest = len(self.recent) - 1
+        look = newest if self._turn % 2 else self._turn // 2 % max(newest, 1)
+        kept = self.recent[look]
+        found = votes(kept.view, self._pose(kept), [PosedView(view, T_wc, np.zeros(view.depth.shape, np.bool_))])
+        left = grown(found.moves, found.stays, kept.view.depth)
+        self.recent[look] = replace(kept, left=kept.left | left, moving=kept.moving | left)
 
     def _all_near_left(self, view: CoarseView, T_wc: Array, number: int) -> list[Cells]:
         """What `_near_left` gives for every other recent view, in turns."""
@@ -162,7 +173,7 @@ class Memory:
         """(h, w) the cells of a view at a pose (4, 4) near the places that something has left since a recent view; None: nothing has."""
         if not kept.left.any():
             return None
-        return np.asarray(np.abs(view.depth - carried(kept.view, self._pose(kept), kept.left, view.camera, T_wc)[0]) < _FOLLOWED)
+        return np.asarray(np.abs(view.depth - carried(kept.view, self._pose(kept), kept.left, view.camera, T_wc)) < _FOLLOWED)
 
     def _pose(self, kept: Remembered) -> Array:
         return np.asarray(self._pose_of(kept.host) @ kept.T_kc)
@@ -206,7 +217,7 @@ class Memory:
         if self._last is not None and self._last.moving.any():
             for k in range(self._number % _TURNS, len(self.recent), _TURNS):
                 kept = self.recent[k]
-                near = self._carried(kept.view.camera, self._pose_of(kept.host) @ kept.T_kc)[0]
+                near = self._carried(kept.view.camera, self._pose_of(kept.host) @ kept.T_kc)
                 self.recent[k] = replace(kept, moving=kept.moving | (np.abs(kept.view.depth - near) < _AT_PLACE))
 
     def look_back(self, host: int) -> Cells | None:
@@ -215,7 +226,7 @@ class Memory:
             kept = self.keyframes[k]
             if kept.host != host or self._last is None or not self._last.moving.any():
                 continue
-            near = self._carried(kept.view.camera, self._pose_of(host))[0]
+            near = self._carried(kept.view.camera, self._pose_of(host))
             left = kept.left | (np.abs(kept.view.depth - near) < _AT_PLACE)
             if (left & ~kept.moving).sum() >= _NEWS:
                 self.keyframes[k] = replace(kept, moving=kept.moving | left, left=left)

@@ -139,17 +139,16 @@ def look(means, depth, near, far, camera, T, number, through, seen, free, first,
 
 
 @_compiled
-def carry(cells, ages, beside, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
-    """`carrying.plain_carry`: a cell covers the 3 x 3 cells around the one that its point is seen in."""
+def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
+    """`carrying.plain_carry`."""
     for i in range(depth.shape[0]):
         for j in range(depth.shape[1]):
             if not cells[i, j]:
                 continue
             row, column, r = _seen_at(i, j, float(depth[i, j]), a, b, T, near.shape)
-            for v in range(max(row - 1, 0), min(row + 2, near.shape[0]) if row >= 0 else 0):
-                for u in range(max(column - 1, 0), min(column + 2, near.shape[1])):
-                    near[v, u] = min(near[v, u], r)
-                    out[v, u] = min(out[v, u], ages[i, j] if v == row and u == column else ages[i, j] + beside)
+            if row >= 0:
+                near[row, column] = min(near[row, column], r)
+                out[row, column] = min(out[row, column], ages[i, j])
 
 
 @_compiled
