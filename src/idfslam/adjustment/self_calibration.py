@@ -86,10 +86,6 @@ class CameraEstimate:
         """Whether the camera explains the images, so that its values are to be believed."""
         return self.noise <= EXPLAINED
 
-    def determined(self, name: str) -> bool:
-        """Whether the recordings determine the value of this name."""
-        return bool(self.sigmas[NAMES.index(name)] > 0)
-
 
 def self_calibrate(
     recordings: Sequence[PosedViews], *, rounds: int = ROUNDS, start: CameraEstimate | None = None, explained: bool = False

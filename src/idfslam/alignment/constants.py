@@ -1,8 +1,4 @@
-"""Constants of the alignment's normal equations, shared by the plain and the compiled forms. They were chosen by hand.
-
-Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
-where it is).
-"""
+"""Constants of the alignment's normal equations, shared by the plain and the compiled forms. They were chosen by hand."""
 
 # Distances to the map (`depth_term.depth_term`)
 MAPPED = 0.9  # [1] share of the truncation distance within which a point takes part. Raised to 1: points in free space take part too

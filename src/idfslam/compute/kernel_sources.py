@@ -26,7 +26,6 @@ _FILES = (  # kernels elsewhere, and what kernels read there; tests/test_kernel_
     "sensing/light_comparison.py",
     "sensing/rectification.py",
     "sensing/shared_places.py",
-    "views/weights.py",
 )
 
 

@@ -1,8 +1,4 @@
-"""Constants of the voxel blocks, shared by the plain and the compiled forms.
-
-Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
-where it is).
-"""
+"""Constants of the voxel blocks, shared by the plain and the compiled forms."""
 
 BLOCK = 8  # voxels along a block's edge. More: fewer blocks, with more voxels away from surfaces. Chosen by hand
 NEAREST = 0.05  # [m] least depth of a voxel in front of a camera. More: what is closer is not fused. Chosen by hand

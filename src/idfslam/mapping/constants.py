@@ -1,8 +1,4 @@
-"""Constants of rays and samples, shared by the plain and the compiled forms. They were chosen by hand.
-
-Numba compiles their values into the kernels, and its cache does not notice a change. Delete the cache after one (`idf-slam doctor` shows
-where it is).
-"""
+"""Constants of rays and samples, shared by the plain and the compiled forms. They were chosen by hand."""
 
 GRAZING = 0.1  # [1] least |n . d| of a surface normal and a ray. More: distances to surfaces at a grazing angle become too large
 FREE_FROM = 0.05  # [m] depth at which samples in free space begin. More: the space close to the camera is not learnt

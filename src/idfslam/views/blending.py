@@ -11,7 +11,7 @@ from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import intrinsics_of
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, LEAST_OFF_EDGE, NEAREST, NEGLIGIBLE, OFF_EDGE, UNREAD
+from idfslam.views.constants import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, LEAST_OFF_EDGE, NEAREST, NEGLIGIBLE, OFF_EDGE, UNREAD
 
 Floats = NDArray[np.float32]
 

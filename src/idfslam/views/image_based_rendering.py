@@ -11,10 +11,10 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.pose_distance import apparent_motions
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.views.blending import BlendedImages, Floats, blended, off_edge
+from idfslam.views.constants import AGREES, AGREES_SHARE, MOTION, SAME, SAME_SHARE
 from idfslam.views.image_archive import ImageArchive
 from idfslam.views.push_pull import push_pull
 from idfslam.views.warping import fused_depth
-from idfslam.views.weights import AGREES, AGREES_SHARE, MOTION, SAME, SAME_SHARE
 
 # All of these were chosen by hand.
 _NEAREST = 8  # images that lie nearest to the view. More: slower; far ones hardly count

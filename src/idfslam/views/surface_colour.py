@@ -18,8 +18,8 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import intrinsics_of
 from idfslam.views.blending import Floats, off_edge, seen_in_image
+from idfslam.views.constants import LEAST_COSINE, OUTLIER, SHARPNESS
 from idfslam.views.image_archive import ImageArchive
-from idfslam.views.weights import LEAST_COSINE, OUTLIER, SHARPNESS
 
 Shade = Callable[[Floats, Floats], Floats]  # points (N, 3) [m], unit normals (N, 3) -> RGB (N, 3) in [0, 1]
 

@@ -8,7 +8,7 @@ from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.projection import intrinsics_of
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.views.weights import NEAREST, SAME, SAME_SHARE
+from idfslam.views.constants import NEAREST, SAME, SAME_SHARE
 
 Floats = NDArray[np.float32]
 

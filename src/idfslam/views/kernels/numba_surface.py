@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit, prange
 
 from idfslam.geometry.projection import project
+from idfslam.views.constants import LEAST_COSINE, NEAREST, SHARPNESS
 from idfslam.views.kernels.numba_views import sample, weight_of_image
-from idfslam.views.weights import LEAST_COSINE, NEAREST, SHARPNESS
 
 _NEAREST, _LEAST_COSINE = np.float32(NEAREST), np.float32(LEAST_COSINE)
 _ZERO, _ONE = np.float32(0), np.float32(1)

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from idfslam.geometry.projection import project
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
-from idfslam.views.weights import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, NEAREST, NEGLIGIBLE, SAME, SAME_SHARE, UNREAD
+from idfslam.views.constants import AGREES, AGREES_SHARE, ANGLE, BORDER, COARSE, NEAREST, NEGLIGIBLE, SAME, SAME_SHARE, UNREAD
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 _parallel = njit(parallel=True, **_OPTIONS)

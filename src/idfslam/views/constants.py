@@ -1,7 +1,4 @@
-"""How much each archived image counts at a place of a view. Compiled kernels and plain forms read these numbers from here.
-
-Compiled kernels freeze them, and Numba's cache does not notice when they change: delete it then (`idf-slam doctor` says where).
-"""
+"""How much each archived image counts at a place of a view. Compiled kernels and plain forms read these numbers from here."""
 
 # All of these were chosen by hand, on held-out views of RedKitchen and of generated rooms.
 NEAREST = 0.05  # [m] depth in front of a camera below which nothing is shown. More: close-ups have holes
