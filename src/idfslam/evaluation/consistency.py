@@ -93,7 +93,7 @@ def _carried(lever: Floats) -> Floats:
 
 
 def share_inside(nees: Floats, probability: float = 0.95) -> float:
-    """The share of frames whose NEES lies below the quantile of the chi-squared distribution of 6 degrees of freedom."""
+    """The share of frames whose NEES (N,) lies below the quantile of the chi-squared distribution of 6 degrees of freedom."""
     return float((nees * 6 <= 2 * gammaincinv(6 / 2, probability)).mean())
 
 

@@ -38,7 +38,7 @@ class Voxels:
 
     @classmethod
     def empty(cls, voxel: float, truncation: float, blocks: NDArray[np.int64]) -> "Voxels":
-        """Blocks that no image has seen."""
+        """Blocks at integer coordinates (M, 3) that no image has seen; voxel and truncation [m]."""
         distance, weight = (np.zeros((len(blocks), BLOCK, BLOCK, BLOCK), np.float32) for _ in range(2))
         return cls(voxel, truncation, blocks, distance, weight, np.zeros((len(blocks), 2), np.float32), np.zeros(len(blocks), np.int64))
 

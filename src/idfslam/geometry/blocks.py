@@ -17,7 +17,7 @@ def pack(coordinates: NDArray) -> NDArray[np.int64]:
 
 
 def unpack(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of `pack`."""
+    """Integer coordinates (N, 3) of keys (N,): the inverse of `pack`."""
     mask = (1 << 21) - 1
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - OFFSET
 

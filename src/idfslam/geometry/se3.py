@@ -96,7 +96,7 @@ def angle(T: Tensor) -> Tensor:
 
 
 def orthonormal(T: Tensor) -> Tensor:
-    """The nearest rigid transform, by SVD of the rotation: it removes rounding errors that accumulate in long products."""
+    """The rigid transform nearest to T (..., 4, 4), by SVD of the rotation: without the rounding errors of long products."""
     U, _, Vt = np.linalg.svd(T[..., :3, :3].double().cpu().numpy())  # for single matrices numpy is several times as fast as torch
     U[..., 2] *= np.linalg.det(U @ Vt)[..., None]  # det +1: never a reflection
     out = T.clone()

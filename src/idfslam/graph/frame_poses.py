@@ -68,7 +68,7 @@ class FramePoses(Stateful):
         return frame.tracked or (frame.host, frame.T_kc)
 
     def append(self, timestamp: float, T_wc: Tensor, status: Status) -> None:
-        """Adds a tracked frame, relative to the host of the last keyframe."""
+        """Adds a tracked frame with its stamp [s] and pose (4, 4), relative to the host of the last keyframe."""
         host, T_kc = self.graph.relative_to_host(T_wc)
         self._frames.append(_FramePose(host, T_kc, status, timestamp))
 

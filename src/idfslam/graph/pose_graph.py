@@ -72,6 +72,7 @@ class RelativePoses:
 
     @classmethod
     def of(cls, edges: Sequence[Edge]) -> "RelativePoses":
+        """At least one edge."""
         a, b = torch.tensor([e.a for e in edges]), torch.tensor([e.b for e in edges])
         sigmas = torch.tensor([[e.translation] * 3 + [e.rotation] * 3 for e in edges], dtype=torch.float64)
         return cls(a, b, se3.inverse(torch.stack([e.T_ab for e in edges])), 1 / sigmas)

@@ -25,7 +25,7 @@ class Workers:
         return self.rank == 0
 
     def average(self, tensors: Sequence[Tensor]) -> None:
-        """Replaces each tensor by its mean over the processes, in one message."""
+        """Replaces each tensor, of any shape, by its mean over the processes, in one message."""
         if self.count > 1:
             together = torch.cat([tensor.flatten() for tensor in tensors])
             distributed.all_reduce(together)

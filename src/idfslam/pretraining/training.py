@@ -42,7 +42,7 @@ _LOSS_SHARE = 0.2  # [1] share of the matches in a subset whose pose has a loss.
 
 
 def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
-    """L1 of colour and of depth [m] between view a and the points of b rendered in it, averaged over the covered pixels [31]."""
+    """L1 of colour and depth [m] between view a and the points of b rendered in it at T_ab (4, 4), averaged over covered pixels [31]."""
     valid = b.valid.flatten()
     points = se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[valid])
     drawn = splat(points, b.colour.flatten(1).mT[valid], a.camera)
@@ -79,7 +79,7 @@ def registration_losses(a: Tensor, b: Tensor, pair: Pair, config: PretrainConfig
 
 
 def explained(T_ab: Tensor, pair: Pair, config: PretrainConfig) -> tuple[Overlap, Overlap] | None:
-    """What each view's pixels see of the other at this pose, b's in a and a's in b; None where the depth images contradict it."""
+    """What each view's pixels see of the other at T_ab (4, 4), b's in a and a's in b; None where the depth images contradict it."""
     both = overlapping_pixels(T_ab, pair.a, pair.b), overlapping_pixels(se3.inverse(T_ab), pair.b, pair.a)
     enough = all(found.depth_consistency >= config.agreement and len(found.index) >= config.queries for found in both)
     return both if enough else None

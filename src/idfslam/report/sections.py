@@ -35,7 +35,7 @@ def charts(gallery: Gallery, run: FinishedRun, error: KnownError | None, metrics
 def room_pictures(
     gallery: Gallery, run: FinishedRun, error: KnownError | None, mesh: trimesh.Trimesh | None, R_lw: NDArray[np.float64]
 ) -> dict[str, list[Figure]]:
-    """The trajectory, the mesh and slices of the map, in level coordinates."""
+    """The trajectory, the mesh and slices of the map, in level coordinates: R_lw (3, 3) turns the world into them."""
     poses = run.trajectory.poses
     truth = None if error is None else error.true_positions() @ R_lw.T
     path = figures.CameraPath(poses[:, :3, 3] @ R_lw.T, truth, run.keyframes.indices)

@@ -137,7 +137,7 @@ def _between_ends(count: int, wanted: int) -> list[int]:
 
 
 def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
-    """Comparisons of frames spread over the run, rendered without their own images. Unreadable frames are left out."""
+    """Comparisons of frames at poses (N, 4, 4), spread over the run, rendered without their own images; none of unreadable frames."""
     own = recording.camera
     small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
     for i in _between_ends(len(poses), _FRAMES):

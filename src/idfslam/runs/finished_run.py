@@ -43,7 +43,7 @@ class FinishedRun:
 
     @property
     def listed(self) -> NDArray[np.int64]:
-        """The indices of the frames that trajectory.txt holds."""
+        """The indices (M,) of the frames that trajectory.txt holds."""
         return self._frames_and_listed[1]
 
     @cached_property
@@ -120,7 +120,7 @@ class FinishedRun:
         return np.array([status.trusted for status in self.statuses], bool)
 
     def frames_to_show(self, count: int | None, *, guessed: bool = False) -> NDArray[np.int64]:
-        """`count` frames evenly spread over the run, or all of them if there are fewer. None: the keyframes.
+        """The indices of `count` frames evenly spread over the run, or of all if there are fewer. None: those of the keyframes.
 
         guessed: frames whose pose was not measured or is in doubt are among them. Raises ConfigError for a count below 1, ResultError if
         there is none.

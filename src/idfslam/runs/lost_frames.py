@@ -25,7 +25,7 @@ def leave_out_lost(folder: Path) -> Trajectory:
 
 
 def measured_frames(log: FrameLog) -> NDArray[np.int64]:
-    """The indices of the frames whose pose was measured."""
+    """The indices (M,) of the frames whose pose was measured."""
     return np.array([line.index for line in log.lines if line.status.measured], np.int64)
 
 

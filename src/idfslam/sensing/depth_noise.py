@@ -10,10 +10,10 @@ BEST = 0.0012  # [m] standard deviation of a structured-light camera's reading a
 
 
 def noise_ratio(depth: Tensor) -> Tensor:
-    """Noise of readings at `depth` [m] as a multiple of the sensor's best [1]."""
+    """Noise of readings at `depth` [m], of any shape, as a multiple of the sensor's best [1]."""
     return 1 + GROWTH * (depth - NEAREST).clamp(min=0) ** 2
 
 
 def difference_noise(depth: Tensor) -> Tensor:
-    """Standard deviation [m] of the difference of two readings at `depth` [m]."""
+    """Standard deviation [m] of the difference of two readings at `depth` [m], of any shape."""
     return 2**0.5 * BEST * noise_ratio(depth)

@@ -42,7 +42,7 @@ def finetuning_losses(
     pixels: int,
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
-    """The three losses of Eq. 6 for a pair of keyframes, rendered at T_wr @ T_rc on `pixels` random pixels with depth."""
+    """The three losses of Eq. 6 for a pair of keyframes, rendered at T_wr @ T_rc, (4, 4) both, on `pixels` random pixels with depth."""
     points = current.points.flatten(0, 1)
     valid = current.valid.flatten().nonzero()[:, 0]
     chosen = valid[torch.randint(len(valid), (pixels,), generator=generator).to(valid.device)]

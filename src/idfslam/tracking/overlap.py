@@ -34,7 +34,7 @@ class Overlap:
 
 @torch.no_grad()
 def overlapping_pixels(T_ab: Tensor, a: DepthImage, b: DepthImage, tolerance: float = 0.03) -> Overlap:
-    """Pixels of b that a sees too, by pose and depth. Depths agree within `tolerance` times the depth; less than 1 m counts as 1 m."""
+    """Pixels of b that a sees too, by T_ab (4, 4) and depth. Depths agree within `tolerance` [1] of them; less than 1 m counts as 1 m."""
     index = b.valid.flatten().nonzero()[:, 0]
     uv, z = a.camera.project(se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[index]))
     inside = a.camera.inside(uv, z)

@@ -84,7 +84,7 @@ def register(
 
 
 def supported(T_ab: Tensor, source: Tensor, target: Tensor, inlier_distance: float) -> Registration:
-    """A transform with its inliers: the matches within `inlier_distance` [m]."""
+    """A transform (4, 4) with its inliers: the matches of points (N, 3), (N, 3) that it brings within `inlier_distance` [m]."""
     distance = residuals(T_ab.detach(), source, target)
     inliers = distance < inlier_distance
     return Registration(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))

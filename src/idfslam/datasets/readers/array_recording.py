@@ -127,7 +127,7 @@ class ArrayFile:
 
 
 def slice_of(array: Any, i: int, frames_last: bool) -> NDArray[Any]:
-    """What an array holds of frame i."""
+    """What an array holds of frame i, the first axis or, with `frames_last`, the last one being that of frames: one dimension less."""
     return in_matlab_order(np.asarray(array[..., i] if frames_last else array[i]), array)
 
 

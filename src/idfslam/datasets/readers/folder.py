@@ -98,7 +98,7 @@ def read_pose_files(folder: Path, pattern: str, frames: Pairs) -> Truth | None:
 
 
 def read_trajectory(path: Path, frames: Pairs, timestamps: NDArray[np.float64]) -> Truth | None:
-    """The poses from a file with stamps, or one for each frame, with or without those that were left out; None without the file."""
+    """Poses (N, 4, 4) from a file with stamps [s], or one for each frame, with or without those left out; None without the file."""
     if not path.is_file():
         return None
     file = read_pose_file(path)

@@ -79,7 +79,7 @@ def read_associations(path: Path) -> tuple[NDArray[np.float64], list[tuple[Path,
 
 
 def read_ground_truth(path: Path, numbers: NDArray[np.float64]) -> Truth | None:
-    """The poses of the frames with these numbers, with OpenCV's axes; NaN where a frame has no pose."""
+    """The poses (N, 4, 4) of the frames with these numbers (N,), with OpenCV's axes; NaN where a frame has no pose."""
     files = [*sorted(path.glob("*.gt.freiburg")), path / "groundtruth.txt"]
     if len(files) > 2:
         raise RecordingError(f"{path}: {len(files) - 1} files *.gt.freiburg, expected one: remove those of other sequences")

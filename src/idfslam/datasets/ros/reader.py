@@ -139,7 +139,7 @@ def _depth_camera(bag: Bag, colour: ImageTopic, depth: ImageTopic, frames: Stati
 
 
 def read_truth(bag: Bag, topic: str, camera: str, frames: StaticFrames, timestamps: NDArray[np.float64]) -> Truth:
-    """The camera's poses from a topic, NaN where none is near in time.
+    """The camera's poses (N, 4, 4) at stamps (N,) [s] from a topic, NaN where none is near in time.
 
     Poses of another frame are moved to the camera if /tf_static connects the two.
     """
