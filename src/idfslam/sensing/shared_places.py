@@ -1,4 +1,4 @@
-"""The places of an image that another image sees too, compiled by Numba; `slam.light_estimation.plain_shared` is its form in torch."""
+"""The places of an image that another image sees too, compiled by Numba; `light_estimation.plain_shared` is its form in torch."""
 
 import numpy as np
 from numba import njit

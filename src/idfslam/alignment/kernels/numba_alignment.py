@@ -507,7 +507,7 @@ def joint_step(depth_H, depth_b, image_H, image_b, times, information, scale, fr
 
 @_compiled
 def damped_step(H, b, weight, radius, prior_information, change, T) -> float:  # type: ignore[no-untyped-def]
-    """A Gauss-Newton step of normal equations H (6, 6), b (6,) with a prior at the guess: `aligner.plain_damped_step`.
+    """A Gauss-Newton step of normal equations H (6, 6), b (6,) with a prior at the guess: `gauss_newton.plain_damped_step`.
 
     Moves in place the pose T (4, 4) and its change since the guess, change (6,). Returns the largest entry of the step.
     """

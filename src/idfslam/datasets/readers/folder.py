@@ -1,6 +1,6 @@
 """A plain folder: rgb/ or color/ and depth/, or both kinds of file in one folder; the camera in intrinsics.txt; depth in millimetres.
 
-Colour and depth images belong together by the numbers in their names; names that are time stamps give the stamps (see `image_pairs`).
+Colour and depth images belong together by the numbers in their names; names that are time stamps give the stamps (`images/pairs.py`).
 
 Poses and timestamps.txt are optional. Frames that timestamps.txt does not list are ignored: `idf-slam record` writes a frame's line after
 its images, so that an interrupted recording is readable.

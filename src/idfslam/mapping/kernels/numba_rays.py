@@ -1,4 +1,4 @@
-"""Pixels to rays to samples on the CPU, compiled by Numba. The plain forms are in `sampling.py`, `rays.py` and `ray_samples.py`.
+"""Pixels to rays to samples on the CPU, compiled by Numba. The plain forms are in `active_sampling.py`, `rays.py` and `ray_samples.py`.
 
 A step of the map draws some thousand pixels. In torch each of the fifty small operations from pixels to samples costs more than its
 arithmetic.
