@@ -23,7 +23,7 @@ class Stateful:
 
 
 def parts_of(root: Any) -> dict[str, Stateful]:
-    """All parts that an object consists of, each once, by their names in it: `front_end`, `front_end.aligner`, `back_end.hooks.0` ..."""
+    """All parts that an object consists of, each once, by their names in it: `front_end`, `back_end.updates`, `back_end.hooks.0` ..."""
     parts: dict[str, Stateful] = {}
     seen: set[int] = {id(root)}
     waiting = list(_attributes(root, ""))
