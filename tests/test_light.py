@@ -21,7 +21,7 @@ from idfslam.mapping.rays import cast
 from idfslam.mapping.training_view import TrainingView
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import BRIGHTEST, DARKEST, Comparison, compare, prior
-from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
+from idfslam.sensing.light_solution import differ, exposure_changes, exposure_over, exposures, vignette
 from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.sensing.vignette import Vignette, even_powers
 from idfslam.slam import Slam
@@ -133,6 +133,11 @@ def test_noise_does_not_draw_gains_to_one_side() -> None:
         found = [places((1.0, 1.0), (0.0, 0.0), Vignette(), seed, noise=0.04) for seed in range(5)]
         gain = np.exp(exposures([pair] * 5, found, 2, None)[1, :, 0])
         np.testing.assert_allclose(gain, 1.0, atol=0.01)
+
+
+def test_the_exposure_of_one_image_is_that_of_a_pair() -> None:
+    found = [places((1.3, 0.9), (0.01, 0.0), VIGNETTE, seed) for seed in range(3)]
+    np.testing.assert_allclose(exposure_over(found, VIGNETTE), exposures([(1, 0)] * 3, found, 2, VIGNETTE)[1], atol=1e-9)
 
 
 def test_one_exposure_counts_as_no_change() -> None:

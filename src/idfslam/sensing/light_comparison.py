@@ -44,18 +44,32 @@ def compare(a: Floats, b: Floats, powers_a: Floats, powers_b: Floats, noise: Flo
 
     powers_a, powers_b (N, TERMS): the even powers of their radii. noise (N,): standard deviation of the difference of the colours.
     """
-    middle = (a + b) / 2
-    usable = (np.minimum(a, b) > DARKEST) & (np.maximum(a, b) < BRIGHTEST)  # (N, 3)
-    if usable.sum(0).min() < LEAST_PLACES:
-        return None
-    normal, right, powers = np.empty((3, UNKNOWNS, UNKNOWNS)), np.empty((3, UNKNOWNS)), powers_a - powers_b
+    places = [np.ascontiguousarray(column, np.float64) for column in (a, b, powers_a, powers_b, noise)]
+    normal, right = np.empty((3, UNKNOWNS, UNKNOWNS)), np.empty((3, UNKNOWNS))
+    J, difference, sigma = np.empty((len(a), UNKNOWNS)), np.empty(len(a)), np.empty(len(a))
     for channel in range(3):
-        k = usable[:, channel]
-        colour = middle[k, channel]
-        J = np.empty((len(colour), UNKNOWNS))
-        J[:, 0], J[:, 1], J[:, 2:] = 1, 1 / colour, powers[k]
-        normal[channel], right[channel] = _robust(J, np.log(a[k, channel] / b[k, channel]), noise[k] / colour)
+        usable = _fill_differences(*places, channel, J, difference, sigma)  # type: ignore[call-arg]
+        if usable < LEAST_PLACES:
+            return None
+        normal[channel], right[channel] = _robust(J[:usable], difference[:usable], sigma[:usable])
     return Comparison(normal, right)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_differences(a, b, powers_a, powers_b, noise, channel, J, difference, sigma) -> int:  # type: ignore[no-untyped-def]
+    """Fills Jacobians J (N, K), differences (N,) and sigma (N,) of the places whose colour in a channel counts; returns their number."""
+    usable = 0
+    for n in range(len(a)):
+        of_a, of_b = a[n, channel], b[n, channel]
+        if not (min(of_a, of_b) > DARKEST and max(of_a, of_b) < BRIGHTEST):
+            continue
+        colour = (of_a + of_b) / 2
+        J[usable, 0], J[usable, 1] = 1.0, 1 / colour
+        for k in range(powers_a.shape[1]):
+            J[usable, 2 + k] = powers_a[n, k] - powers_b[n, k]
+        difference[usable], sigma[usable] = np.log(of_a / of_b), noise[n] / colour
+        usable += 1
+    return usable
 
 
 def _robust(J: Floats, difference: Floats, sigma: Floats) -> tuple[Floats, Floats]:

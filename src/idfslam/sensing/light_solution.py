@@ -72,6 +72,15 @@ def _without_lens(comparisons: Sequence[Comparison], lens: Vignette | None) -> F
     return np.stack([c.right[:, _EXPOSURE] - c.normal[:, _EXPOSURE, _LENS] @ coefficients for c in comparisons])
 
 
+def exposure_over(comparisons: Sequence[Comparison], lens: Vignette | None) -> Floats:
+    """The logarithm of the gain, and the offset, of each channel of one image over images of one exposure, (3, 2), with weak priors.
+
+    comparisons: of the image with each of these.
+    """
+    normal = np.sum([c.normal[:, _EXPOSURE, _EXPOSURE] for c in comparisons], 0) + np.diag([_GAIN**-2, OFFSET**-2])
+    return np.asarray(np.linalg.solve(normal, _without_lens(comparisons, lens).sum(0)[..., None])[..., 0])
+
+
 def exposures(pairs: Sequence[tuple[int, int]], comparisons: Sequence[Comparison], count: int, lens: Vignette | None) -> Floats:
     """The logarithm of the gain, and the offset, of each channel of `count` images, (count, 3, 2). Those of image 0 are 0.
 

@@ -25,7 +25,7 @@ from idfslam.graph.keyframe_images import Images
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.light import Light
 from idfslam.sensing.light_comparison import Comparison, compare
-from idfslam.sensing.light_solution import differ, exposure_changes, exposures, vignette
+from idfslam.sensing.light_solution import differ, exposure_changes, exposure_over, exposures, vignette
 from idfslam.sensing.shared_places import fill_shared
 from idfslam.sensing.vignette import TERMS, Vignette, even_powers
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
@@ -151,9 +151,8 @@ class LightEstimation(KeyframeHook):
         found = [(i, c) for i in references if (c := self._compare(view, self.graph.keyframes[i])) is not None]
         if not found:
             return np.zeros((3, 2))
-        pairs = [(1, 0)] * len(found)
         # Relative to each reference; those differ little among themselves.
-        return exposures(pairs, [c for _, c in found], 2, self._vignette)[1] + np.mean([self._exposures[i] for i, _ in found], 0)
+        return exposure_over([c for _, c in found], self._vignette) + np.mean([self._exposures[i] for i, _ in found], 0)
 
     def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
         """Compares the places that keyframe a sees and keyframe b sees too."""
