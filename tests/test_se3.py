@@ -78,6 +78,14 @@ def test_log_of_a_batch_that_mixes_all_cases() -> None:
     assert close(se3.log(se3.exp(xi)), xi, 1e-9)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.0299, 0.0301, 1.0, 3.1])
+def test_exp_of_one_increment_is_that_of_a_batch(angle: float) -> None:
+    turn = angle * torch.tensor([2.0, -3.0, 6.0], dtype=torch.float64) / 7
+    xi = torch.cat([torch.tensor([0.5, -2.0, 1.0], dtype=torch.float64), turn])
+    torch.testing.assert_close(se3.exp(xi), se3.exp(xi[None])[0], rtol=0, atol=2e-15)
+    assert se3.exp(xi.float()).dtype == torch.float32
+
+
 def test_hand_worked_screw() -> None:
     """Quarter turn about z while moving pi/2 along x: V v with V = [[sin/t, -(1-cos)/t], ...] at t = pi/2 gives x = y = 1."""
     T = se3.exp(torch.tensor([math.pi / 2, 0, 0, 0, 0, math.pi / 2], dtype=torch.float64))

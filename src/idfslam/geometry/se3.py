@@ -3,6 +3,8 @@
 `T_ab` maps points of frame b into frame a, so that adjacent letters cancel: `T_wk @ T_kc = T_wc`.
 """
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -36,6 +38,8 @@ def _coefficients(theta2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def exp(xi: Tensor) -> Tensor:
     """The transform (..., 4, 4) of an increment (..., 6); differentiable at zero."""
+    if xi.dim() == 1 and xi.device.type == "cpu" and not xi.requires_grad:
+        return _exp_of_numbers(xi)
     v, omega = xi[..., :3], xi[..., 3:]
     a, b, c = (k[..., None, None] for k in _coefficients((omega * omega).sum(-1)))
     W = hat(omega)
@@ -45,6 +49,31 @@ def exp(xi: Tensor) -> Tensor:
     t = (eye + b * W + c * WW) @ v[..., None]
     bottom = torch.zeros_like(xi[..., :4])[..., None, :] + torch.tensor([0.0, 0, 0, 1], dtype=xi.dtype, device=xi.device)
     return torch.cat([torch.cat([R, t], -1), bottom], -2)
+
+
+def _exp_of_numbers(xi: Tensor) -> Tensor:
+    """`exp` of one increment (6,), in numbers of Python: thirty operations on tensors of three numbers take twenty times as long."""
+    *v, x, y, z = xi.tolist()
+    theta2 = x * x + y * y + z * z
+    if theta2 < _SMALL**2:
+        a = 1 - theta2 / 6 + theta2**2 / 120 - theta2**3 / 5040
+        b = 0.5 - theta2 / 24 + theta2**2 / 720 - theta2**3 / 40320
+        c = 1 / 6 - theta2 / 120 + theta2**2 / 5040 - theta2**3 / 362880
+    else:
+        theta = math.sqrt(theta2)
+        a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = _by_series(a, b, x, y, z), np.array(_by_series(b, c, x, y, z)) @ v
+    return torch.from_numpy(T).to(xi)
+
+
+def _by_series(a: float, b: float, x: float, y: float, z: float) -> list[list[float]]:
+    """I + a W + b W^2 (3, 3), where W is `hat` of (x, y, z)."""
+    return [
+        [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+        [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+        [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
+    ]
 
 
 def log(T: Tensor) -> Tensor:
