@@ -46,6 +46,13 @@ class Loop:
     T_ab: Tensor  # (4, 4) float64
     view: int  # index of the frame that was measured: that of b, or of a culled keyframe whose host is b
 
+    @classmethod
+    def to(cls, keyframe: Keyframe, graph: KeyframeGraph, a: int, T_wc: Tensor) -> "Loop":
+        """The loop from stored keyframe a to a keyframe, stored or culled, which a measures at the pose T_wc (4, 4)."""
+        T_wb = graph.keyframes[keyframe.host].T_wk
+        T_ab = se3.inverse(graph.keyframes[a].T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
+        return cls(a, keyframe.host, T_ab, keyframe.index)
+
     def disagreement(self, graph: KeyframeGraph) -> Tensor:
         """The correction (4, 4) that the loop implies for the present pose of b, in b's own frame."""
         return se3.inverse(graph.keyframes[self.b].T_wk) @ graph.keyframes[self.a].T_wk @ self.T_ab

@@ -1,4 +1,4 @@
-"""Hooks for each new keyframe: the relocalisation check, loop closing and merging of submaps. Each is one class."""
+"""Hooks for each new keyframe, one class each: exposures, the relocalisation check, local adjustment, loops, submaps, the camera check."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

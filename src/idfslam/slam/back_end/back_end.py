@@ -120,7 +120,7 @@ class KeyframeMapping(BackEnd):
                 hook.settle()
 
     def _run_hooks(self, keyframe: Keyframe) -> None:
-        """Relocalisation check, loops, merged submaps: the map is to learn again what they move."""
+        """Calls the hooks until one moves a whole submap. The map is to learn again what they move."""
         for hook in self.hooks:
             with self.timer.stage("loops"):
                 moved = hook.on_keyframe(keyframe)

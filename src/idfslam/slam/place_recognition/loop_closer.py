@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from idfslam.config import LoopConfig
-from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, LoopConsistency
@@ -52,7 +51,7 @@ class LoopCloser(KeyframeHook):
         for i in self._candidates(keyframe, reachable):
             T_wc = self.relocaliser.verify_loop(keyframe, self.graph.keyframes[i])
             if T_wc is not None:
-                return self._offer(keyframe, i, T_wc)
+                return self._offer(Loop.to(keyframe, self.graph, i, T_wc))
         return Moved()
 
     def _verify_covisible(self, keyframe: Keyframe, reachable: list[int]) -> None:
@@ -61,11 +60,8 @@ class LoopCloser(KeyframeHook):
             if self.relocaliser.images_agree(keyframe, self.graph.keyframes[i], keyframe.T_wk):
                 self.graph.add_edge(keyframe, i)
 
-    def _offer(self, keyframe: Keyframe, i: int, T_wc: Any) -> Moved:
-        """Offers the loop from stored keyframe i to a keyframe whose verified pose is T_wc (4, 4)."""
-        T_wb = self.graph.keyframes[keyframe.host].T_wk
-        T_ab = se3.inverse(self.graph.keyframes[i].T_wk) @ T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-        shifts = self.loops.offer(self.graph, Loop(i, keyframe.host, T_ab, keyframe.index))
+    def _offer(self, loop: Loop) -> Moved:
+        shifts = self.loops.offer(self.graph, loop)
         return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT], at_once=bool(shifts))
 
     def _candidates(self, keyframe: Keyframe, reachable: list[int]) -> list[int]:

@@ -8,7 +8,6 @@ import logging
 from typing import Any
 
 from idfslam.config import LoopConfig
-from idfslam.geometry import se3
 from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
@@ -74,6 +73,4 @@ class SubmapMerger(KeyframeHook):
         if result is None:
             return None
         other, aligned = result
-        T_wb = self.graph.keyframes[keyframe.host].T_wk
-        T_ab = se3.inverse(other.T_wk) @ aligned.T_wc @ se3.inverse(keyframe.T_wk) @ T_wb
-        return Loop(other.host, keyframe.host, T_ab, keyframe.index)
+        return Loop.to(keyframe, self.graph, other.host, aligned.T_wc)
