@@ -133,3 +133,12 @@ def test_kernels_of_other_sources_go_when_nothing_has_used_them_for_a_month(tmp_
     cache_folder._remove_unused(used)
     assert [folder.exists() for folder in (used, recent, old, other)] == [True, True, False, True]
     assert time.time() - used.stat().st_mtime < 60
+
+
+def test_of_many_folders_of_kernels_the_newest_stay(tmp_path: Path) -> None:
+    folders = [tmp_path / f"kernels-{hours}" for hours in range(30)]
+    for hours, folder in enumerate(folders):
+        folder.mkdir()
+        os.utime(folder, (0, time.time() - hours * 3600))
+    cache_folder._remove_unused(folders[0])
+    assert [folder.exists() for folder in folders] == [True] * 24 + [False] * 6  # 20, and those that were used within a day

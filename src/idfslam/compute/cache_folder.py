@@ -31,7 +31,9 @@ log = logging.getLogger(__name__)
 
 VARIABLE = "NUMBA_CACHE_DIR"
 _NAME = "kernels-"  # and a fingerprint
-_KEPT = 30 * 24 * 3600.0  # [s] kernels of other sources are removed when no process has used them for so long; larger: the disk fills
+_DAY = 24 * 3600.0  # [s]: a fact, not a choice
+_KEPT = 30 * _DAY  # [s] kernels of other sources are removed when no process has used them for so long; larger: the disk fills
+_MANY = 20  # folders of kernels, beyond which a day is enough: who changes kernels makes some each day; more: the disk fills
 _ROOM = 2**26  # [bytes] free space that an empty folder needs; all kernels take 12 MB. Larger: fuller disks are passed over
 _IN_MEMORY = "/dev/shm"  # a folder in memory, which Linux has even where the disk is read-only
 _TORCH = "TORCHINDUCTOR_CACHE_DIR"
@@ -160,8 +162,9 @@ def _remove_unused(folder: Path) -> None:
     now = time.time()
     with suppress(OSError):  # another process removes them too, or they belong to another user
         os.utime(folder)
-        for other in folder.parent.glob(f"{_NAME}*"):
-            if now - other.stat().st_mtime > _KEPT:
+        ages = sorted((now - other.stat().st_mtime, other) for other in folder.parent.glob(f"{_NAME}*"))
+        for number, (age, other) in enumerate(ages):
+            if age > (_KEPT if number < _MANY else _DAY):
                 shutil.rmtree(other, ignore_errors=True)
 
 
