@@ -12,9 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.landmark_tracks import Taken, found_in, root_of
+from idfslam.adjustment.landmark_tracks import Taken, found_in
 from idfslam.adjustment.local_depth import local_depth
 from idfslam.adjustment.observations import Array, Indices, Observations, determined, joined
+from idfslam.adjustment.patch_search import root_of
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
@@ -91,12 +92,12 @@ class GrowingTracks(Stateful):
             at, uv, covariance = found_in(hosted.patches, other, features, np.asarray(np.linalg.inv(T_ok), np.float64), model)
             reading, sigma, slope = local_depth(depth, uv)
             good = (reading > 0) & taken.free(uv)
-            at, uv, covariance, reading, sigma, slope = (column[good] for column in (at, uv, covariance, reading, sigma, slope))
+            at, (uv, covariance, reading, sigma, slope) = at[good], (column[good] for column in (uv, covariance, reading, sigma, slope))
             taken.take(uv)
             hosted.covariance[at] += covariance
             hosted.sightings[at] += 1
             self._viewers.setdefault(k, []).append(number)
-            numbers = np.full(len(at), number, np.int64), (hosted.first + at).astype(np.int64)
+            numbers = np.full(len(at), number, np.int64), hosted.first + at
             found.append(Observations(*numbers, uv, root_of(covariance), reading, sigma, slope))
         self._seen[number] = joined(found)
         self._host(number, features, depth, taken)

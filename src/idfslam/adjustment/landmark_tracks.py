@@ -15,24 +15,19 @@ from numpy.typing import NDArray
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.local_depth import local_depth
 from idfslam.adjustment.observations import Array, Indices, Observations, determined, joined, together
+from idfslam.adjustment.patch_search import root_of, search
 from idfslam.frame import Frame
-from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.covisibility import covisibility
 from idfslam.tracking.frame_features import FrameFeatures, averaged_depth, brightness, subsampled_depth
-from idfslam.tracking.patch_alignment import align_patches, aligned_patches
+from idfslam.tracking.patch_alignment import aligned_patches
 from idfslam.tracking.patches import Patches
 
 _ROWS = 120  # [px] of the image of points that patches get their planes from, as the tracker has it; more: planes of smaller surfaces
 _COVISIBLE = 0.25  # [1] least share of a keyframe that a partner sees; raised, fewer and surer pairs. This and the rest: chosen by hand
 _PARTNERS = 10  # most keyframes that a keyframe's patches are looked for in; more: longer tracks, slower
-_MIN_CORRELATION = 0.85  # [1] least correlation of a patch with the image; raised, fewer and surer measurements
-_FLOOR = 0.05  # [px] least standard deviation of a position, for what patches do not show; more: sharp patches count less
-_STRETCH = 0.3, 3.0  # [1] least and largest ratio of a patch's areas in two images; wider: patches seen more sideways take part
-_NEAREST = 0.1  # [m] least depth of a landmark; more: fewer
 _NEAR_SURFACE = 0.05  # [1] largest difference of a landmark's depth to the reading where it is found; raised, hidden ones are found wrongly
 _APART = 6  # [px] least distance of two landmarks in an image, along a row or column; more: fewer, and their patches overlap less
-_PIXELS = (2 * 5 + 1) ** 2  # of a patch of `align_patches`: a fact of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,28 +143,11 @@ def sightings(keyframe: int, landmark: Indices, uv: Array, covariance: Array) ->
     return Observations(np.full(n, keyframe, np.int64), landmark, uv, root_of(covariance), np.zeros(n), np.ones(n), np.zeros((n, 2)))
 
 
-def found_in(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Array, Array, Array]:
-    """Which patches (M,) of a host are found in another view at T_oh (4, 4), where, uv (M, 2), and the covariance (M, 2, 2) of that.
-
-    The noise of an image is in both views: half of the covariance of the difference belongs to each.
-    """
-    T = torch.from_numpy(T_oh)
-    moved = se3.transform(T, patches.points)
-    start, z = torch.from_numpy(model.project(moved.clamp(min=-1e6).numpy())[0]), moved[:, 2]
-    camera, steps = model.camera, torch.eye(2, dtype=torch.float64)
-    flat = camera.project(moved)[0]
-    beside = [camera.project(se3.transform(T, patches.on_planes(camera, patches.uv + step)))[0] - flat for step in steps]
-    to_other = torch.stack(beside, -1)
-    area = torch.linalg.det(to_other)
-    visible = torch.nonzero(camera.inside(start, z) & (z > _NEAREST) & (area > _STRETCH[0]) & (area < _STRETCH[1]))[:, 0]
-    if not len(visible):
-        return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))  # type: ignore[return-value]
-    warp, uv = torch.linalg.inv(to_other[visible]).float(), start[visible].float()
-    found, H, correlation = align_patches(host.grey, other.grey, patches.uv[visible].float(), warp, uv)
-    good = (correlation > _MIN_CORRELATION) & _on_surface(found, z[visible], other)
-    variance = (2 * (1 - correlation[good].double()) / _PIXELS / 2)[:, None, None]
-    covariance = torch.linalg.inv(H[good].double()) * variance + _FLOOR**2 * torch.eye(2, dtype=torch.float64)
-    return visible[good].numpy(), found[good].double().numpy(), covariance.numpy()
+def found_in(patches: Patches, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel) -> tuple[Indices, Array, Array]:
+    """Which patches (M,) of a host are found in another view at T_oh (4, 4), where, uv (M, 2), and the covariance (M, 2, 2) of that."""
+    found = search(patches, host.grey, other.grey, T_oh, model)
+    good = _on_surface(torch.from_numpy(found.uv), torch.from_numpy(found.z), other).numpy()
+    return found.patch[good], found.uv[good], found.covariance[good]
 
 
 def _on_surface(uv: torch.Tensor, z: torch.Tensor, view: FrameFeatures) -> torch.Tensor:
@@ -189,8 +167,3 @@ def with_readings(views: Sequence[KeyframeView], seen: Observations) -> Observat
         if chosen.any():
             reading[chosen], sigma[chosen], slope[chosen] = local_depth(view.depth, seen.uv[chosen])
     return replace(seen, reading=reading, reading_sigma=sigma, slope=slope)[np.lexsort((seen.keyframe, seen.landmark))]
-
-
-def root_of(covariance: Array) -> Array:
-    """Matrices (N, 2, 2) R with R^T R the inverse of a covariance (N, 2, 2)."""
-    return np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else covariance
