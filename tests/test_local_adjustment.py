@@ -80,6 +80,7 @@ def test_images_that_do_not_agree_move_nothing(room: SyntheticRoom) -> None:
     graph, local = run(room, frames, adjusted=True)
     assert all(torch.equal(one.T_wk, other.T_wk) for one, other in zip(graph.keyframes, tracked.keyframes))
     assert not any(local.holds(keyframe) for keyframe in graph.keyframes)
+    assert not local.agrees
 
 
 @pytest.mark.slow

@@ -45,6 +45,7 @@ from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.front_end.inverse_rendering import InverseRendering
 from idfslam.slam.front_end.registration import Registration
 from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
+from idfslam.slam.keyframe_adjustment.frame_resection import FrameResection, NoResection, Resection
 from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
@@ -241,6 +242,14 @@ class System:
             return NoAdjustment()
         tracks = None if self.local_adjustment is None else self.local_adjustment.tracks
         return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks, self.motions)
+
+    @cached_property
+    def resection(self) -> Resection:
+        if isinstance(self.adjustment, NoAdjustment):
+            return NoResection()
+        local = self.local_adjustment
+        agree = (lambda: True) if local is None else (lambda: local.agrees)
+        return FrameResection(self.graph, self.frames, self.features, self.adjustment, agree)
 
     @cached_property
     def motions(self) -> KeyframeMotions:

@@ -66,6 +66,7 @@ class Slam:
         self.segmentation, self.hindsight = system.segmentation, system.hindsight
         self.keyframe_selection, self.mapper, self.replay = system.keyframe_selection, system.map, system.replay
         self.views, self.adjustment, self.surface_fusion = system.views, system.adjustment, system.surface_fusion
+        self.resection = system.resection
         self.history = History(system.frames)
         self._pending: tuple[Keyframe, Tracked] | None = None  # the last frame, if its pose is trusted and it is no keyframe
         self._finished = False
@@ -93,6 +94,8 @@ class Slam:
         if mappable:
             with self.timer.stage("archive"):
                 self.views.add(view, self.keyframe_selection.sharpness.latest)
+        with self.timer.stage("resection"):
+            self.resection.see(view, tracked)
         self.segmentation.remember(view, tracked)
         return self.history.report(frame, tracked, losses, keyframe=selected, moving=view.moving)
 
@@ -155,6 +158,7 @@ class Slam:
         self._finished = True
         if self.config.refine and self._pending is not None:
             self.back_end.add_keyframe(*self._pending)  # otherwise no keyframe would have what came into view in the last frames
+            self.resection.see(*self._pending)
         self.graph.choose_main_submap()
         main = self.graph.main_submap
         if alone := sum(self.frames.submap(i) != main for i in range(len(self.frames))):
@@ -166,6 +170,7 @@ class Slam:
         self.back_end.finish()
         self.frames.spread_corrections()
         self.front_end.smooth()
+        self.resection.run()
         self.coverage.place(self.frames.in_host)
         with self.timer.stage("fuse"):
             self._volume = self.surface_fusion.volume()

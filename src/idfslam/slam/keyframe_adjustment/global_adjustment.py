@@ -45,6 +45,9 @@ _MOST_KEYFRAMES = 300
 class KeyframeAdjustment(ABC):
     """Adjusts the poses of all keyframes at the end of a run."""
 
+    adjusted: Adjusted | None = None
+    """Poses and landmarks that fit best together, once they are known and trusted."""
+
     @abstractmethod
     def run(self) -> bool:
         """Called once, after the last frame. Returns whether the keyframes have the poses that fit best."""
@@ -79,7 +82,6 @@ class GlobalAdjustment(KeyframeAdjustment):
         motions: how the keyframes moved; None: their images are of one moment.
         """
         self.graph, self.seconds, self.tracks, self.motions = graph, seconds, tracks, motions
-        self._adjusted: Adjusted | None = None
 
     def run(self) -> bool:
         """Moves the keyframes, and their frames with them, if the images agree.
@@ -102,7 +104,7 @@ class GlobalAdjustment(KeyframeAdjustment):
             more = together([found, distant_landmarks(views, images, poses, model)])
             adjusted = (self._agreed(poses, more, model, end) if len(more[0]) > len(found[0]) else None) or adjusted
         self.graph.move([se3.orthonormal(torch.from_numpy(T.copy())) for T in adjusted.problem.poses])
-        self._adjusted = adjusted
+        self.adjusted = adjusted
         return True
 
     def _found_during_the_run(self, poses: Array) -> tuple[Array, Observations]:
@@ -123,15 +125,15 @@ class GlobalAdjustment(KeyframeAdjustment):
         return adjusted if noise <= AGREE and adjusted.complete else None
 
     def covariances(self) -> dict[int, Array]:
-        if self._adjusted is None:
+        if self.adjusted is None:
             return {}
-        covariances = PoseCovariances(self._adjusted)
-        return {i: covariances.of(i) for i in range(len(self._adjusted.problem.poses))}
+        covariances = PoseCovariances(self.adjusted)
+        return {i: covariances.of(i) for i in range(len(self.adjusted.problem.poses))}
 
     def figures(self) -> dict[str, Any]:
-        if self._adjusted is None:
+        if self.adjusted is None:
             return {"keyframes_adjusted": False}
-        return {"keyframes_adjusted": True, "landmarks": len(self._adjusted.problem.points)}
+        return {"keyframes_adjusted": True, "landmarks": len(self.adjusted.problem.points)}
 
 
 def _counts(adjusted: Adjusted) -> tuple[int, int]:

@@ -46,19 +46,20 @@ class LocalAdjustment(KeyframeHook):
         self._held: set[int] = set()  # numbers of the keyframes that landmarks hold
         self._edges: dict[int, Edge] = {}  # from a keyframe before each to it, as it was tracked
         self._noise = np.ones(len(KINDS))  # in the last window, over the stated one, by kind of measurement
+        self.agrees = True  # whether the images of the last window agreed
         self._images: dict[int, list[float]] = {}  # how those of each keyframe were rectified when landmarks were found in them
 
     def state(self) -> State:
         """All but the tracks, which are a part of their own."""
         edges = {str(b): {"a": edge.a, "T_ab": edge.T_ab} for b, edge in self._edges.items()}
         images = {str(k): times for k, times in self._images.items()}
-        return {"held": sorted(self._held), "edges": edges, "images": images, "noise": self._noise.tolist()}
+        return {"held": sorted(self._held), "edges": edges, "images": images, "noise": self._noise.tolist(), "agrees": self.agrees}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._held = set(state["held"])
         self._edges = {int(b): measured_edge(edge["a"], int(b), edge["T_ab"], EDGES) for b, edge in state["edges"].items()}
-        self._noise = np.array(state["noise"])
+        self._noise, self.agrees = np.array(state["noise"]), state["agrees"]
         self._images = {int(k): list(times) for k, times in state["images"].items()}
 
     def holds(self, keyframe: Keyframe) -> bool:
@@ -78,7 +79,8 @@ class LocalAdjustment(KeyframeHook):
         if len(problem.points) < _LEAST_LANDMARKS or problem.fixed.all():
             return Moved()
         adjusted, self._noise = adjust_briefly(problem, noise=self._noise, steps=_STEPS)
-        if noise_of(adjusted.seen, problem.model.stated.width) > AGREE:
+        self.agrees = noise_of(adjusted.seen, problem.model.stated.width) <= AGREE
+        if not self.agrees:
             return Moved()
         return self._move(numbers[~problem.fixed], adjusted.poses[~problem.fixed])
 
