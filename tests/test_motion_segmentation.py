@@ -144,6 +144,37 @@ def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error
 
 
 @pytest.mark.parametrize(
+    ("trials", "after"),
+    [
+        ([(0.021, 0.7), (0.0264, 0.75)], 2),  # the motion led on, but what lies behind the layer still fits much better without it
+        ([(0.0264, 0.75), (0.021, 0.7)], None),  # the first must tell it by both
+        ([(0.021, 0.7), (0.0264, 0.85), (0.021, 0.7), (0.021, 0.7)], 4),  # one of two told it, so that the next trial is soon
+    ],
+)
+def test_the_second_of_two_trials(trials: list[tuple[float, float]], after: int | None) -> None:
+    """Errors without the layer, and how what lies behind it fits, of views whose error is 0.03 with it."""
+    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation.trial.usual_error.restore({"mean": 0.02})
+    found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
+    drawn, free = (pose(x, 0, 0, 0, 0, 0) for x in (0.05, 0.0))
+    tracked = Tracked(drawn, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.03))
+
+    class Trial(FrontEnd):
+        def track(self, view: Keyframe) -> Tracked:
+            return Tracked(free, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=trials[view.index][0]))
+
+        def misfit(self, view: Keyframe, T_wc: torch.Tensor) -> float:
+            return trials[view.index][1] if torch.equal(T_wc, free) else 1.0
+
+    results = []
+    for number in range(len(trials)):
+        shown = view(CORNER, EYE)
+        shown.index = number
+        results.append(segmentation.check(shown, tracked, Trial()) is not tracked)
+    assert next((i + 1 for i, moves in enumerate(results) if moves), None) == after
+
+
+@pytest.mark.parametrize(
     ("errors", "without", "misfit", "tried"),
     [
         ([0.03, 0.03, 0.03], 0.021, 0.9, [0, 1]),  # two did not help, so the third waits
