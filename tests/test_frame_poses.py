@@ -42,6 +42,18 @@ def test_gaps_are_interpolated_by_time_and_can_be_undone() -> None:
     assert frames.statuses() == [Status.OK, Status.LOST, Status.LOST, Status.OK]
 
 
+def test_the_latest_frames_are_moved_by_shares_back_to_the_last_keyframe_or_to_a_lost_frame() -> None:
+    frames = wall_frames(places=(0.0,))
+    for i in range(1, 4):
+        frames.append(i / 30, at(0.1), Status.OK)
+    frames.correct_latest(at(0.5), at(0.3), 0.5)
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], [0, 0.075, 0.05, 0], atol=1e-12)
+    frames.append(4 / 30, at(0.0), Status.LOST)
+    frames.append(5 / 30, at(0.1), Status.OK)
+    frames.correct_latest(at(0.5), at(0.3), 0.5)
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], [0, 0.075, 0.05, 0, 0, 0], atol=1e-12)
+
+
 def corrected_walk(statuses: dict[int, Status]) -> FramePoses:
     """Keyframes at 0 and 0.3 s, ten frames apart at 0.18 m each; the second is refined by 0.1 m when it is stored, and by 0.1 m later."""
     frames = wall_frames(places=(0.0,))

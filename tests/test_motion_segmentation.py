@@ -12,6 +12,7 @@ from helpers.three_walls import CORNER, EYE, aligner, pose, taught, view
 from idfslam.config import FAST, PAPER
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.frame import Status
+from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView
@@ -78,7 +79,7 @@ def test_a_crowded_view_is_degenerate(share: float, status: Status) -> None:
 def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
     """Without the nearest layer the image fits no better; tracking it has turned, rectified and marked the view meanwhile."""
     graph = KeyframeGraph(FAST.keyframes)
-    segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(graph), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     shown, first = view(CORNER, EYE), Rectification(RowTimes(0.02, 0.0, 0.0), np.full(6, 0.1))
     shown.rectify(first)
@@ -121,7 +122,7 @@ def test_a_trial_that_does_not_help_leaves_the_view_as_it_was() -> None:
 )
 def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error: float, misfit: float, after: int | None) -> None:
     """In two frames in a row. The walls are 2 m off: 5 cm move the image enough, 2 mm do not."""
-    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
     drawn, free = (pose(x, 0, 0, 0, 0, 0) for x in (off, 0.0))
@@ -153,7 +154,7 @@ def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(off: float, error
 )
 def test_the_second_of_two_trials(trials: list[tuple[float, float]], after: int | None) -> None:
     """Errors without the layer, and how what lies behind it fits, of views whose error is 0.03 with it."""
-    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
     drawn, free = (pose(x, 0, 0, 0, 0, 0) for x in (0.05, 0.0))
@@ -185,7 +186,7 @@ def test_the_second_of_two_trials(trials: list[tuple[float, float]], after: int 
 )
 def test_when_a_view_is_tried(errors: list[float], without: float, misfit: float, tried: list[int]) -> None:
     """The usual error is 0.02. A shaken view fits worse without the layer, too; the last two find the layer nonetheless."""
-    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
     results = [replace(found, photometric_error=error) for error in (*errors, without)]
@@ -211,7 +212,7 @@ def test_when_a_view_is_tried(errors: list[float], without: float, misfit: float
 
 def test_no_layer_is_tried_in_a_wide_step() -> None:
     """Photographs round a chair: it is near, and looks different from each side."""
-    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
     tracked = Tracked(EYE, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.05))
@@ -231,7 +232,7 @@ def test_no_layer_is_tried_in_a_wide_step() -> None:
 )
 def test_a_view_is_tracked_again_without_what_turns_out_to_move(share: float, misfit: float, again: bool) -> None:
     """If it is more than a twentieth of what the view shows, and what is left fits better then."""
-    segmentation = FreeSpaceSegmentation(KeyframeGraph(FAST.keyframes), StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     shown, drawn = view(CORNER, EYE), pose(0.05, 0, 0, 0, 0, 0)
 
     class Reconsidered(Memory):
@@ -259,7 +260,7 @@ def test_a_still_scene_does_not_begin_to_move_at_a_doubtful_pose(status: Status,
     """A view that is 20 cm off lies in space that the first one saw through."""
     graph = KeyframeGraph(FAST.keyframes)
     graph.keyframes.append(view(CORNER, EYE))
-    segmentation = FreeSpaceSegmentation(graph, StageTimer(), lambda keyframe: None, list)
+    segmentation = FreeSpaceSegmentation(FramePoses(graph), StageTimer(), lambda keyframe: None, list)
     for index, (T_wc, told) in enumerate([(EYE, Status.OK), *[(EYE, Status.OK)] * 2, (pose(0, 0, -0.2, 0, 0, 0), status)]):
         shown = view(CORNER, EYE)
         segmentation.segment(shown, Tracked(T_wc, told, Source.ALIGNED))

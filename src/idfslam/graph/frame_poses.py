@@ -16,6 +16,8 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.storage.state import State, Stateful
 
+_LATEST = 10  # frames that `correct_latest` moves at most. More: slower, and frames of which nothing is left to correct. Chosen by hand
+
 
 @dataclass(frozen=True)
 class _FramePose:
@@ -148,13 +150,25 @@ class FramePoses(Stateful):
     def _spread(self, start: int, end: int) -> None:
         """Turns each frame between `start` and `end` about itself, and shifts it, by its share of what `end` was corrected by."""
         host, T_kc = self._tracked(end)
-        T_refined, T_tracked = self.T_wc(end), self.graph.keyframes[host].T_wk @ T_kc
-        shift, turn = T_refined[:3, 3] - T_tracked[:3, 3], torch.eye(4, dtype=torch.float64)
-        turn[:3, :3] = T_refined[:3, :3] @ T_tracked[:3, :3].T
         begun, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
         shares = [(frame.timestamp - begun) / span if span > 0 else 0.5 for frame in self._frames[start + 1 : end]]
+        self._correct(range(start + 1, end), shares, self.graph.keyframes[host].T_wk @ T_kc, self.T_wc(end))
+
+    def correct_latest(self, T_was: Tensor, T_is: Tensor, share: float) -> None:
+        """Moves the latest frames, back to the last refined one, each by `share` of what the frame after it is moved by.
+
+        T_was, T_is: poses (4, 4) of a frame that is not appended yet, before it was corrected and after.
+        """
+        first = next((i + 1 for i in range(len(self) - 1, -1, -1) if self.is_refined(i) or not self._frames[i].status.measured), 0)
+        frames = range(max(first, len(self) - _LATEST), len(self))
+        self._correct(frames, [share ** (len(self) - i) for i in frames], T_was, T_is)
+
+    def _correct(self, frames: range, shares: Sequence[float], T_was: Tensor, T_is: Tensor) -> None:
+        """Turns frames about themselves, and shifts them, by shares of the change from a pose T_was (4, 4) to T_is."""
+        shift, turn = T_is[:3, 3] - T_was[:3, 3], torch.eye(4, dtype=torch.float64)
+        turn[:3, :3] = T_is[:3, :3] @ T_was[:3, :3].T
         turns = se3.exp(torch.tensor(shares, dtype=torch.float64)[:, None] * se3.log(turn))
-        for i, share, turn in zip(range(start + 1, end), shares, turns):
+        for i, share, turn in zip(frames, shares, turns):
             T_wc = self.T_wc(i)
             moved = turn @ T_wc
             moved[:3, 3] = T_wc[:3, 3] + share * shift

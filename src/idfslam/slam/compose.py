@@ -167,7 +167,7 @@ class System:
         if self.config.movers == "off":
             return NoSegmentation()
         references = partial(self.graph.references, self.config.alignment.references)
-        return FreeSpaceSegmentation(self.graph, self.timer, self._learn_masked, references)
+        return FreeSpaceSegmentation(self.frames, self.timer, self._learn_masked, references)
 
     @cached_property
     def hindsight(self) -> Hindsight:
