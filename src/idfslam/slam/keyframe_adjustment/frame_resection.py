@@ -112,7 +112,7 @@ class FrameResection(Resection):
         adjustment: KeyframeAdjustment,
         agree: Callable[[], bool] = lambda: True,
     ) -> None:
-        """agree: whether the images of the last keyframes do. Where they do not, the keyframes will hardly be adjusted."""
+        """agree: whether the images of the last keyframes do. Where they do not, only frames with scarce depth are looked at."""
         self.graph, self.frames, self.features, self.adjustment, self.agree = graph, frames, features, adjustment, agree
         self._hosts: list[_Host] = []
         self._seen: list[_Sightings] = []
@@ -137,11 +137,10 @@ class FrameResection(Resection):
         self._waiting = [(waiting["frame"], waiting["grey"]) for waiting in state["waiting"]]
 
     def see(self, view: Keyframe, tracked: Tracked) -> None:
-        if not self.graph.keyframes or view.rectification is not None or not self.agree():
+        if not self.graph.keyframes or view.rectification is not None:
             return
         if self.graph.is_stored(view):
-            self._begin(view.host)
-            self._look_back()
+            self._look_back(view.host)
         elif tracked.covariance is not None and not tracked.is_lost and not view.colour_is_older:
             self._look_forward(view, tracked.covariance)
 
@@ -159,20 +158,24 @@ class FrameResection(Resection):
 
     def _look_forward(self, view: Keyframe, covariance: Tensor) -> None:
         """Looks for the last keyframe's corners in a frame."""
+        scarce = expected_error(covariance)[0] > _SCARCE
+        if not (scarce or self.agree()):
+            return
         frame, (number, _) = len(self.frames) - 1, self.frames.in_host(-1)
         if not self._hosts or self._hosts[-1].keyframe != number:
             self._begin(number)
         grey, R = torch.from_numpy(brightness(view.frame)), torch.block_diag(*[self.frames.T_wc(-1)[:3, :3]] * 2)
         self._covariances[frame] = (R.T @ covariance @ R).float()
         self._look(frame, grey, view.moving)
-        if expected_error(covariance)[0] > _SCARCE:
+        if scarce:
             self._waiting = [*self._waiting[1 - _MOST_WAITING :], (frame, grey)]
 
-    def _look_back(self) -> None:
+    def _look_back(self, number: int) -> None:
         """Looks for the corners of a new keyframe in the frames before it that wait."""
-        submap = self.graph.keyframes[self._hosts[-1].keyframe].submap
+        if self._waiting:
+            self._begin(number)
         for frame, grey in reversed(self._waiting):
-            if self.frames.submap(frame) == submap:
+            if self.frames.submap(frame) == self.graph.keyframes[number].submap:
                 self._look(frame, grey, None)
         self._waiting = []
 
