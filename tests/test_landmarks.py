@@ -43,3 +43,13 @@ def test_the_compiled_samples_are_the_plain_ones_beyond_the_border_too() -> None
     image = torch.rand(30, 40, generator=generator)
     uv = torch.rand(500, 2, generator=generator) * torch.tensor([46.0, 36.0]) - 3
     torch.testing.assert_close(compiled_sampled(image, uv), plain_sampled(image, uv), rtol=0, atol=2e-5)
+
+
+def test_in_the_dark_weaker_landmarks_are_taken_as_far_as_they_stand_out_from_noise() -> None:
+    colour, depth = view(EYE)
+    grain = torch.randn(colour.shape, generator=torch.Generator().manual_seed(0))
+    light, dark, noisy = (
+        landmarks(pyramid(gain * colour + noise * grain, CAMERA, height=72, levels=1), depth, count=400)
+        for gain, noise in ((1.0, 0.0), (0.3, 0.0), (0.3, 0.015))
+    )
+    assert len(light.points) > 200 and len(dark.points) > 300 and len(noisy.points) < 50
