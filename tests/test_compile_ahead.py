@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 BESIDE = """
 from idfslam.config import FAST
 from idfslam.compute.cache_folder import kernels_on_disk
-from idfslam.demo.compile_ahead import compiling_ahead
+from idfslam.runs.compile_ahead import compiling_ahead
 print(kernels_on_disk())
 with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())

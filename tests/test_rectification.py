@@ -1,5 +1,10 @@
 """Rectification of frames in motion: what a synchronised global shutter would have seen."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -81,3 +86,24 @@ def test_the_longest_time_of_a_frame() -> None:
     assert RowTimes(0.03).longest == pytest.approx(0.015)
     assert RowTimes().synchronised
     assert not RowTimes(depth_delay=0.001).synchronised
+
+
+CHECKSUM = """
+import zlib
+import numpy as np
+from idfslam.sensing.rectification import Rectification, RowTimes, rectified
+from idfslam.slam.warm_up import made_up
+found = rectified(made_up(0), Rectification(RowTimes(0.03, 0.03, -0.01), np.linspace(-1, 1, 6)))
+print(zlib.crc32(found.colour), zlib.crc32(found.depth))
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_and_one_that_does_not_see_the_same(tmp_path: Path) -> None:
+    """With fast mathematics colour differed by a step of a byte here and there, and a run of the first kind could not be resumed."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run([sys.executable, "-c", CHECKSUM], check=True, capture_output=True, text=True, env=environment).stdout
+        for _ in range(2)
+    )
+    assert first == second

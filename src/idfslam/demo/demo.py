@@ -10,7 +10,6 @@ from rich.console import Console
 from idfslam.config import Config
 from idfslam.datasets import Dataset
 from idfslam.datasets.generated.prerendered import Prerendered
-from idfslam.demo.compile_ahead import compiling_ahead
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.mapping.saved_map import SavedMap
@@ -18,6 +17,7 @@ from idfslam.pictures.image_files import View, draw_views
 from idfslam.pictures.overview import draw_overview
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
+from idfslam.runs.compile_ahead import compiling_ahead
 from idfslam.runs.evaluate_run import evaluate_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.keyframes_file import read_keyframes

@@ -20,6 +20,7 @@ from idfslam.geometry.trajectory import Trajectory
 from idfslam.live import LiveStream, is_live
 from idfslam.runs import result_folder, run_folder
 from idfslam.runs.checkpoint import Checkpoints, fingerprint
+from idfslam.runs.compile_ahead import compiling_ahead
 from idfslam.runs.metrics import kept_keyframes, keyframe_counts, run_metrics
 from idfslam.runs.prior_map import PriorMap
 from idfslam.runs.progress import ProgressBar
@@ -136,12 +137,14 @@ def _new_slam(
     console: Console | None,
     partial: Path,
 ) -> Slam:
-    """The SLAM system, in the prior map if there is one. For a live camera everything is compiled before its first frame.
+    """The SLAM system, in the prior map if there is one. Kernels are compiled before the first frame, and for a live camera loaded too.
 
     partial: the folder for the images that are not kept in memory.
     """
     if console is not None and will_compile(config):
         console.print(COMPILING, highlight=False, soft_wrap=True)
+    with compiling_ahead(config):
+        pass  # until all is compiled: a process that compiles is not repeatable
     if isinstance(recording, LiveStream):
         if console is not None:
             console.print("getting ready: hold the camera still until frames are counted", highlight=False, soft_wrap=True)

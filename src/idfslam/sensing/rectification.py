@@ -116,10 +116,13 @@ def _motions(velocity: Array, times: Array) -> NDArray[np.float32]:
     return np.concatenate([turn, half @ (times[:, None] * velocity[:3])[..., None]], 2).astype(np.float32)
 
 
-_FASTMATH = {"contract", "arcp"}
+# Without fast mathematics: a parallel loop exists once by itself and once in its caller, each optimised in its own way, and which copy runs
+# differs between the process that compiles it and later ones. A resumed run must see the same images, to the bit.
+_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+_inlined = njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 
 
-@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
+@_parallel
 def _rectified_depth(depth, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W) [m]: for each pixel the raw reading that lands on it, found by fixed-point iteration; 0 where none lands near it."""
     height, width = depth.shape
@@ -153,7 +156,7 @@ def _rectified_depth(depth, intrinsics, motions):  # type: ignore[no-untyped-def
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)
+@_inlined
 def _reading(depth, u, v):  # type: ignore[no-untyped-def]
     """The depth at a raw pixel: bilinear on one surface, else the nearest reading; 0 outside."""
     height, width = depth.shape
@@ -169,7 +172,7 @@ def _reading(depth, u, v):  # type: ignore[no-untyped-def]
     return depth[y + (1 if b >= half else 0), x + (1 if a >= half else 0)]
 
 
-@njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", parallel=True)
+@_parallel
 def _rectified_colour(colour, depth, farthest, intrinsics, motions):  # type: ignore[no-untyped-def]
     """(H, W, 3) in steps of 1/255: for each pixel the raw one at which its point was seen; without depth, a point at the last depth."""
     height, width = depth.shape

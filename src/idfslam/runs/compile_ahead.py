@@ -1,6 +1,8 @@
-"""Compiles kernels in a second process while the first demo on a machine builds and renders its room.
+"""Kernels are compiled in a second process, before the first run on a machine, or while the first demo builds and renders its room.
 
-Numba compiles one function at a time in a process. It stores compiled functions on disk, where the other process finds them.
+Numba compiles one function at a time in a process. It stores compiled functions on disk, where the other process finds them. A process
+that compiles runs other copies of some functions than one that finds them on disk, optimised differently: its results differ in the last
+bits. So the first run would not be like the ones after it, and could not be resumed.
 """
 
 import subprocess
@@ -31,7 +33,7 @@ def compiling_ahead(config: Config) -> Iterator[Callable[[], object]]:
     ):
         yield lambda: None
         return
-    command = [sys.executable, "-m", "idfslam.demo.compile_ahead"]
+    command = [sys.executable, "-m", "idfslam.runs.compile_ahead"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdin is not None
     assert process.stdout is not None
@@ -48,13 +50,18 @@ def compiling_ahead(config: Config) -> Iterator[Callable[[], object]]:
 
 def main() -> None:
     """The second process. It reads a config from stdin, and prints a line once a frame can be processed without compiling."""
+    import numpy as np
+
     from idfslam.evaluation.mesh_error import mesh_error
     from idfslam.mapping.saved_map import SavedMap
-    from idfslam.slam.warm_up import warm_up
+    from idfslam.sensing.rectification import Rectification, RowTimes, rectified
+    from idfslam.slam.warm_up import made_up, warm_up
     from idfslam.views.image_based_rendering import MapViews
 
-    slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the demo's values"))
+    slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the values of the run"))
+    rectified(made_up(0), Rectification(RowTimes(0.03, 0.03, 0.0), np.full(6, 0.5)))
     print("ready", flush=True)
+    slam.finish()
     mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera
     mesh_error(mesh, mesh, poses=poses, camera=camera, samples=100, views=1)
     saved, archive = SavedMap(slam.mapper.learnt(), slam.coverage.views(), slam.surface_fusion.volume()), slam.archive()
