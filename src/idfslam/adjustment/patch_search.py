@@ -53,11 +53,12 @@ def search(patches: Patches, image: Tensor, other: Tensor, T_oh: Array, model: C
         return Found(seen, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
     warp = (np.stack([d, -b, -c, a], 1)[seen] / area[seen, None]).reshape(-1, 2, 2)
     places = (torch.from_numpy(array.astype(np.float32)) for array in (uv[seen], warp, start[seen]))
-    at, H, correlation = (result.numpy() for result in align_patches(image, other, *places))
+    at, H, correlation = align_patches(image, other, *places)
     good = correlation > _MIN_CORRELATION
-    variance = (2 * (1 - correlation[good].astype(np.float64)) / _PIXELS / 2)[:, None, None]
-    covariance = np.linalg.inv(H[good].astype(np.float64)) * variance + _FLOOR**2 * np.eye(2)
-    return Found(seen[good], at[good].astype(np.float64), covariance, z[seen[good]])
+    variance = (2 * (1 - correlation[good].double()) / _PIXELS / 2)[:, None, None]
+    covariance = torch.linalg.inv(H[good].double()) * variance + _FLOOR**2 * torch.eye(2, dtype=torch.float64)
+    found = seen[good.numpy()]
+    return Found(found, at[good].double().numpy(), covariance.numpy(), z[found])
 
 
 def _projected(camera: Camera, points: Array) -> Array:
