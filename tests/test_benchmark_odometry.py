@@ -30,7 +30,7 @@ def test_the_tracker_alone_has_no_map(box_recording: Path) -> None:
     tables = slam.mapper.learnt().encoding.tables.clone()
     recording = open_recording(box_recording)
     results = [slam.process(recording[i]) for i in range(len(recording))]
-    assert set(slam.timings) <= {"track", "map", "refine", "wait", "loops", "segment", "archive"}
+    assert set(slam.timings) <= {"track", "map", "refine", "wait", "loops", "segment", "archive", "resection"}
     assert (tables == slam.mapper.learnt().encoding.tables).all()
     assert not any(result.losses for result in results)
     truth = recording.ground_truth
