@@ -18,6 +18,7 @@ from idfslam.errors import ConfigError
 from idfslam.frame import FrameResult
 from idfslam.graph.information_gain import InformationGain
 from idfslam.graph.keyframe_interval import KeyframeInterval
+from idfslam.mapping.field import copy_of
 from idfslam.mapping.joint.density_map import DensityMap
 from idfslam.mapping.joint.grids_map import GridsMap
 from idfslam.mapping.saved_map import load_map
@@ -154,14 +155,13 @@ def test_the_mesh_lies_on_the_walls(finished: Run) -> None:
 @pytest.mark.slow
 def test_the_map_is_saved_and_read(finished: Run, tmp_path: Path) -> None:
     finished.slam.save_map(tmp_path / "map.safetensors")
-    loaded, field = load_map(tmp_path / "map.safetensors"), finished.slam.mapper.learnt()
+    loaded, field = load_map(tmp_path / "map.safetensors"), copy_of(finished.slam.mapper.learnt())
+    field.bf16 = False  # as a saved map is computed: where the processor multiplies bf16, that alone makes 0.035
     assert type(loaded.field) is type(field)
     assert loaded.field.config == field.config
     points = torch.rand(500, 3, generator=torch.Generator().manual_seed(0)) - 0.5
     with torch.no_grad():
-        difference = (loaded.field.sdf(points) - field.sdf(points)).abs()
-    assert difference.quantile(0.99) < 0.03  # 16-bit tables
-    assert difference.max() < 0.06  # where little changes with depth, the distance to the level of a half is steep
+        torch.testing.assert_close(loaded.field.sdf(points), field.sdf(points), atol=0.005, rtol=0)  # 16-bit tables
     camera = finished.slam.graph.keyframes[0].camera
     colour, depth = loaded.render(np.eye(4), camera.resized(40, 30))
     assert colour.shape == (30, 40, 3)
