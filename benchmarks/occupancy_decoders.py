@@ -11,10 +11,10 @@ from pathlib import Path
 
 import tyro
 
-from idfslam.pretraining.occupancy_decoders import Training, save_decoders, train
+from idfslam.pretraining.occupancy_decoders import DecoderTraining, save_decoders, train
 
 
-def main(out: Path, training: Training = Training()) -> None:  # noqa: B008 (tyro shows the values)
+def main(out: Path, training: DecoderTraining = DecoderTraining()) -> None:  # noqa: B008 (tyro shows the values)
     """Trains, writes the decoders, and prints the loss of the first and the last ten episodes."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     field, losses = train(training)

@@ -14,7 +14,7 @@ from idfslam.datasets.generated.hard_cases import HARD_CASE_SECONDS, HARD_CASES
 from idfslam.datasets.generated.movers import MOVERS, PEOPLE
 from idfslam.datasets.generated.room import SyntheticRoom
 from idfslam.scenes.floor_path import FloorPath
-from idfslam.scenes.furniture import Scene
+from idfslam.scenes.furniture import SceneBuilder
 from idfslam.scenes.moved_things import OpenedDoor, eased
 from idfslam.scenes.moving_scene import MovingScene
 from idfslam.scenes.walking_figure import WalkingFigure
@@ -84,7 +84,7 @@ def test_things_are_moved_and_left() -> None:
 
 
 def drawn(body: object, seconds: float) -> list[np.ndarray]:
-    scene = Scene(np.random.default_rng(0))
+    scene = SceneBuilder(np.random.default_rng(0))
     body.draw(scene, seconds)  # type: ignore[attr-defined]
     return scene.shapes
 
@@ -113,7 +113,7 @@ def test_path_keeps_away_from_the_camera() -> None:
 
 
 def test_figure_stands_upright_and_swings_its_legs() -> None:
-    figure = WalkingFigure(Scene(np.random.default_rng(0)), standing(), 1.8)
+    figure = WalkingFigure(SceneBuilder(np.random.default_rng(0)), standing(), 1.8)
     still, walking = np.array(drawn(figure, 0.5)), np.array(drawn(figure, 2.0))
     assert len(still) == len(walking) == 25
     np.testing.assert_array_equal(still[:, [0, 1, 2, 3, 16]], walking[:, [0, 1, 2, 3, 16]])  # the same shapes

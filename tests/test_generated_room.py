@@ -12,7 +12,7 @@ from idfslam.datasets.generated.sensor_noise import axial_sigma, noisy_colour, n
 from idfslam.errors import ConfigError, FrameError
 from idfslam.geometry.camera import Camera
 from idfslam.scenes import ray_casting
-from idfslam.scenes.furniture import Scene, place, tilt
+from idfslam.scenes.furniture import SceneBuilder, place, tilt
 from idfslam.scenes.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, prune, surface_at
 from idfslam.scenes.room import BARE_WALL, wall_frame
 
@@ -33,7 +33,7 @@ def bare() -> SyntheticRoom:
 
 
 def shape(kind: int, sizes: tuple[float, float, float], T: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-    scene = Scene(np.random.default_rng(0))
+    scene = SceneBuilder(np.random.default_rng(0))
     scene.add(kind, np.eye(4) if T is None else T, (0, 0, 0), sizes, 0)
     return np.array(scene.shapes)
 

@@ -11,9 +11,9 @@ from helpers.flat_wall import at, keyframe
 from idfslam.config import NICE, OccupancyGridsConfig
 from idfslam.errors import ConfigError
 from idfslam.mapping.joint.grids_map import GridsMap, features_in_view
-from idfslam.mapping.joint.occupancy_grids import OccupancyGrids, Stage, levels_of
+from idfslam.mapping.joint.occupancy_grids import LearningStage, OccupancyGrids, levels_of
 from idfslam.mapping.training_view import TrainingView
-from idfslam.pretraining.occupancy_decoders import Training, labelled_points, save_decoders, train, views_of
+from idfslam.pretraining.occupancy_decoders import DecoderTraining, labelled_points, save_decoders, train, views_of
 
 SMALL = OccupancyGridsConfig(table_log2=8, table_log2_max=9)
 
@@ -38,14 +38,14 @@ def test_occupancy_is_the_sigmoid_of_ten_times_both_levels() -> None:
     field, points = grids(), torch.rand(7, 3)
     middle = field.middle_decoder(points, field.grid("middle")(points))
     fine = field.fine_decoder(points, torch.cat([field.grid("fine")(points), field.grid("middle")(points)], -1))
-    torch.testing.assert_close(field.occupancy(points, points, Stage.MIDDLE)[0], torch.sigmoid(10 * middle[:, 0]))
+    torch.testing.assert_close(field.occupancy(points, points, LearningStage.MIDDLE)[0], torch.sigmoid(10 * middle[:, 0]))
     torch.testing.assert_close(field.occupancy(points, points)[0], torch.sigmoid(10 * (middle + fine)[:, 0]))
     torch.testing.assert_close(field.sdf(points), 1 - 2 * field.occupancy(points, points)[0])
     torch.testing.assert_close(field(points)[0], field.sdf(points))
 
 
-@pytest.mark.parametrize("stage", list(Stage))
-def test_a_stage_moves_its_levels_alone(stage: Stage) -> None:
+@pytest.mark.parametrize("stage", list(LearningStage))
+def test_a_stage_moves_its_levels_alone(stage: LearningStage) -> None:
     field, points = grids(), torch.rand(50, 3)
     occupancy, colour = field.occupancy(points, points, stage)
     (occupancy.sum() + colour.sum()).backward()
@@ -55,9 +55,9 @@ def test_a_stage_moves_its_levels_alone(stage: Stage) -> None:
 
 def test_features_elsewhere_collect_no_gradient() -> None:
     field, points = grids(), torch.tensor([[0.1, 0.1, 0.1], [3.1, 3.1, 3.1]])
-    field.occupancy(points, points, Stage.MIDDLE, learnable=lambda p: p[:, 0] < 1)[0].sum().backward()
+    field.occupancy(points, points, LearningStage.MIDDLE, learnable=lambda p: p[:, 0] < 1)[0].sum().backward()
     here, both = field.grid("middle").gradient.clone(), grids()
-    both.occupancy(points[:1], points[:1], Stage.MIDDLE)[0].sum().backward()
+    both.occupancy(points[:1], points[:1], LearningStage.MIDDLE)[0].sum().backward()
     torch.testing.assert_close(here, both.grid("middle").gradient)
 
 
@@ -89,15 +89,15 @@ def test_rates_of_the_stages() -> None:
     map = GridsMap(replace(NICE, device="cpu", occupancy_grids=SMALL), torch.device("cpu"), torch.Generator())
     adam = map._optimiser()
 
-    def rates(stage: Stage, factor: float = 1.0) -> dict[str, float]:
+    def rates(stage: LearningStage, factor: float = 1.0) -> dict[str, float]:
         map._set_rates(adam, stage, factor)
         return {group["name"]: round(group["lr"], 6) for group in adam.param_groups}
 
-    assert rates(Stage.MIDDLE) == {"coarse": 0.001, "middle": 0.1, "fine": 0, "colour": 0, "decoder": 0}
-    assert rates(Stage.COLOUR) == {"coarse": 0.001, "middle": 0.005, "fine": 0.005, "colour": 0.005, "decoder": 0.005}
-    assert rates(Stage.MIDDLE, 5.0)["middle"] == 0.5
+    assert rates(LearningStage.MIDDLE) == {"coarse": 0.001, "middle": 0.1, "fine": 0, "colour": 0, "decoder": 0}
+    assert rates(LearningStage.COLOUR) == {"coarse": 0.001, "middle": 0.005, "fine": 0.005, "colour": 0.005, "decoder": 0.005}
+    assert rates(LearningStage.MIDDLE, 5.0)["middle"] == 0.5
     assert [map._stage(i / 60) for i in (0, 24, 25, 36, 37, 59)] == [
-        *(Stage.MIDDLE, Stage.MIDDLE, Stage.FINE, Stage.FINE, Stage.COLOUR, Stage.COLOUR)
+        *(LearningStage.MIDDLE, LearningStage.MIDDLE, LearningStage.FINE, LearningStage.FINE, LearningStage.COLOUR, LearningStage.COLOUR)
     ]
 
 
@@ -123,7 +123,7 @@ def test_damaged_decoders_are_refused(tmp_path: Path) -> None:
 
 # training
 
-TINY = Training(rooms=(101,), views=3, episodes=2, steps=3, points=60, window=2)
+TINY = DecoderTraining(rooms=(101,), views=3, episodes=2, steps=3, points=60, window=2)
 
 
 def test_points_before_and_behind_a_reading() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from idfslam.geometry.camera import Camera
-from idfslam.pictures.image_files import View
+from idfslam.pictures.image_files import RenderedView
 from idfslam.pictures.mesh_renderer import looking_at
 from idfslam.pictures.overview import draw_overview, frustum
 
@@ -38,7 +38,7 @@ def test_the_path_is_drawn_in_the_room_and_two_views_beside_it(tmp_path: Path) -
     room.visual.vertex_colors = np.tile(np.array([0, 180, 0, 255], np.uint8), (len(room.vertices), 1))
     red, blue = np.zeros((24, 32, 3), np.float32), np.zeros((24, 32, 3), np.float32)
     red[..., 0], blue[..., 2] = 1, 1
-    view = View(5, red, np.ones((24, 32), np.float32), blue, np.ones((24, 32), np.float32))
+    view = RenderedView(5, red, np.ones((24, 32), np.float32), blue, np.ones((24, 32), np.float32))
     draw_overview(tmp_path / "overview.png", room, walk(), np.array([0, 4]), CAMERA, view)
     image = cv2.imread(str(tmp_path / "overview.png"))[..., ::-1].astype(int)
     assert image.shape == (720, 1440, 3)

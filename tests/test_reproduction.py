@@ -14,7 +14,7 @@ from idfslam.batch.executor import Executor
 from idfslam.benchmark.reproduction import evaluate_row
 from idfslam.benchmark.reproduction import rows as module
 from idfslam.benchmark.reproduction.rows import check_rows, run_suite
-from idfslam.benchmark.reproduction.suite import ABLATIONS, SMALL, Job, Scene, Suite, full_suite, methods_of, small_suite
+from idfslam.benchmark.reproduction.suite import ABLATIONS, SMALL, Job, Suite, TableScene, full_suite, methods_of, small_suite
 from idfslam.cli import command_line
 from idfslam.config import PRESETS, preset
 from idfslam.errors import ConfigError, ResultError
@@ -54,7 +54,7 @@ class FakeExecutor(Executor):
 
 
 def suite_of(*methods: str) -> Suite:
-    scene = Scene("room", "synthetic:0", "reconstruction", frames=80)
+    scene = TableScene("room", "synthetic:0", "reconstruction", frames=80)
     return Suite(tuple(Job(scene, method) for method in methods), True, ("a note",))
 
 

@@ -16,7 +16,7 @@ from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.pretraining.augmentation import augmented
 from idfslam.pretraining.contrastive import contrastive_loss
-from idfslam.pretraining.footage import Footage, Pair, Recording, View, load_footage, sample_pair
+from idfslam.pretraining.footage import Footage, FrameSequence, Pair, PairView, load_footage, sample_pair
 from idfslam.pretraining.point_rendering import splat
 from idfslam.pretraining.training import explained, registration_losses, rendering_losses, train_step
 from idfslam.tracking.features import FeatureExtractor
@@ -59,10 +59,10 @@ def wall_pair(apart: int = 1) -> Pair:
 def test_training_data_carries_no_pose() -> None:
     # What a step is handed, and what it is made of: colour, points in each view's OWN frame, intrinsics. Nothing relates two frames.
     assert [field.name for field in fields(Pair)] == ["a", "b"]
-    assert [field.name for field in fields(View)] == ["colour", "points", "camera"]
+    assert [field.name for field in fields(PairView)] == ["colour", "points", "camera"]
     assert [field.name for field in fields(Footage)] == ["colour", "depth", "camera"]
     assert [field.name for field in fields(Camera)] == ["width", "height", "fx", "fy", "cx", "cy"]
-    assert not hasattr(Recording, "ground_truth")
+    assert not hasattr(FrameSequence, "ground_truth")
 
 
 def test_a_recording_without_ground_truth_is_enough() -> None:

@@ -20,7 +20,7 @@ from idfslam.frame import Frame
 from idfslam.tracking.correspondences import Correspondences, estimate_pose, is_valid
 from idfslam.tracking.features import FeatureExtractor, untrained_extractor
 from idfslam.tracking.frame_features import FrameFeatures
-from idfslam.tracking.procrustes import Registration
+from idfslam.tracking.procrustes import ProcrustesFit
 from idfslam.tracking.tracker import Tracker
 
 
@@ -33,7 +33,7 @@ class Estimate:
     inliers: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))  # (M, 4) pixels in frame and keyframe
 
 
-def _estimate(found: Correspondences, pose: Registration, believed: bool) -> Estimate:
+def _estimate(found: Correspondences, pose: ProcrustesFit, believed: bool) -> Estimate:
     pixels = torch.cat([found.frame_uv, found.keyframe_uv], -1)[pose.inliers]
     return Estimate(pose.T_ab.numpy(), believed, pixels.double().numpy())
 

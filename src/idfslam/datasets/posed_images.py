@@ -28,7 +28,7 @@ _OTHER_CAMERA = 0.05  # [1] difference of a frame's focal length from the median
 
 
 @dataclass(frozen=True, eq=False)
-class PosedFrame:
+class FrameEntry:
     """What is stated about one frame; NaN where nothing is."""
 
     colour: Path
@@ -42,7 +42,7 @@ class PosedFrame:
 
 def open_frames(
     path: Path,
-    frames: Sequence[PosedFrame],
+    frames: Sequence[FrameEntry],
     stated: Calibration,
     source: str,
     *,
@@ -137,7 +137,7 @@ def from_opengl(matrix: Any) -> NDArray[np.float64]:
     return T @ OPENGL if T.shape == (4, 4) else np.full((4, 4), np.nan)
 
 
-def _with_files(path: Path, frames: Sequence[PosedFrame], source: str) -> list[PosedFrame]:
+def _with_files(path: Path, frames: Sequence[FrameEntry], source: str) -> list[FrameEntry]:
     problems, complete = [], []
     for frame in frames:
         file = frame.colour
@@ -151,7 +151,7 @@ def _with_files(path: Path, frames: Sequence[PosedFrame], source: str) -> list[P
     return complete
 
 
-def _ordered(frames: list[PosedFrame]) -> list[PosedFrame]:
+def _ordered(frames: list[FrameEntry]) -> list[FrameEntry]:
     stamps = [frame.stamp for frame in frames]
     numbers = [float(text) if text else np.nan for text in counting_numbers([frame.colour.stem for frame in frames])]
     for keys in (stamps, numbers):
@@ -160,7 +160,7 @@ def _ordered(frames: list[PosedFrame]) -> list[PosedFrame]:
     return frames
 
 
-def _stamps(frames: Sequence[PosedFrame], source: str) -> tuple[NDArray[np.float64], str]:
+def _stamps(frames: Sequence[FrameEntry], source: str) -> tuple[NDArray[np.float64], str]:
     stamps = np.array([frame.stamp for frame in frames])
     if np.all(np.diff(stamps) > 0) and np.isfinite(stamps).all():
         return in_seconds(stamps, source), STATED

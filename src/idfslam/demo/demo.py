@@ -13,7 +13,7 @@ from idfslam.datasets.generated.prerendered import Prerendered
 from idfslam.evaluation.evaluation import Evaluation
 from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.mapping.saved_map import SavedMap
-from idfslam.pictures.image_files import View, draw_views
+from idfslam.pictures.image_files import RenderedView, draw_views
 from idfslam.pictures.overview import draw_overview
 from idfslam.report.writing import write_report
 from idfslam.runs import result_folder
@@ -79,9 +79,9 @@ def demo(
     return done, evaluation, [folder / OVERVIEW, folder / VIEWS]
 
 
-def _view(recording: Dataset, poses: NDArray[np.float64], renderer: MapViews | SavedMap, i: int, width: int) -> View:
+def _view(recording: Dataset, poses: NDArray[np.float64], renderer: MapViews | SavedMap, i: int, width: int) -> RenderedView:
     """Frame i, and the map rendered from its estimated pose in images `width` pixels wide."""
     camera = recording.camera.resized(width, round(width * recording.camera.height / recording.camera.width))
     colour, depth = without(renderer, i).render(poses[i], camera)
     frame = recording[i]
-    return View(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))
+    return RenderedView(i, frame.colour, frame.depth, np.asarray(colour), np.asarray(depth))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from idfslam.export.formats import Up
 from idfslam.export.run_surface import mesh_of_run
-from idfslam.geometry.level import Level, level
+from idfslam.geometry.level import LevelFrame, level
 from idfslam.runs.finished_run import FinishedRun
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ class Axes:
         return upright if up == "z" else Axes(up, _Y_UP @ upright.T_ew, upright.by_gravity)
 
     @staticmethod
-    def upright(found: Level) -> "Axes":
+    def upright(found: LevelFrame) -> "Axes":
         """Those of level coordinates: z up."""
         T_lw = np.eye(4)
         T_lw[:3, :3] = found.R_lw

@@ -17,14 +17,14 @@ _STEEPEST = 60.0  # [degrees] mean tilt of the cameras that is believed. Raised,
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class LevelFrame:
     """Level coordinates: z up, x and y along the walls, y as far as possible as the first view; the origin is the world's."""
 
     R_lw: Floats  # (3, 3)
     by_gravity: bool  # False: no floor, table or ceiling was seen, and z is the first camera's up
 
 
-def level(mesh: trimesh.Trimesh | None, poses: Floats) -> Level:
+def level(mesh: trimesh.Trimesh | None, poses: Floats) -> LevelFrame:
     """The level coordinates of a place by its mesh, if there is one, and the cameras (N, 4, 4) that saw it."""
     up = -poses[0, :3, 1]
     found = mesh is not None and _is_level(mesh, by_floor := up_direction(mesh, poses))
@@ -35,9 +35,9 @@ def level(mesh: trimesh.Trimesh | None, poses: Floats) -> Level:
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(up, x), up])
     if mesh is None:
-        return Level(R, found)
+        return LevelFrame(R, found)
     c, s = np.cos(angle := _walls(mesh, R)), np.sin(angle)
-    return Level(np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R, found)
+    return LevelFrame(np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R, found)
 
 
 def up_direction(mesh: trimesh.Trimesh, poses: Floats) -> Floats:

@@ -9,7 +9,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.sensing.light import Light
 
 
-class PosedImages(Hashable, Protocol):
+class FrameImages(Hashable, Protocol):
     """The images of a frame. It is the same object as long as they are in memory."""
 
     @property
@@ -31,7 +31,7 @@ class PosedFrame(Protocol):
     def camera(self) -> Camera: ...
 
     @property
-    def images(self) -> Any: ...  # PosedImages
+    def images(self) -> Any: ...  # FrameImages
 
     @property
     def farthest(self) -> float: ...  # [m]
@@ -44,7 +44,7 @@ class TrainingView:
         """light: how the frame shows the scene's colours, which the map learns. None: as they are."""
         self.light = light
         self.frame, self.index, self.T_wk, self.camera = frame, frame.index, frame.T_wk, frame.camera
-        self.images: PosedImages = frame.images
+        self.images: FrameImages = frame.images
 
     @property
     def depth(self) -> Tensor:

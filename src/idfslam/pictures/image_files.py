@@ -16,7 +16,7 @@ _FARTHEST = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RenderedView:
     """A frame's images and the map rendered from its pose."""
 
     index: int
@@ -26,7 +26,7 @@ class View:
     rendered_depth: Image
 
 
-def draw_views(path: Path, views: Sequence[View]) -> None:
+def draw_views(path: Path, views: Sequence[RenderedView]) -> None:
     """Recorded and rendered colour and depth side by side, one row for each view."""
     figure = Figure(figsize=(14, 2.7 * len(views)), layout="constrained")
     for row, view in zip(figure.subplots(len(views), 4, squeeze=False), views):

@@ -20,7 +20,7 @@ _OCCLUSION_REACH = 0.4  # [m] surface nearer than this darkens a point; larger: 
 
 
 @dataclass(frozen=True)
-class Shading:
+class Lighting:
     """The light and the background of a picture."""
 
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB
@@ -29,7 +29,7 @@ class Shading:
     supersample: int = 2  # rays per pixel along each axis; more: smoother edges, slower
 
 
-_PLAIN = Shading(background=(0.0, 0.0, 0.0), ambient=1.0, occlusion=0.0)
+_PLAIN = Lighting(background=(0.0, 0.0, 0.0), ambient=1.0, occlusion=0.0)
 
 
 class Picture:
@@ -52,22 +52,22 @@ class Picture:
             flip = (towards * self._normals).sum(-1) < 0
             self._normals = np.where(flip[:, None], -self._normals, self._normals)
 
-    def draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+    def draw(self, T_wc: NDArray[np.float64], camera: Camera, lighting: Lighting = _PLAIN) -> NDArray[np.uint8]:
         """(H, W, 3) uint8 RGB seen from T_wc (4, 4)."""
-        rgba = self._draw(T_wc, camera, shading)
+        rgba = self._draw(T_wc, camera, lighting)
         return (rgba[..., :3] * 255 + 0.5).astype(np.uint8)
 
-    def cut_out(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading = _PLAIN) -> NDArray[np.uint8]:
+    def cut_out(self, T_wc: NDArray[np.float64], camera: Camera, lighting: Lighting = _PLAIN) -> NDArray[np.uint8]:
         """(H, W, 4) uint8 RGBA, transparent where there is no surface, for any background."""
-        rgba = self._draw(T_wc, camera, replace(shading, background=(0.0, 0.0, 0.0)))
+        rgba = self._draw(T_wc, camera, replace(lighting, background=(0.0, 0.0, 0.0)))
         rgba[..., :3] /= np.maximum(rgba[..., 3:], 1e-3)
         return (np.clip(rgba, 0, 1) * 255 + 0.5).astype(np.uint8)
 
-    def _draw(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+    def _draw(self, T_wc: NDArray[np.float64], camera: Camera, lighting: Lighting) -> Floats:
         """(H, W, 4): RGB over the background, and the share of each pixel that shows surface."""
-        size, s = (camera.width, camera.height), shading.supersample
+        size, s = (camera.width, camera.height), lighting.supersample
         fine = camera.resized(camera.width * s, camera.height * s)
-        colour = self._colour(T_wc, fine, shading)
+        colour = self._colour(T_wc, fine, lighting)
         return np.asarray(cv2.resize(colour.reshape(fine.height, fine.width, 4), size, interpolation=cv2.INTER_AREA))
 
     def depth(self, T_wc: NDArray[np.float64], camera: Camera) -> Floats:
@@ -96,7 +96,7 @@ class Picture:
             return np.zeros(len(face), bool)
         return (face >= 0) & ((self._normals[face] * rays).sum(-1) > 0)
 
-    def _colour(self, T_wc: NDArray[np.float64], camera: Camera, shading: Shading) -> Floats:
+    def _colour(self, T_wc: NDArray[np.float64], camera: Camera, lighting: Lighting) -> Floats:
         """(N, 4): shaded RGB in [0, 1] of all pixels, and 1 where there is surface."""
         rays = pixel_rays(camera, T_wc)
         origins = np.broadcast_to(T_wc[:3, 3].astype(np.float32), rays.shape)
@@ -106,15 +106,17 @@ class Picture:
         w = np.concatenate([1 - weights[hit].sum(-1, keepdims=True), weights[hit]], -1)[..., None]
         rgb = (self._colours[corners] * w).sum(1)
         normal = self._facing((self._smooth[corners] * w).sum(1), self._normals[face[hit]], rays[hit])
-        light = shading.ambient + (1 - shading.ambient) * np.abs((normal * _unit(rays[hit])).sum(-1))
-        if shading.occlusion:
+        light = lighting.ambient + (1 - lighting.ambient) * np.abs((normal * _unit(rays[hit])).sum(-1))
+        if lighting.occlusion:
             light = light * (
                 1
-                - shading.occlusion
-                * self._occlusion(origins[hit] + rays[hit] * distance[hit, None], normal, max(1, _OCCLUSION_RAYS // shading.supersample**2))
+                - lighting.occlusion
+                * self._occlusion(
+                    origins[hit] + rays[hit] * distance[hit, None], normal, max(1, _OCCLUSION_RAYS // lighting.supersample**2)
+                )
             )
         image = np.empty((len(rays), 4), np.float32)
-        image[:] = (*shading.background, 0)
+        image[:] = (*lighting.background, 0)
         image[hit, :3] = np.clip(rgb * light[:, None], 0, 1)
         image[hit, 3] = 1
         return image

@@ -11,8 +11,8 @@ from idfslam.geometry.camera import Camera
 from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.geometry.level import up_direction
 from idfslam.pictures.direction import best_direction
-from idfslam.pictures.image_files import View, to_bytes
-from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.image_files import RenderedView, to_bytes
+from idfslam.pictures.mesh_renderer import Lighting, Picture, pose_outside
 from idfslam.pictures.scraps import without_scraps
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,9 @@ _UNSEEN = (0.93, 0.93, 0.93)  # RGB of the background, and of what no camera saw
 _SHIFT = 4  # bits of a pixel's fraction in OpenCV's coordinates
 
 
-def draw_overview(path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: NDArray[np.int64], camera: Camera, view: View) -> None:
+def draw_overview(
+    path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: NDArray[np.int64], camera: Camera, view: RenderedView
+) -> None:
     """Writes the picture as PNG: ceiling and near walls, which show their backs, are left out.
 
     poses (N, 4, 4) camera-to-world of all frames, keyframes (K,) their indices, camera that of the frames, view the frame shown beside it.
@@ -38,7 +40,7 @@ def draw_overview(path: Path, mesh: trimesh.Trimesh, poses: Floats, keyframes: N
     mesh, up = without_scraps(mesh), up_direction(mesh, poses)
     picture = Picture(mesh, inside=poses[:, :3, 3])
     T_wo = pose_outside(mesh, up, best_direction(mesh, poses[:, :3, 3], up), _OUTSIDE)
-    shown = picture.draw(T_wo, _OUTSIDE, Shading(background=_UNSEEN))
+    shown = picture.draw(T_wo, _OUTSIDE, Lighting(background=_UNSEEN))
     depth = picture.depth(T_wo, _OUTSIDE)
     for T_wk in poses[keyframes[evenly_spread(len(keyframes), _FRUSTA)]]:
         for line in frustum(T_wk, camera):

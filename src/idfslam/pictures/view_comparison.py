@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.progress import track
 
 from idfslam.evaluation.view_error import ViewError, summary
-from idfslam.pictures.image_files import View, draw_views
+from idfslam.pictures.image_files import RenderedView, draw_views
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.runs.held_out_views import compared_views, held_out
@@ -23,12 +23,12 @@ def compare_views(run: FinishedRun, *, of_map: bool = False, console: Console | 
     ledger = result_folder.ledger(run.folder)
     ledger.refuse_foreign([VIEWS, PICTURE])
     count = len(held_out(run))
-    errors, drawn = list[ViewError](), list[View]()
+    errors, drawn = list[ViewError](), list[RenderedView]()
     compared = compared_views(run, run.map if of_map else run.views)
     for n, view in enumerate(track(compared, "views", total=count, console=console, disable=console is None)):
         errors.append(view.error)
         if n * _DRAWN // count != (n - 1) * _DRAWN // count:
-            drawn.append(View(view.frame.index, view.frame.colour, view.frame.depth, view.colour, view.depth))
+            drawn.append(RenderedView(view.frame.index, view.frame.colour, view.frame.depth, view.colour, view.depth))
     atomic_files.write_json(run.folder / VIEWS, summary(errors))
     with atomic_files.replacing(run.folder / PICTURE) as part:
         draw_views(part, drawn)

@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from idfslam.pretraining.footage import View
+from idfslam.pretraining.footage import PairView
 
 _HOLES = 6  # at most, at full strength; each up to a third of the image's height wide and high; more: less depth to learn from
 
 
-def augmented(view: View, strength: float, generator: torch.Generator) -> View:
+def augmented(view: PairView, strength: float, generator: torch.Generator) -> PairView:
     """The view with random exposure, gamma, white balance, noise and holes in its depth, sometimes blurred. strength: 0 to 1."""
     return replace(view, colour=_retaken(view.colour, strength, generator), points=_with_holes(view.points, strength, generator))
 

@@ -15,7 +15,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.tracking.frame_features import reduced
 
 
-class Recording(Protocol):
+class FrameSequence(Protocol):
     """A sequence of frames; pretraining needs no poses."""
 
     @property
@@ -30,7 +30,7 @@ class Recording(Protocol):
 
 
 @dataclass(frozen=True)
-class View:
+class PairView:
     """One image of a pair: colour (3, h, w) in [0, 1], points (h, w, 3) [m] in its own camera's frame (z = 0: no depth)."""
 
     colour: Tensor
@@ -42,7 +42,7 @@ class View:
         """(h, w) bool: pixels with depth."""
         return self.points[..., 2] > 0
 
-    def to(self, device: torch.device) -> "View":
+    def to(self, device: torch.device) -> "PairView":
         """A copy on another device."""
         return replace(self, colour=self.colour.to(device), points=self.points.to(device))
 
@@ -51,8 +51,8 @@ class View:
 class Pair:
     """The input of a training step: two views without poses."""
 
-    a: View
-    b: View
+    a: PairView
+    b: PairView
 
     def to(self, device: torch.device) -> "Pair":
         """A copy on another device."""
@@ -70,20 +70,20 @@ class Footage:
     def __len__(self) -> int:
         return len(self.colour)
 
-    def view(self, index: int, top: int, left: int, crop: tuple[int, int]) -> View:
+    def view(self, index: int, top: int, left: int, crop: tuple[int, int]) -> PairView:
         """The crop of a frame whose first row and column are `top` and `left`."""
         rows, columns = slice(top, top + crop[0]), slice(left, left + crop[1])
         camera = replace(self.camera, width=crop[1], height=crop[0], cx=self.camera.cx - left, cy=self.camera.cy - top)
         colour = torch.from_numpy(self.colour[index, rows, columns]).permute(2, 0, 1).float() / 255
         depth = torch.from_numpy(self.depth[index, rows, columns].astype(np.float32)) / 1000
-        return View(colour, camera.backproject(depth), camera)
+        return PairView(colour, camera.backproject(depth), camera)
 
-    def whole(self, index: int) -> View:
+    def whole(self, index: int) -> PairView:
         """The frame without a crop."""
         return self.view(index, 0, 0, (self.camera.height, self.camera.width))
 
 
-def load_footage(recording: Recording, height: int, indices: Sequence[int] | None = None) -> Footage:
+def load_footage(recording: FrameSequence, height: int, indices: Sequence[int] | None = None) -> Footage:
     """Loads and reduces frames of the recording. indices: None: all. An unreadable frame is blank, so it has no matches.
 
     Raises RecordingError for a recording of fewer than two frames.

@@ -34,7 +34,7 @@ _SHARPNESS = 10.0  # [1] factor on the logit, that of `OccupancyGrids`: a fact o
 
 
 @dataclass(frozen=True)
-class Training:
+class DecoderTraining:
     """The values of a training."""
 
     rooms: tuple[int, ...] = (101, 102, 103)  # seeds of generated rooms
@@ -48,7 +48,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class View:
+class DecoderView:
     """Readings (N,) [m] of one view, and the rays (N, 3) with z = 1 through them, at pose T_wc (4, 4)."""
 
     depth: Tensor
@@ -56,18 +56,18 @@ class View:
     T_wc: Tensor
 
 
-def views_of(seed: int, count: int) -> list[View]:
+def views_of(seed: int, count: int) -> list[DecoderView]:
     """`count` views of a generated room, evenly along its tour."""
     room = SyntheticRoom(seed, width=_SIZE[0], height=_SIZE[1])
     found = []
     for index in np.linspace(0, TOUR - 1, count).astype(int):
         depth = torch.from_numpy(room[int(index)].depth)
         rays = room.camera.rays(room.camera.pixels())
-        found.append(View(depth[depth > 0], rays[depth > 0], torch.from_numpy(room.ground_truth[index]).float()))
+        found.append(DecoderView(depth[depth > 0], rays[depth > 0], torch.from_numpy(room.ground_truth[index]).float()))
     return found
 
 
-def labelled_points(views: Sequence[View], T: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def labelled_points(views: Sequence[DecoderView], T: Tensor, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Points (N, 3) [m], moved by T (4, 4), and whether each is occupied (N,): a quarter in free space, the rest around readings."""
     each = count // len(views)
     points, labels = [], []
@@ -82,7 +82,7 @@ def labelled_points(views: Sequence[View], T: Tensor, count: int, generator: tor
     return torch.cat(points), torch.cat(labels).float()
 
 
-def train(training: Training, config: OccupancyGridsConfig | None = None) -> tuple[OccupancyGrids, list[float]]:
+def train(training: DecoderTraining, config: OccupancyGridsConfig | None = None) -> tuple[OccupancyGrids, list[float]]:
     """Trains the decoders; returns a map with them, and the mean loss of each episode. One seed gives one result."""
     torch.manual_seed(training.seed)
     generator = torch.Generator().manual_seed(training.seed)
@@ -103,10 +103,10 @@ def train(training: Training, config: OccupancyGridsConfig | None = None) -> tup
 
 def _episode(
     field: OccupancyGrids,
-    window: Sequence[View],
+    window: Sequence[DecoderView],
     outer: torch.optim.Adam,
     schedule: torch.optim.lr_scheduler.LRScheduler,
-    training: Training,
+    training: DecoderTraining,
     generator: torch.Generator,
 ) -> float:
     """Learns new features of a window from scratch, and moves the decoders at each step; returns the mean loss."""
@@ -158,7 +158,7 @@ def random_transform(generator: torch.Generator) -> Tensor:
     return T
 
 
-def save_decoders(path: Path, field: OccupancyGrids, training: Training) -> None:
+def save_decoders(path: Path, field: OccupancyGrids, training: DecoderTraining) -> None:
     """Writes the pretrained decoders as safetensors, with the values of the training as metadata."""
     weights = {name: value.contiguous() for name, value in field.state_dict().items() if name.split(".")[0] in PRETRAINED}
     path.write_bytes(ordered(save(weights, {name: str(value) for name, value in vars(training).items()})))

@@ -25,7 +25,7 @@ from idfslam.config import PretrainConfig
 from idfslam.datasets import Dataset
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.pretraining.data_parallel import Workers, workers
-from idfslam.pretraining.footage import Footage, Recording, load_footage, sample_pair
+from idfslam.pretraining.footage import Footage, FrameSequence, load_footage, sample_pair
 from idfslam.pretraining.training import train_step
 from idfslam.pretraining.training_log import TrainingLog
 from idfslam.pretraining.validation import HeldOut, held_out, validate
@@ -121,7 +121,7 @@ class Training:
 
 
 def pretrain(
-    recordings: Sequence[Recording],
+    recordings: Sequence[FrameSequence],
     outputs: Outputs,
     config: PretrainConfig,
     *,

@@ -16,7 +16,7 @@ from idfslam.errors import DivergedError
 from idfslam.geometry import se3
 from idfslam.pretraining.augmentation import augmented
 from idfslam.pretraining.contrastive import contrastive_loss
-from idfslam.pretraining.footage import Pair, View
+from idfslam.pretraining.footage import Pair, PairView
 from idfslam.pretraining.point_rendering import splat
 from idfslam.tracking.features import FeatureExtractor
 from idfslam.tracking.finetuning import correspondence_loss
@@ -41,7 +41,7 @@ _REFITS = 3  # on all inliers. More: slower, more exact
 _LOSS_SHARE = 0.2  # [1] share of the matches in a subset whose pose has a loss. More: smoother losses, fewer right poses. Chosen by hand
 
 
-def rendering_losses(T_ab: Tensor, a: View, b: View) -> tuple[Tensor, Tensor]:
+def rendering_losses(T_ab: Tensor, a: PairView, b: PairView) -> tuple[Tensor, Tensor]:
     """L1 of colour and depth [m] between view a and the points of b rendered in it at T_ab (4, 4), averaged over covered pixels [31]."""
     valid = b.valid.flatten()
     points = se3.transform(T_ab.to(b.points), b.points.flatten(0, 1)[valid])

@@ -18,7 +18,7 @@ from idfslam.evaluation.trajectory_error import first_pose_alignment
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.level import up_direction
 from idfslam.pictures.direction import best_direction
-from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.mesh_renderer import Lighting, Picture, pose_outside
 from idfslam.pictures.scraps import without_scraps
 from idfslam.report.comparison_page import machine_line
 from idfslam.report.gallery import image_element
@@ -94,7 +94,7 @@ def _of_scene(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
     up, eyes = up_direction(whole, poses), poses[:, :3, 3]
     T_wo = pose_outside(whole, up, best_direction(whole, eyes, up), _CAMERA)
     surfaces = found if (truth := _true_surface(rows[0], recording)) is None else {"truth": without_scraps(truth)} | found
-    pictures = {name: Picture(mesh, inside=eyes).draw(T_wo, _CAMERA, Shading()) for name, mesh in surfaces.items()}
+    pictures = {name: Picture(mesh, inside=eyes).draw(T_wo, _CAMERA, Lighting()) for name, mesh in surfaces.items()}
     return [{"image": image_element(picture), "caption": name} for name, picture in pictures.items()]
 
 

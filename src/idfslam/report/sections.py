@@ -10,7 +10,7 @@ from idfslam.datasets import Dataset
 from idfslam.report import figures
 from idfslam.report.gallery import Figure, Gallery
 from idfslam.report.known_error import KnownError
-from idfslam.report.views import Room, comparisons, moving_strip
+from idfslam.report.views import RoomPictures, comparisons, moving_strip
 from idfslam.runs import result_folder
 from idfslam.runs.finished_run import FinishedRun
 
@@ -39,7 +39,7 @@ def room_pictures(
     poses = run.trajectory.poses
     truth = None if error is None else error.true_positions() @ R_lw.T
     path = figures.CameraPath(poses[:, :3, 3] @ R_lw.T, truth, run.keyframes.indices)
-    room = Room(mesh, poses, R_lw) if mesh is not None else None
+    room = RoomPictures(mesh, poses, R_lw) if mesh is not None else None
     plan = None if room is None else room.plan()
     sections = {
         "trajectory": [

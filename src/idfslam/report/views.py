@@ -22,7 +22,7 @@ from idfslam.geometry.level import from_above
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.direction import best_direction, shown
 from idfslam.pictures.image_files import to_bytes
-from idfslam.pictures.mesh_renderer import Picture, Shading, pose_outside
+from idfslam.pictures.mesh_renderer import Lighting, Picture, pose_outside
 from idfslam.pictures.scraps import without_scraps
 from idfslam.report.figures import Plan
 from idfslam.sensing.matched_exposure import matched_exposure
@@ -51,7 +51,7 @@ _MOVING_FRAMES = 8  # images that show what moves. More: a longer strip
 _MAX_ERROR = 0.05  # [m] depth error at the end of the colour scale
 
 
-class Room:
+class RoomPictures:
     """A mesh with the cameras that saw it. Its methods draw the pictures of the room."""
 
     def __init__(self, mesh: trimesh.Trimesh, poses: Floats, R_lw: Floats) -> None:
@@ -68,17 +68,17 @@ class Room:
         directions = turns @ best_direction(self._mesh, eyes, up)
         seen = shown(self._mesh, eyes, directions)
         chosen = directions[seen >= _LEAST_SIDE * seen[0]]
-        return self._seen([pose_outside(self._mesh, up, direction, _OUTSIDE) for direction in chosen], _OUTSIDE, Shading())
+        return self._seen([pose_outside(self._mesh, up, direction, _OUTSIDE) for direction in chosen], _OUTSIDE, Lighting())
 
     def inside(self) -> list[Image]:
         """Wide-angle pictures (H, W, 4) from four places on the path."""
-        lit = Shading(occlusion=0)  # occlusion would take most of the report's time: here every pixel shows surface
+        lit = Lighting(occlusion=0)  # occlusion would take most of the report's time: here every pixel shows surface
         return self._seen([self._poses[i] for i in _between_ends(len(self._poses), 4)], _INSIDE, lit)
 
-    def _seen(self, poses: Sequence[Floats], camera: Camera, shading: Shading) -> list[Image]:
+    def _seen(self, poses: Sequence[Floats], camera: Camera, lighting: Lighting) -> list[Image]:
         """Draws in parallel threads: ray casting and arithmetic on whole images release the interpreter."""
         with ThreadPoolExecutor(_AT_ONCE) as pool:
-            return list(pool.map(lambda T_wc: self._picture.cut_out(T_wc, camera, shading), poses))
+            return list(pool.map(lambda T_wc: self._picture.cut_out(T_wc, camera, lighting), poses))
 
     def plan(self) -> Plan:
         """The room from above. The ceiling is invisible from outside."""
@@ -88,7 +88,7 @@ class Room:
         above = _FAR * float(size.max())
         focal = per_metre * above
         camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-        image = self._picture.cut_out(from_above(self._R_lw, (self.low + self.high) / 2, above), camera, Shading())
+        image = self._picture.cut_out(from_above(self._R_lw, (self.low + self.high) / 2, above), camera, Lighting())
         return Plan(image, (self.low[0], self.high[0], self.low[1], self.high[1]))
 
     def slices(self, saved: SavedMap) -> Iterator[tuple[float, Plan]]:
@@ -106,7 +106,7 @@ class Room:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class RenderedComparison:
     """A frame next to the map rendered from its pose."""
 
     index: int
@@ -136,7 +136,7 @@ def _between_ends(count: int, wanted: int) -> list[int]:
     return sorted({round(float(i)) for i in np.linspace(0, count - 1, wanted + 2)[1:-1]})
 
 
-def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[Comparison]:
+def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequence[Floats] | Floats) -> Iterator[RenderedComparison]:
     """Comparisons of frames at poses (N, 4, 4), spread over the run, rendered without their own images; none of unreadable frames."""
     own = recording.camera
     small = own.resized(_WIDTH, round(_WIDTH * own.height / own.width))
@@ -162,7 +162,7 @@ def comparisons(renderer: MapViews | SavedMap, recording: Dataset, poses: Sequen
             "depth error": _painted(error / _MAX_ERROR, "magma"),
         }
         quality = psnr(shown[surface], seen[surface]) if surface.any() else 0.0
-        yield Comparison(i, pictures, quality, float(np.nanmedian(error)) if both.any() else float("nan"))
+        yield RenderedComparison(i, pictures, quality, float(np.nanmedian(error)) if both.any() else float("nan"))
 
 
 def _painted(values: NDArray[np.floating], colours: str) -> Image:

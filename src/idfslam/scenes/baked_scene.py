@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from idfslam.geometry.camera import Camera
 from idfslam.scenes import lightmap
-from idfslam.scenes.furniture import Scene
+from idfslam.scenes.furniture import SceneBuilder
 from idfslam.scenes.lightmap import Lightmap
 from idfslam.scenes.ray_casting import BOX, ELLIPSOID, build_hierarchy, point_on
 from idfslam.scenes.shading import Rendering, render, render_depth
@@ -63,7 +63,7 @@ class BakedScene:
         return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def bake(scene: Scene, inner: Sequence[Sequence[int]]) -> BakedScene:
+def bake(scene: SceneBuilder, inner: Sequence[Sequence[int]]) -> BakedScene:
     """Bakes the light of a scene. The exposure gives the insides of floors, walls and ceilings a medium median brightness."""
     shapes, materials = np.array(scene.shapes), np.array(scene.materials)
     nodes = build_hierarchy(shapes)

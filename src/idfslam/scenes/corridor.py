@@ -14,7 +14,7 @@ from idfslam.scenes import corridor_fittings as fittings
 from idfslam.scenes import furniture
 from idfslam.scenes import procedural_textures as pattern
 from idfslam.scenes.baked_scene import BakedScene, bake
-from idfslam.scenes.furniture import Rgb, Scene, place
+from idfslam.scenes.furniture import Rgb, SceneBuilder, place
 from idfslam.scenes.room import wall_frame
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ _ROOM, _NICHE = (1.1, 2.1, 2.3, 2.0), (1.4, 2.2, 1.4, 0.45)  # width and height 
 
 
 @dataclass(frozen=True)
-class Plan:
+class FloorPlan:
     """The floor plan."""
 
     half: tuple[float, float]
@@ -54,15 +54,15 @@ class Plan:
 class Corridor(BakedScene):
     """A finished corridor."""
 
-    plan: Plan
+    plan: FloorPlan
 
 
 @dataclass(frozen=True)
 class Building:
     """A corridor without light: its shapes, and the visible charts of the slabs, which are the first shapes."""
 
-    plan: Plan
-    scene: Scene
+    plan: FloorPlan
+    scene: SceneBuilder
     inner: list[tuple[int, ...]] = field(default_factory=list)
 
     def slab(self, T: Array, low: tuple[float, float, float], high: tuple[float, float, float], material: int, *inner: int) -> None:
@@ -81,7 +81,7 @@ def draw_corridor(seed: int) -> Building:
     """The corridor of this seed without light; baking the light takes most of the time."""
     rng = np.random.default_rng([seed, 17])
     half = float(rng.uniform(3.7, 4.4)), float(rng.uniform(2.7, 3.3))
-    building = Building(Plan(half, float(rng.uniform(1.7, 2.1))), Scene(rng))
+    building = Building(FloorPlan(half, float(rng.uniform(1.7, 2.1))), SceneBuilder(rng))
     openings = _draw_openings(rng)
     walls = _wall_materials(building.scene)
     _floors_and_ceilings(building)
@@ -100,7 +100,7 @@ def _draw_openings(rng: Generator) -> list[tuple[float, tuple[float, ...]]]:
     return [(float(rng.choice(_SHORT if k % 2 else _LONG)), kind) for k, kind in enumerate(kinds)]
 
 
-def _wall_materials(scene: Scene) -> list[int]:
+def _wall_materials(scene: SceneBuilder) -> list[int]:
     """Materials: paint of the long sides, of the short sides, of rooms and niches, and a pattern for one end of the block."""
     rng = scene.rng
 
@@ -192,7 +192,7 @@ def _furnish(building: Building, openings: list[tuple[float, tuple[float, ...]]]
     _mark_places(building, openings)
 
 
-def _furnish_room(scene: Scene, T: Array, k: int) -> None:
+def _furnish_room(scene: SceneBuilder, T: Array, k: int) -> None:
     """A window with a desk before it, or a library; a lamp of its own."""
     if k % 2 == 0:
         furniture.window(scene, T, 1.2, 1.0, 2.0)
@@ -203,7 +203,7 @@ def _furnish_room(scene: Scene, T: Array, k: int) -> None:
     fittings.ceiling_lamp(scene, T @ place(0, 1.2), HEIGHT)
 
 
-def _furnish_niche(scene: Scene, T: Array, k: int) -> None:
+def _furnish_niche(scene: SceneBuilder, T: Array, k: int) -> None:
     """A cupboard or a bench below a picture, with a lamp."""
     fittings.ceiling_lamp(scene, T @ place(0, _NICHE[3] / 2), _NICHE[1], power=0.3)
     if scene.rng.random() < 0.5:

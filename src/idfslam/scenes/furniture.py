@@ -1,7 +1,7 @@
 """Furniture out of boxes, frustums and ellipsoids.
 
 A piece is built in its own frame: x along the wall, y out of it into the room, z up, the origin on the floor at the
-wall [m]. A `Scene` collects the shapes of all pieces.
+wall [m]. A `SceneBuilder` collects the shapes of all pieces.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ def tilt(axis: int, degrees: float) -> Array:
 
 
 @dataclass
-class Scene:
+class SceneBuilder:
     """A scene under construction: shapes, materials and lights; `rng` draws random details."""
 
     rng: Generator
@@ -118,13 +118,13 @@ WOODS: tuple[tuple[Rgb, Rgb], ...] = (
 )
 
 
-def wood(scene: Scene) -> int:
+def wood(scene: SceneBuilder) -> int:
     """A kind of wood."""
     a, b = WOODS[scene.rng.integers(len(WOODS))]
     return scene.material(pattern.WOOD, a, b)
 
 
-def cloth(scene: Scene, colour: Rgb | None = None) -> int:
+def cloth(scene: SceneBuilder, colour: Rgb | None = None) -> int:
     """Plain or striped fabric."""
     rng = scene.rng
     a = colour or vivid(rng)
@@ -133,7 +133,7 @@ def cloth(scene: Scene, colour: Rgb | None = None) -> int:
     return scene.material(pattern.FABRIC, darker(a, 0.65), darker(a, 1.35))
 
 
-def vase(scene: Scene, T: Array, x: float, y: float, z: float, size: float) -> None:
+def vase(scene: SceneBuilder, T: Array, x: float, y: float, z: float, size: float) -> None:
     """A glazed vase with a neck, or sometimes a ball, `size` [m] high."""
     rng = scene.rng
     glaze = scene.material(pattern.GLAZE, vivid(rng), vivid(rng), vivid(rng, 0.4, 0.7), contrast=float(rng.integers(4)))
@@ -146,7 +146,7 @@ def vase(scene: Scene, T: Array, x: float, y: float, z: float, size: float) -> N
     scene.tube(T, (x, y, z + 0.7 * size), 0.3 * size, (0.45 * r, 0.75 * r), glaze)
 
 
-def books(scene: Scene, T: Array, low: float, high: float, y: float, z: float, height: float) -> None:
+def books(scene: SceneBuilder, T: Array, low: float, high: float, y: float, z: float, height: float) -> None:
     """A row of books between x = low and high, their spines near y, on a board at z with `height` above it."""
     rng = scene.rng
     x = low
@@ -161,7 +161,7 @@ def books(scene: Scene, T: Array, low: float, high: float, y: float, z: float, h
         x += thick + 0.001
 
 
-def bookshelf(scene: Scene, T: Array, width: float, height: float) -> None:
+def bookshelf(scene: SceneBuilder, T: Array, width: float, height: float) -> None:
     """Boards between sides, with books, vases and boxes."""
     rng, timber, depth = scene.rng, wood(scene), 0.3
     h = width / 2
@@ -184,7 +184,7 @@ def bookshelf(scene: Scene, T: Array, width: float, height: float) -> None:
     vase(scene, T, rng.uniform(-0.5, 0.5) * h, 0.15, height, 0.26)
 
 
-def cupboard(scene: Scene, T: Array, width: float, height: float) -> None:
+def cupboard(scene: SceneBuilder, T: Array, width: float, height: float) -> None:
     """A body on feet with panelled doors and knobs, things on top."""
     rng, timber, depth, h = scene.rng, wood(scene), 0.42, width / 2
     knob = scene.material(pattern.PAINT, (0.55, 0.42, 0.18), contrast=0.2)
@@ -204,7 +204,7 @@ def cupboard(scene: Scene, T: Array, width: float, height: float) -> None:
         vase(scene, T, x + rng.uniform(-0.05, 0.05), depth / 2, height + 0.03, rng.uniform(0.16, 0.34))
 
 
-def sofa(scene: Scene, T: Array, width: float) -> None:
+def sofa(scene: SceneBuilder, T: Array, width: float) -> None:
     """Base, back, arms and cushions."""
     rng, h = scene.rng, width / 2
     cover = cloth(scene)
@@ -225,7 +225,7 @@ def sofa(scene: Scene, T: Array, width: float) -> None:
         scene.ball(T @ place(x, 0.42, 0.6, turn=rng.uniform(-25, 25)) @ tilt(0, 22), (0, 0, 0), (0.21, 0.08, 0.2), cloth(scene))
 
 
-def bed(scene: Scene, T: Array, width: float) -> None:
+def bed(scene: SceneBuilder, T: Array, width: float) -> None:
     """Headboard at the wall, mattress, blanket and pillows."""
     timber, h, rng = wood(scene), width / 2, scene.rng
     linen = scene.material(pattern.FABRIC, (0.62, 0.6, 0.56), (0.78, 0.76, 0.72), contrast=0.6)
@@ -240,7 +240,7 @@ def bed(scene: Scene, T: Array, width: float) -> None:
     scene.ball(T @ place(rng.uniform(-0.2, 0.2), 0.5, 0.62) @ tilt(0, 50), (0, 0, 0), (0.22, 0.17, 0.07), cloth(scene))
 
 
-def table(scene: Scene, T: Array, width: float, depth: float, height: float) -> None:
+def table(scene: SceneBuilder, T: Array, width: float, depth: float, height: float) -> None:
     """A rectangular table, its centre at the origin, set with things."""
     timber, rng = wood(scene), scene.rng
     a, b = width / 2, depth / 2
@@ -264,7 +264,7 @@ def table(scene: Scene, T: Array, width: float, depth: float, height: float) -> 
         scene.ball(T, (-0.6 * a + 0.045 * np.cos(2.1 * k), -0.3 * b + 0.045 * np.sin(2.1 * k), height + 0.075), (0.035,) * 3, fruit)
 
 
-def chair(scene: Scene, T: Array, timber: int, cushion: int | None = None) -> None:
+def chair(scene: SceneBuilder, T: Array, timber: int, cushion: int | None = None) -> None:
     """Seat, legs and a back of slats; it looks towards -y. cushion: the material of the seat; None: any cloth."""
     scene.box(T, (-0.21, -0.21, 0.42), (0.21, 0.21, 0.45), timber)
     scene.box(T, (-0.19, -0.19, 0.45), (0.19, 0.17, 0.48), cloth(scene) if cushion is None else cushion)
@@ -275,7 +275,7 @@ def chair(scene: Scene, T: Array, timber: int, cushion: int | None = None) -> No
         scene.box(T, (-0.17, 0.18, z), (0.17, 0.2, z + 0.06), timber)
 
 
-def desk(scene: Scene, T: Array, width: float) -> None:
+def desk(scene: SceneBuilder, T: Array, width: float) -> None:
     """A table at the wall with drawers, a screen, a lamp, books and a chair before it."""
     rng, timber, h = scene.rng, wood(scene), width / 2
     scene.box(T, (-h, 0.02, 0.71), (h, 0.65, 0.74), timber)
@@ -303,7 +303,7 @@ def desk(scene: Scene, T: Array, width: float) -> None:
     chair(scene, T @ place(rng.uniform(-0.1, 0.1), 0.72, turn=rng.uniform(-20, 20)), timber)
 
 
-def floor_lamp(scene: Scene, T: Array) -> None:
+def floor_lamp(scene: SceneBuilder, T: Array) -> None:
     """A stand with a glowing shade."""
     metal = scene.material(pattern.PAINT, (0.25, 0.22, 0.18), contrast=0.3)
     shade = scene.material(pattern.STRIPES, (0.9, 0.72, 0.45), (0.85, 0.6, 0.33), (0.9, 0.8, 0.6), scale=0.06, contrast=0.5, glow=1.1)
@@ -314,7 +314,7 @@ def floor_lamp(scene: Scene, T: Array) -> None:
     scene.glowing_disc(T, (0, 0.25, 1.65), 0.11, 1, (0.3, 0.23, 0.13), 5)
 
 
-def pendant(scene: Scene, T: Array, ceiling: float) -> None:
+def pendant(scene: SceneBuilder, T: Array, ceiling: float) -> None:
     """A lamp that hangs from the ceiling."""
     metal = scene.material(pattern.PAINT, (0.2, 0.2, 0.2), contrast=0.3)
     shade = scene.material(pattern.STRIPES, (0.9, 0.78, 0.55), (0.75, 0.6, 0.4), (0.95, 0.85, 0.65), scale=0.08, contrast=0.5, glow=1.1)
@@ -326,7 +326,7 @@ def pendant(scene: Scene, T: Array, ceiling: float) -> None:
     scene.glowing_disc(T, (0, 0, z + 0.21), 0.1, 1, (1.2, 1.0, 0.75), 4)
 
 
-def plant(scene: Scene, T: Array, height: float) -> None:
+def plant(scene: SceneBuilder, T: Array, height: float) -> None:
     """A pot with leaves on stems."""
     rng = scene.rng
     pot = scene.material(pattern.GLAZE, (0.45, 0.2, 0.1), vivid(rng), (0.6, 0.5, 0.4))
@@ -344,7 +344,7 @@ def plant(scene: Scene, T: Array, height: float) -> None:
         scene.ball(branch, (length + 0.02, 0, 0), (length, 0.055, 0.008), green)
 
 
-def picture(scene: Scene, T: Array, x: float, z: float, width: float, height: float) -> None:
+def picture(scene: SceneBuilder, T: Array, x: float, z: float, width: float, height: float) -> None:
     """A framed picture on the wall, its centre at (x, z)."""
     rng, frame = scene.rng, wood(scene)
     kind = pattern.POSTER if rng.random() < 0.6 else pattern.LANDSCAPE
@@ -357,7 +357,7 @@ def picture(scene: Scene, T: Array, x: float, z: float, width: float, height: fl
         scene.box(T, (left, 0, z - b), (left + 0.03, 0.03, z + b), frame)
 
 
-def window(scene: Scene, T: Array, width: float, low: float, high: float) -> None:
+def window(scene: SceneBuilder, T: Array, width: float, low: float, high: float) -> None:
     """A view in a white frame with mullions, sill and curtains; daylight comes in through it."""
     rng, h = scene.rng, width / 2
     white = scene.material(pattern.PAINT, (0.72, 0.71, 0.68), contrast=0.15)
@@ -382,7 +382,7 @@ def window(scene: Scene, T: Array, width: float, low: float, high: float) -> Non
             scene.lights.append(np.concatenate([point[:3], n, np.array([4.6, 5.2, 6.0]) * width * (high - low) / 16]))
 
 
-def door(scene: Scene, T: Array, timber: int | None = None) -> None:
+def door(scene: SceneBuilder, T: Array, timber: int | None = None) -> None:
     """A panelled door in its frame, with a handle; of a given material, or of wood or painted."""
     seed = -1 if timber is None else 0
     if timber is None:
@@ -400,7 +400,7 @@ def door(scene: Scene, T: Array, timber: int | None = None) -> None:
     scene.ball(T, (0.35, 0.045, 1.03), (0.014, 0.03, 0.014), brass)
 
 
-def clock(scene: Scene, T: Array, x: float, z: float) -> None:
+def clock(scene: SceneBuilder, T: Array, x: float, z: float) -> None:
     """A round clock on the wall."""
     face = T @ place(x, 0.02, z) @ tilt(0, 90)
     rim, white = wood(scene), scene.material(pattern.PAINT, (0.75, 0.73, 0.68), contrast=0.2)
@@ -414,7 +414,7 @@ def clock(scene: Scene, T: Array, x: float, z: float) -> None:
         scene.box(T @ place(x, 0.047, z) @ tilt(1, turn), (-0.006, 0, -0.02), (0.006, 0.003, length), black)
 
 
-def wall_shelf(scene: Scene, T: Array, x: float, z: float, width: float) -> None:
+def wall_shelf(scene: SceneBuilder, T: Array, x: float, z: float, width: float) -> None:
     """A board on the wall with books and a vase."""
     timber = wood(scene)
     scene.box(T, (x - width / 2, 0, z), (x + width / 2, 0.2, z + 0.025), timber)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.geometry.camera import Camera
 from idfslam.scenes import lightmap
 from idfslam.scenes.baked_scene import BakedScene
-from idfslam.scenes.furniture import Scene
+from idfslam.scenes.furniture import SceneBuilder
 from idfslam.scenes.lightmap import Lightmap
 from idfslam.scenes.ray_casting import build_hierarchy
 
@@ -28,14 +28,14 @@ _KEPT = 4  # scenes of the last times; raised, more threads render at once witho
 class Body(Protocol):
     """Something that moves: it draws its shapes into a scene, always the same ones in the same order, where they are at a time."""
 
-    def draw(self, scene: Scene, seconds: float) -> None: ...
+    def draw(self, scene: SceneBuilder, seconds: float) -> None: ...
 
 
 class MovingScene:
     """A static scene and bodies that move in it. `at(seconds)` is the whole, `bodies_at(seconds)` the bodies alone."""
 
     def __init__(self, static: BakedScene, bodies: Sequence[Body], materials: Sequence[Array]) -> None:
-        """materials: those that the bodies' shapes name by their numbers, as in `furniture.Scene`."""
+        """materials: those that the bodies' shapes name by their numbers, as in `furniture.SceneBuilder`."""
         self.static, self.bodies, self._materials = static, bodies, np.array(materials)
         self._light = _light(self._shapes(0.0), static.exposure)
         self.bodies_at = lru_cache(_KEPT)(self._bodies_at)
@@ -54,7 +54,7 @@ class MovingScene:
 
     def _shapes(self, seconds: float) -> Array:
         """(P, 17) of all bodies."""
-        scene = Scene(np.random.default_rng(0))
+        scene = SceneBuilder(np.random.default_rng(0))
         for body in self.bodies:
             body.draw(scene, seconds)
         return np.array(scene.shapes)

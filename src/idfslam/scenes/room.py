@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from idfslam.scenes import furniture
 from idfslam.scenes import procedural_textures as pattern
 from idfslam.scenes.baked_scene import BakedScene, bake
-from idfslam.scenes.furniture import Rgb, Scene, place
+from idfslam.scenes.furniture import Rgb, SceneBuilder, place
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def build_room(seed: int, *, bare_wall: bool = False) -> Room:
     """The room of this seed; with `bare_wall` the middle of one wall is empty and has a single plain colour."""
     rng = np.random.default_rng([seed, 7])
     half, height = (float(rng.uniform(2.45, 3.0)), float(rng.uniform(2.1, 2.5))), float(rng.uniform(2.45, 2.8))
-    scene = Scene(rng)
+    scene = SceneBuilder(rng)
     _shell(scene, half, height, bare_wall)
     themes = [_sofa_wall if rng.random() < 0.6 else _bed_wall, _library_wall, _window_wall, _door_wall]
     order = rng.permutation(4)
@@ -49,7 +49,7 @@ def wall_frame(k: int, half: tuple[float, float]) -> Array:
     return place(x, y, turn=90 * k)
 
 
-def _shell(scene: Scene, half: tuple[float, float], height: float, bare_wall: bool) -> None:
+def _shell(scene: SceneBuilder, half: tuple[float, float], height: float, bare_wall: bool) -> None:
     """Floor, ceiling and walls as slabs around the room."""
     rng, T = scene.rng, np.eye(4)
     a, b = half
@@ -71,7 +71,7 @@ def _shell(scene: Scene, half: tuple[float, float], height: float, bare_wall: bo
         scene.box(T, (*low, 0), (*high, height), walls[k])
 
 
-def _wall_materials(scene: Scene) -> list[int]:
+def _wall_materials(scene: SceneBuilder) -> list[int]:
     """Two painted walls, one with wallpaper, one with stripes or bricks."""
     rng = scene.rng
 
@@ -100,7 +100,7 @@ def _wall_materials(scene: Scene) -> list[int]:
     return [walls[i] for i in rng.permutation(4)]
 
 
-def _trim(scene: Scene, T: Array, length: float, height: float) -> None:
+def _trim(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     """Skirting board and cornice."""
     white = scene.material(pattern.PAINT, (0.68, 0.66, 0.61), contrast=0.2)
     h = length / 2
@@ -109,7 +109,7 @@ def _trim(scene: Scene, T: Array, length: float, height: float) -> None:
     scene.box(T, (-h, 0, height - 0.08), (h, 0.025, height - 0.05), white)
 
 
-def _pictures(scene: Scene, T: Array, centre: float, z: float, width: float) -> None:
+def _pictures(scene: SceneBuilder, T: Array, centre: float, z: float, width: float) -> None:
     """One large picture or a row of small ones."""
     rng = scene.rng
     if rng.random() < 0.4:
@@ -121,21 +121,21 @@ def _pictures(scene: Scene, T: Array, centre: float, z: float, width: float) -> 
         furniture.picture(scene, T, x, z + rng.uniform(-0.08, 0.08), 0.62 * width / count, rng.uniform(0.36, 0.56))
 
 
-def _bare_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _bare_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     """A bare middle, which the tour faces, with shelves and pictures at the sides."""
     for side in (-1, 1):
         furniture.bookshelf(scene, T @ place(side * (length / 2 - 0.6), 0), 0.42, 1.4)
         furniture.picture(scene, T, side * 1.3, 1.5, 0.28, 0.5)
 
 
-def _sofa_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _sofa_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     furniture.sofa(scene, T, scene.rng.uniform(1.7, 2.1))
     _pictures(scene, T, 0.0, 1.6, 1.8)
     furniture.floor_lamp(scene, T @ place(-length / 2 + 0.62, 0.1))
     furniture.plant(scene, T @ place(length / 2 - 0.62, 0.05), scene.rng.uniform(1.2, 1.7))
 
 
-def _bed_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _bed_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     furniture.bed(scene, T, 1.45)
     _pictures(scene, T, 0.0, 1.62, 1.6)
     for side in (-1, 1):
@@ -144,7 +144,7 @@ def _bed_wall(scene: Scene, T: Array, length: float, height: float) -> None:
     furniture.wall_shelf(scene, T, -length / 2 + 0.65, 1.5, 0.6)
 
 
-def _library_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _library_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     rng = scene.rng
     wide = length / 2 - 1.0
     furniture.bookshelf(scene, T @ place(-length / 4 - 0.2, 0), wide, rng.uniform(1.75, 2.1))
@@ -152,7 +152,7 @@ def _library_wall(scene: Scene, T: Array, length: float, height: float) -> None:
     _pictures(scene, T, length / 4 - 0.1, 1.65, 1.1)
 
 
-def _window_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _window_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     rng = scene.rng
     shift = rng.uniform(-0.15, 0.15)
     furniture.window(scene, T @ place(shift, 0), rng.uniform(1.25, 1.5), 1.0, 2.1)
@@ -161,7 +161,7 @@ def _window_wall(scene: Scene, T: Array, length: float, height: float) -> None:
     furniture.bookshelf(scene, T @ place(length / 2 - 0.65, 0), 0.42, 1.5)
 
 
-def _door_wall(scene: Scene, T: Array, length: float, height: float) -> None:
+def _door_wall(scene: SceneBuilder, T: Array, length: float, height: float) -> None:
     rng = scene.rng
     furniture.door(scene, T @ place(-length / 2 + 1.05, 0))
     furniture.clock(scene, T, -length / 2 + 1.95, 1.85)
@@ -170,7 +170,7 @@ def _door_wall(scene: Scene, T: Array, length: float, height: float) -> None:
     furniture.picture(scene, T, length / 2 - 0.85, 1.65, 0.45, 0.6)
 
 
-def _centre(scene: Scene, height: float) -> None:
+def _centre(scene: SceneBuilder, height: float) -> None:
     """A rug, a low table and a lamp in the middle."""
     rng = scene.rng
     turn = rng.uniform(-12, 12)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from idfslam.scenes import furniture
 from idfslam.scenes import procedural_textures as pattern
 from idfslam.scenes.floor_path import FloorPath
-from idfslam.scenes.furniture import Scene, place, tilt
+from idfslam.scenes.furniture import SceneBuilder, place, tilt
 from idfslam.scenes.ray_casting import FRUSTUM
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ _PACE = 1.0  # [m/s] from which arms and legs swing fully; raised, slow steps ar
 class WalkingFigure:
     """A figure of a height [m] that walks along a path. Its colours and patterns are drawn from the random numbers of `materials`."""
 
-    def __init__(self, materials: Scene, path: FloorPath, height: float) -> None:
+    def __init__(self, materials: SceneBuilder, path: FloorPath, height: float) -> None:
         rng = materials.rng
         self.path, self.height, self._phase = path, height, float(rng.uniform(0, 2 * np.pi))
         shirts = pattern.STRIPES, pattern.WALLPAPER, pattern.BRICKS, pattern.TILES
@@ -35,7 +35,7 @@ class WalkingFigure:
         self._skin = materials.material(pattern.PAINT, furniture.darker((0.62, 0.44, 0.34), float(rng.uniform(0.4, 1.1))), contrast=0.3)
         self._hair = materials.material(pattern.WOOD, furniture.darker((0.2, 0.12, 0.07), float(rng.uniform(0.4, 2))), (0.05, 0.03, 0.02))
 
-    def draw(self, scene: Scene, seconds: float) -> None:
+    def draw(self, scene: SceneBuilder, seconds: float) -> None:
         """Draws the figure at a time."""
         h, path = self.height, self.path
         x, y = path.place(seconds)
@@ -51,7 +51,7 @@ class WalkingFigure:
             self._leg(scene, body, side, own, swing)
             self._arm(scene, body, side, own + np.pi, swing)
 
-    def _leg(self, scene: Scene, body: Array, side: int, phase: float, swing: float) -> None:
+    def _leg(self, scene: SceneBuilder, body: Array, side: int, phase: float, swing: float) -> None:
         h = self.height
         hip = body @ place(0, side * 0.052 * h, _HIP * h) @ _pitched(_SWING[0] * swing * np.sin(phase))
         knee = _segment(scene, hip, _THIGH * h, (0.05 * h, 0.036 * h), self._trousers)
@@ -59,7 +59,7 @@ class WalkingFigure:
         foot = _segment(scene, ankle, _SHIN * h, (0.036 * h, 0.026 * h), self._trousers)
         scene.box(foot, (-0.03 * h, -0.026 * h, -0.03 * h), (0.11 * h, 0.026 * h, 0.01 * h), self._hair)
 
-    def _arm(self, scene: Scene, body: Array, side: int, phase: float, swing: float) -> None:
+    def _arm(self, scene: SceneBuilder, body: Array, side: int, phase: float, swing: float) -> None:
         h = self.height
         shoulder = body @ place(0, side * 0.125 * h, (_SHOULDER - 0.02) * h) @ _pitched(_SWING[1] * swing * np.sin(phase))
         elbow = _segment(scene, shoulder, _UPPER_ARM * h, (0.032 * h, 0.026 * h), self._shirt)
@@ -72,7 +72,7 @@ def _pitched(angle: float) -> Array:
     return tilt(1, float(-np.rad2deg(angle)))
 
 
-def _segment(scene: Scene, joint: Array, length: float, radii: tuple[float, float], material: int) -> Array:
+def _segment(scene: SceneBuilder, joint: Array, length: float, radii: tuple[float, float], material: int) -> Array:
     """Draws a segment that hangs from a joint (4, 4), with a round joint at its top; returns the joint at its end (4, 4)."""
     scene.ball(joint, (0, 0, 0), (radii[0],) * 3, material)
     scene.add(FRUSTUM, joint, (0, 0, -length / 2), (radii[1], radii[0], length / 2), material)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from idfslam.config import TrackerConfig
-from idfslam.tracking.procrustes import Registration, random_subsets, register
+from idfslam.tracking.procrustes import ProcrustesFit, random_subsets, register
 from idfslam.tracking.spatial_consistency import consistent_subsets
 
 
@@ -35,7 +35,7 @@ class Correspondences:
         )
 
 
-def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torch.Generator) -> Registration | None:
+def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torch.Generator) -> ProcrustesFit | None:
     """T_kc by the robust Procrustes; None for too few correspondences."""
     if len(pairs) < max(3, config.min_inliers):
         return None
@@ -48,7 +48,7 @@ def estimate_pose(pairs: Correspondences, config: TrackerConfig, generator: torc
     return register(pairs.frame, pairs.keyframe, pairs.weight, subsets, refits=config.refits, **fit)
 
 
-def is_valid(pose: Registration, pairs: Correspondences, config: TrackerConfig) -> bool:
+def is_valid(pose: ProcrustesFit, pairs: Correspondences, config: TrackerConfig) -> bool:
     """Whether enough of the correspondences are inliers of the pose, and lie far enough apart to determine it."""
     enough = int(pose.inliers.sum()) >= max(3, config.min_inliers, config.min_inlier_share * len(pairs))
     return enough and spans_plane(pairs.frame[pose.inliers], config.min_extent)

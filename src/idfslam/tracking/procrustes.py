@@ -9,7 +9,7 @@ from idfslam.geometry import se3
 
 
 @dataclass(frozen=True)
-class Registration:
+class ProcrustesFit:
     """An estimated transform and its inliers."""
 
     T_ab: Tensor  # (4, 4) float64, differentiable in points and weights
@@ -67,7 +67,7 @@ def register(
     inlier_distance: float,
     truncation: float = 0.0,
     refits: int = 0,
-) -> Registration:
+) -> ProcrustesFit:
     """Robust T_ab from points `source` (M, 3) in b to points `target` (M, 3) in a [m] with weights (M,), M >= 3, with outliers among them.
 
     The best of the `subsets` (S, n) of the matches gives the transform. Each of `refits` rounds then repeats Procrustes on all inliers,
@@ -83,8 +83,8 @@ def register(
     return supported(T_ab, source, target, inlier_distance)
 
 
-def supported(T_ab: Tensor, source: Tensor, target: Tensor, inlier_distance: float) -> Registration:
+def supported(T_ab: Tensor, source: Tensor, target: Tensor, inlier_distance: float) -> ProcrustesFit:
     """A transform (4, 4) with its inliers: the matches of points (N, 3), (N, 3) that it brings within `inlier_distance` [m]."""
     distance = residuals(T_ab.detach(), source, target)
     inliers = distance < inlier_distance
-    return Registration(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))
+    return ProcrustesFit(T_ab, inliers, float(distance[inliers].square().mean().sqrt()))

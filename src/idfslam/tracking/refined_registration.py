@@ -15,7 +15,7 @@ from idfslam.tracking.correspondences import Correspondences
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patch_alignment import AlignedPatches, aligned_patches
 from idfslam.tracking.point_to_plane import plane_system, point_to_plane
-from idfslam.tracking.procrustes import Registration, supported
+from idfslam.tracking.procrustes import ProcrustesFit, supported
 
 # All of these were chosen on generated pairs, photographs and a hand-held recording (docs/model-card.md).
 _STRIDE = 2  # [px] stride of the rows and columns whose planes take part. More: faster, and depth counts less
@@ -35,7 +35,7 @@ _LEAST_VARIANCE, _VARIANCE, _MOST = 0.07, 3e6, 0.005
 
 
 @dataclass(frozen=True)
-class RefinedRegistration(Registration):
+class RefinedRegistration(ProcrustesFit):
     """A registration by image and depth, and its evidence."""
 
     covariance: Tensor  # (6, 6) float64 of delta, where exp(delta) T_ab is the true pose [m, rad]
@@ -44,7 +44,7 @@ class RefinedRegistration(Registration):
 
 @torch.no_grad()
 def refined(
-    pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures, *, plane_steps: int, inlier_distance: float
+    pose: ProcrustesFit, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures, *, plane_steps: int, inlier_distance: float
 ) -> RefinedRegistration | None:
     """The registration of a frame from one by matches; None if too few patches can be aligned.
 

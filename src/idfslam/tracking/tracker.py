@@ -25,7 +25,7 @@ from idfslam.tracking.matching import Features, PixelMatches, bucket, match
 from idfslam.tracking.overlap import overlapping_pixels
 from idfslam.tracking.patch_alignment import AlignedPatches
 from idfslam.tracking.point_to_plane import point_to_plane
-from idfslam.tracking.procrustes import Registration, supported
+from idfslam.tracking.procrustes import ProcrustesFit, supported
 from idfslam.tracking.refined_registration import RefinedRegistration, refined
 
 # [px] Strides of query and target pixels in validation. More: faster, and noisier scores. With these a pair takes a few ms. Chosen by hand.
@@ -147,7 +147,7 @@ class Tracker(Stateful):
         It costs a fifth of `extract_features` and `track`, and corrects up to about 2 degrees. LOST unless many patches confirm it.
         """
         none = Correspondences.none(self.device)
-        start = Registration(torch.from_numpy(T_kc).to(self.device), none.weight > 0, float("nan"))
+        start = ProcrustesFit(torch.from_numpy(T_kc).to(self.device), none.weight > 0, float("nan"))
         distance = self.config.inlier_distance
         pose = refined(start, none, frame, keyframe, plane_steps=self.config.plane_steps, inlier_distance=distance)
         if pose is None:
@@ -155,7 +155,7 @@ class Tracker(Stateful):
         return _result(pose, 0, _convincing(pose, overlapping_pixels(pose.T_ab, keyframe, frame).depth_consistency))
 
     @torch.no_grad()
-    def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> tuple[Correspondences, Registration | None]:
+    def register(self, frame: FrameFeatures, keyframe: FrameFeatures) -> tuple[Correspondences, ProcrustesFit | None]:
         """The best matches of the two, and T_kc by the matches, the images and the depth images; None for too few matches."""
         pairs, pose = self._search(frame, keyframe)
         if pose is None or not bool(pose.inliers.any()):
@@ -168,7 +168,7 @@ class Tracker(Stateful):
         T_kc = point_to_plane(pose.T_ab, frame, keyframe, pairs[pose.inliers], steps=steps)
         return pairs, supported(T_kc, pairs.frame, pairs.keyframe, distance)
 
-    def _search(self, frame: FrameFeatures, keyframe: FrameFeatures) -> tuple[Correspondences, Registration | None]:
+    def _search(self, frame: FrameFeatures, keyframe: FrameFeatures) -> tuple[Correspondences, ProcrustesFit | None]:
         """The best matches, and T_kc by them alone. Where few matches are consistent, more pixels are searched."""
         pairs = lifted(self._match(frame, keyframe, self.config), frame, keyframe)
         pose = estimate_pose(pairs, self.config, self.generator)
@@ -179,7 +179,7 @@ class Tracker(Stateful):
         better = estimate_pose(more_pairs, more, self.generator)
         return (pairs, pose) if better is None else (more_pairs, better)
 
-    def is_consistent(self, pose: Registration, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures) -> bool:
+    def is_consistent(self, pose: ProcrustesFit, pairs: Correspondences, frame: FrameFeatures, keyframe: FrameFeatures) -> bool:
         """Whether a pose is consistent with the matches and with the depth images, or with many patches of the image.
 
         Patches alone convince where depth was taken at another time than the image, or where few of the features match.
@@ -254,17 +254,17 @@ class Tracker(Stateful):
         return lambda pixels: self.extractor.head_at(trunk[pixels].float())
 
 
-def _patches(pose: Registration) -> int:
+def _patches(pose: ProcrustesFit) -> int:
     """The number of patches that confirm a pose."""
     return pose.patches.inliers(pose.T_ab.cpu()) if isinstance(pose, RefinedRegistration) else 0
 
 
-def _convincing(pose: Registration, agreement: float) -> bool:
+def _convincing(pose: ProcrustesFit, agreement: float) -> bool:
     """Whether patches alone convince. agreement: share of the overlapping depth pixels that agree."""
     return _patches(pose) >= _CONVINCING + _CONTRADICTED * (1 - agreement)
 
 
-def _result(pose: Registration, matches: int, consistent: bool) -> TrackingResult:
+def _result(pose: ProcrustesFit, matches: int, consistent: bool) -> TrackingResult:
     covariance, aligned = (pose.covariance.numpy(), pose.patches) if isinstance(pose, RefinedRegistration) else (None, None)
     status = Status.OK if consistent else Status.LOST
     T_kc = pose.T_ab.cpu().numpy()

@@ -60,7 +60,7 @@ replay acts; finetuning begins with the fourth keyframe, since a tour keeps fewe
 
 
 @dataclass(frozen=True)
-class Scene:
+class TableScene:
     """A recording of a table."""
 
     name: str
@@ -75,7 +75,7 @@ class Scene:
 class Job:
     """A run: a method on a scene, perhaps with a part left out."""
 
-    scene: Scene
+    scene: TableScene
     method: str  # a preset
     variant: str = ""  # which part is left out; empty: none is asked about
     values: Mapping[str, Any] = field(default_factory=dict)  # over those of the preset
@@ -112,12 +112,12 @@ def methods_of(given: Sequence[str] | None) -> list[str]:
 def small_suite(methods: Sequence[str], *, ablations: bool) -> Suite:
     """Generated rooms alone, at sizes for a CPU."""
     scenes = [
-        Scene("synthetic-0", "synthetic:0", RECONSTRUCTION, frames=80),
-        Scene("synthetic-1-kinect", "synthetic:1:kinect", TRACKING, frames=80),
+        TableScene("synthetic-0", "synthetic:0", RECONSTRUCTION, frames=80),
+        TableScene("synthetic-1-kinect", "synthetic:1:kinect", TRACKING, frames=80),
     ]
     jobs = [Job(scene, method, values=_merged(SMALL.get(method, {}), COARSE)) for scene in scenes for method in methods]
     if ablations:
-        tour = Scene("synthetic-0-tour", "synthetic:0", ABLATION, frames=75, stride=8)
+        tour = TableScene("synthetic-0-tour", "synthetic:0", ABLATION, frames=75, stride=8)
         jobs += _ablations(tour, [REDUCED, SMALL_ABLATION, COARSE])
     notes = (
         "Reduced sizes and short, generated recordings: the order of the methods may differ from that at full size.",
@@ -135,37 +135,37 @@ def full_suite(data: Path, methods: Sequence[str], *, ablations: bool) -> Suite:
     scannet = [scene for name in SCANNET if (scene := _scannet(data, name)) is not None]
     notes = []
     if not replica:
-        replica = [Scene(f"synthetic-{seed}", f"synthetic:{seed}", RECONSTRUCTION) for seed in range(3)]
+        replica = [TableScene(f"synthetic-{seed}", f"synthetic:{seed}", RECONSTRUCTION) for seed in range(3)]
         notes.append(f"Tables I and II are of generated rooms: {data} has no Replica (`idf-slam download replica --out {data}`).")
     if not scannet:
-        scannet = [Scene(f"synthetic-{seed}-kinect", f"synthetic:{seed}:kinect", TRACKING) for seed in range(3)]
+        scannet = [TableScene(f"synthetic-{seed}-kinect", f"synthetic:{seed}:kinect", TRACKING) for seed in range(3)]
         notes.append(
             f"Table III is of generated rooms with a Kinect's noise: {data} has none of ScanNet's six scenes (its authors give access)."
         )
     jobs = [Job(scene, method) for scene in (*replica, *scannet) for method in methods]
     if ablations:
         first = replica[0]
-        jobs += _ablations(Scene(f"{first.name}-ablation", first.path, ABLATION, gt_mesh=first.gt_mesh), [])
+        jobs += _ablations(TableScene(f"{first.name}-ablation", first.path, ABLATION, gt_mesh=first.gt_mesh), [])
     return Suite(tuple(jobs), False, tuple(notes))
 
 
-def _ablations(scene: Scene, common: Sequence[Mapping[str, Any]]) -> Iterator[Job]:
+def _ablations(scene: TableScene, common: Sequence[Mapping[str, Any]]) -> Iterator[Job]:
     for variant, change in ABLATIONS.items():
         yield Job(scene, "paper", variant, _merged(*common, change))
 
 
-def _replica(data: Path, name: str) -> Scene | None:
+def _replica(data: Path, name: str) -> TableScene | None:
     folder = next((place / name for place in (data / "Replica", data) if (place / name / "traj.txt").is_file()), None)
     if folder is None:
         return None
     meshes = (folder / "gt_mesh.ply", folder.parent / f"{name}_mesh.ply")
-    return Scene(name, str(folder), RECONSTRUCTION, gt_mesh=next((mesh for mesh in meshes if mesh.is_file()), None))
+    return TableScene(name, str(folder), RECONSTRUCTION, gt_mesh=next((mesh for mesh in meshes if mesh.is_file()), None))
 
 
-def _scannet(data: Path, name: str) -> Scene | None:
+def _scannet(data: Path, name: str) -> TableScene | None:
     places = (data / "scannet" / name, data / "ScanNet" / name, data / name)
     folder = next((place for place in places if place.is_dir()), None)
-    return None if folder is None else Scene(name, str(folder), TRACKING)
+    return None if folder is None else TableScene(name, str(folder), TRACKING)
 
 
 def _merged(*changes: Mapping[str, Any]) -> dict[str, Any]:

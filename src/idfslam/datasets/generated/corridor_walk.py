@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from idfslam.datasets.generated.rendered import FPS, poses_looking
-from idfslam.scenes.corridor import Plan
+from idfslam.scenes.corridor import FloorPlan
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def lap_frames(half: tuple[float, float], laps: int) -> int:
     return int(np.ceil((laps * path.time[-1] + np.interp(OVERLAP, path.distance, path.time)) * FPS)) + 1
 
 
-def walk(seed: int, frames: int, plan: Plan) -> Array:
+def walk(seed: int, frames: int, plan: FloorPlan) -> Array:
     """(N, 4, 4) camera-to-world poses of the walk."""
     return Walk(seed, plan).pose_at(np.arange(frames) / FPS)
 
@@ -82,7 +82,7 @@ def walk(seed: int, frames: int, plan: Plan) -> Array:
 class Walk:
     """The walk of a seed as a smooth curve in continuous time."""
 
-    def __init__(self, seed: int, plan: Plan) -> None:
+    def __init__(self, seed: int, plan: FloorPlan) -> None:
         rng = np.random.default_rng([seed, 19])
         self._path = path = closed_path(plan.half)
         self._points = CubicSpline(path.distance, path.points, bc_type="periodic")
@@ -136,7 +136,7 @@ class _Wander:
         return np.asarray(self._size / np.sqrt(len(self._periods)) * np.sin(2 * np.pi * t[:, None] / self._periods + self._phases).sum(1))
 
 
-def _glances(seed: int, plan: Plan, path: Path, lap: int) -> list[tuple[float, float]]:
+def _glances(seed: int, plan: FloorPlan, path: Path, lap: int) -> list[tuple[float, float]]:
     """Times [s] of an even walk and angles [rad] of the looks to the side in one lap: to most openings and to some doors."""
     heading = path.lean + 2 * np.pi * path.distance / path.length
     bend = np.gradient(heading, path.distance)

@@ -21,7 +21,7 @@ _PATCH = 12  # [px at a width of 640] size of the patches that are lost together
 _SMALLER = 4  # how many times smaller the image is in which dark surfaces are found; raised, small ones are missed
 
 
-class DepthCamera:
+class SimulatedDepthCamera:
     """A structured-light camera (Kinect) with the noise of `sensor_noise`."""
 
     def __init__(self, scene: AnyScene, camera: Camera) -> None:
@@ -36,7 +36,7 @@ class DepthCamera:
         return noisy_depth(depth, normals, self.camera, rng)
 
 
-class ImperfectDepthCamera(DepthCamera):
+class ImperfectDepthCamera(SimulatedDepthCamera):
     """Such a camera with shadows of its projector, holes in dark and slanted surfaces, and flying pixels."""
 
     def __init__(self, scene: AnyScene, camera: Camera, strength: float) -> None:

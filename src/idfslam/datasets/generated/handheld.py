@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from idfslam.datasets.generated import corridor_walk
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
 from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, ColourCamera
-from idfslam.datasets.generated.depth_camera import DepthCamera, ImperfectDepthCamera
+from idfslam.datasets.generated.depth_camera import ImperfectDepthCamera, SimulatedDepthCamera
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld_motion import HandheldMotion, Walk
 from idfslam.datasets.generated.miscalibration import Miscalibration
@@ -78,7 +78,7 @@ class HandheldRecording:
         optics = scene, self.true_camera, self.motion, readout
         self.colour_camera = AutomaticColourCamera(*optics, seed, faults.light) if faults.light else ColourCamera(*optics)
         body = scene, self.true_camera
-        self._depth_camera = ImperfectDepthCamera(*body, faults.depth) if faults.depth else DepthCamera(*body)
+        self._depth_camera = ImperfectDepthCamera(*body, faults.depth) if faults.depth else SimulatedDepthCamera(*body)
         self.ground_truth: Array = self.motion.pose_at(self.timestamps)
 
     def __len__(self) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 
 from idfslam.datasets.generated.stage import Stage
 from idfslam.scenes.floor_path import FloorPath
-from idfslam.scenes.furniture import Scene
+from idfslam.scenes.furniture import SceneBuilder
 from idfslam.scenes.moved_things import OpenedDoor, SwivelChair
 from idfslam.scenes.moving_scene import Body
 from idfslam.scenes.walking_figure import WalkingFigure
@@ -20,7 +20,7 @@ _TURNS = 2.0, 4.0, 120.0  # [s] from when to when a chair turns, and [degrees] b
 _OPENS = 2.0, 3.5  # [s] from when to when a door opens; later: it is shut for longer
 
 
-def _crossing(materials: Scene, stage: Stage) -> list[Body]:
+def _crossing(materials: SceneBuilder, stage: Stage) -> list[Body]:
     """Walks across at arm's length, and fills half of the view."""
     return [
         _figure(
@@ -31,7 +31,7 @@ def _crossing(materials: Scene, stage: Stage) -> list[Body]:
     ]
 
 
-def _pausing(materials: Scene, stage: Stage) -> list[Body]:
+def _pausing(materials: SceneBuilder, stage: Stage) -> list[Body]:
     """Comes into view, stands there for 60 frames, and leaves."""
     middle = 3.0
     place = stage.ahead(middle, 1.7, 0.0)
@@ -40,32 +40,32 @@ def _pausing(materials: Scene, stage: Stage) -> list[Body]:
     return [WalkingFigure(materials, FloorPath(times, np.stack([start, start, place, place, end, end]), stage.camera), _HEIGHT)]
 
 
-def _swivelling(materials: Scene, stage: Stage) -> list[Body]:
+def _swivelling(materials: SceneBuilder, stage: Stage) -> list[Body]:
     """A chair turns where it stands."""
     start, end, angle = _TURNS
     return [SwivelChair(materials, stage.ahead((start + end) / 2, 1.7, 0.0), angle, start, end)]
 
 
-def _opening(materials: Scene, stage: Stage) -> list[Body]:
+def _opening(materials: SceneBuilder, stage: Stage) -> list[Body]:
     """A door opens and stays open."""
     return [OpenedDoor(materials, stage.wall(sum(_OPENS) / 2), *_OPENS)]
 
 
-def _pair(materials: Scene, stage: Stage) -> list[Body]:
+def _pair(materials: SceneBuilder, stage: Stage) -> list[Body]:
     """Two cross the view in opposite directions, one behind the other."""
     near = [(0.0, 1.3, _ASIDE), (1.5, 1.3, _ASIDE), (3.0, 1.3, 0.0), (4.5, 1.3, -_ASIDE)]
     far = [(0.0, 2.1, -_ASIDE), (1.5, 2.1, -_ASIDE), (3.0, 2.1, 0.0), (4.5, 2.1, _ASIDE)]
     return [_figure(materials, stage, near), _figure(materials, stage, far)]
 
 
-def _figure(materials: Scene, stage: Stage, walk: Sequence[tuple[float, float, float]]) -> WalkingFigure:
+def _figure(materials: SceneBuilder, stage: Stage, walk: Sequence[tuple[float, float, float]]) -> WalkingFigure:
     """A figure that is seen at times [s] at distances [m] and angles [rad] from the gaze."""
     places = [stage.ahead(*seen) for seen in walk]
     times = np.array([*(t for t, _, _ in walk), HARD_CASE_SECONDS])
     return WalkingFigure(materials, FloorPath(times, np.stack([*places, places[-1]]), stage.camera), _HEIGHT)
 
 
-HARD_CASES: dict[str, Callable[[Scene, Stage], list[Body]]] = {
+HARD_CASES: dict[str, Callable[[SceneBuilder, Stage], list[Body]]] = {
     "crossing": _crossing,
     "pausing": _pausing,
     "swivelling": _swivelling,

@@ -11,7 +11,7 @@ from idfslam.datasets.generated.stage import CorridorStage, RoomStage, Stage, Wa
 from idfslam.scenes.baked_scene import BakedScene
 from idfslam.scenes.corridor import Corridor
 from idfslam.scenes.floor_path import FloorPath
-from idfslam.scenes.furniture import Scene
+from idfslam.scenes.furniture import SceneBuilder
 from idfslam.scenes.moved_things import OpenedDoor, PulledDrawer, PushedChair, RollingBall
 from idfslam.scenes.moving_scene import AnyScene, Body, MovingScene
 from idfslam.scenes.room import Room
@@ -39,7 +39,7 @@ def with_movers(kind: str | None, scene: BakedScene, walk: Walk, seed: int, seco
     if kind is None:
         return scene
     stage: Stage = CorridorStage(walk, scene) if isinstance(scene, Corridor) else RoomStage(walk, _room(scene))
-    materials = Scene(np.random.default_rng([seed, 83]))
+    materials = SceneBuilder(np.random.default_rng([seed, 83]))
     end = seconds + _MARGIN
     if kind in HARD_CASES:
         bodies = HARD_CASES[kind](materials, stage)
@@ -53,12 +53,12 @@ def _room(scene: BakedScene) -> Room:
     return scene
 
 
-def _people(materials: Scene, stage: Stage, seed: int, end: float) -> list[Body]:
+def _people(materials: SceneBuilder, stage: Stage, seed: int, end: float) -> list[Body]:
     count = int(np.random.default_rng([seed, 89]).integers(1, 4))
     return [_figure(materials, stage, np.random.default_rng([seed, 97, k]), end, first=k == 0) for k in range(count)]
 
 
-def _things(materials: Scene, stage: Stage, seed: int, end: float) -> list[Body]:
+def _things(materials: SceneBuilder, stage: Stage, seed: int, end: float) -> list[Body]:
     rng = np.random.default_rng([seed, 101])
     start, stop = _PUSHED
     a, b = stage.ahead(start, 1.9, rng.uniform(-0.3, -0.1)), stage.ahead(stop, 2.1, rng.uniform(0.1, 0.3))
@@ -72,7 +72,7 @@ def _things(materials: Scene, stage: Stage, seed: int, end: float) -> list[Body]
     ]
 
 
-def _figure(materials: Scene, stage: Stage, rng: Generator, end: float, *, first: bool) -> WalkingFigure:
+def _figure(materials: SceneBuilder, stage: Stage, rng: Generator, end: float, *, first: bool) -> WalkingFigure:
     """A figure that walks about before the camera. first: it stands in view at the beginning."""
     height = float(rng.uniform(*_HEIGHTS))
     times, places = [0.0], [stage.ahead(0.0, float(rng.uniform(1.3, 1.8)), float(rng.uniform(-0.25, 0.25)) if first else 1.6)]

@@ -15,7 +15,7 @@ from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.images.decoding import DEPTH_SUFFIXES, SUFFIXES, numbered
 from idfslam.datasets.images.folders import colour_folder, depth_folder
 from idfslam.datasets.near_miss import Likeness, Part, part
-from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
+from idfslam.datasets.posed_images import FrameEntry, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import parse_json
@@ -68,7 +68,7 @@ def open_frame_lines(path: Path, stated: Calibration) -> Recording:
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise RecordingError(f"{file}: line {number}: {fault(error)}, expected {_EXPECTED}") from error
     T_wc = [from_opengl(pose) for pose in _by_rows(np.array(poses).reshape(-1, 4, 4))]
-    return open_frames(path, [PosedFrame(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], stated, str(file))
+    return open_frames(path, [FrameEntry(*frame[:4], T, frame[4]) for frame, T in zip(frames, T_wc)], stated, str(file))
 
 
 def _named(path: Path, values: Mapping[str, Any], names: tuple[str, ...], numbered_file: Path | None) -> Path:

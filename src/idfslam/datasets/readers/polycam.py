@@ -11,7 +11,7 @@ import numpy as np
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.images.decoding import numbered
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
+from idfslam.datasets.posed_images import FrameEntry, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
@@ -49,7 +49,7 @@ def open_polycam(path: Path, stated: Calibration) -> Recording:
     return open_frames(path, frames, stated, str(folder / f"{kind}cameras"))
 
 
-def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | None) -> PosedFrame:
+def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | None) -> FrameEntry:
     try:
         values = read_json(camera, error=RecordingError, expected=_EXPECTED)
         rows = [[stated_number(values, f"t_{i}{k}") for k in range(4)] for i in range(3)]
@@ -58,7 +58,7 @@ def _frame(colour: Path, depth: Path | None, camera: Path, confidence: Path | No
         size = (int(width), int(height)) if min(width, height) > 0 else None
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{camera}: {fault(error)}, expected {_EXPECTED}") from error
-    return PosedFrame(colour, depth, (fx, fy, cx, cy), size, from_opengl(np.array(rows)), stamp, confidence)
+    return FrameEntry(colour, depth, (fx, fy, cx, cy), size, from_opengl(np.array(rows)), stamp, confidence)
 
 
 READER = Reader(

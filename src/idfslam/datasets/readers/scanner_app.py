@@ -11,7 +11,7 @@ import numpy as np
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.images.decoding import numbered
 from idfslam.datasets.near_miss import Likeness, part
-from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
+from idfslam.datasets.posed_images import FrameEntry, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
@@ -32,7 +32,7 @@ def open_scanner_app(path: Path, stated: Calibration) -> Recording:
     return open_frames(path, frames, stated, f"{path}: frame_*.json")
 
 
-def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | None) -> PosedFrame:
+def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | None) -> FrameEntry:
     try:
         values = read_json(state, error=RecordingError, expected=_EXPECTED)
         K = np.array(values["intrinsics"], np.float64).reshape(3, 3)
@@ -41,7 +41,7 @@ def _frame(colour: Path, depth: Path | None, state: Path, confidence: Path | Non
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise RecordingError(f"{state}: {fault(error)}, expected {_EXPECTED}") from error
     intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-    return PosedFrame(colour, depth, intrinsics, None, from_opengl(T), stamp, confidence)
+    return FrameEntry(colour, depth, intrinsics, None, from_opengl(T), stamp, confidence)
 
 
 READER = Reader(

@@ -11,7 +11,7 @@ from typing import Any
 from idfslam.datasets.cameras.calibration import Calibration
 from idfslam.datasets.images.file_list import listed_image
 from idfslam.datasets.near_miss import Likeness, Part, part
-from idfslam.datasets.posed_images import PosedFrame, from_opengl, open_frames, stated_number
+from idfslam.datasets.posed_images import FrameEntry, from_opengl, open_frames, stated_number
 from idfslam.datasets.recording import Reader, Recording
 from idfslam.errors import RecordingError
 from idfslam.storage.json_file import read_json
@@ -49,13 +49,13 @@ def open_transforms(path: Path, stated: Calibration) -> Recording:
     return open_frames(path, frames, stated, str(file), depth_scale=scale, distortion=lens if any(lens) else None)
 
 
-def _frame(path: Path, values: Mapping[str, Any]) -> PosedFrame:
+def _frame(path: Path, values: Mapping[str, Any]) -> FrameEntry:
     """A frame's own values over those of the file."""
     fx = stated_number(values, "fl_x", "fx")
     size = tuple(stated_number(values, name) for name in ("w", "h"))
     cx, cy = (stated_number(values, name) - 0.5 for name in ("cx", "cy"))
     depth = next((str(values[name]) for name in _DEPTH if name in values), None)
-    return PosedFrame(
+    return FrameEntry(
         _image(path, str(values["file_path"])),
         None if depth is None else _image(path, depth),
         (fx, fy if (fy := stated_number(values, "fl_y", "fy")) == fy else fx, cx, cy),

@@ -10,7 +10,7 @@ from torch import Tensor
 from idfslam.config import Config
 from idfslam.geometry import se3
 from idfslam.mapping.joint.joint_map import Draw, JointMap, named
-from idfslam.mapping.joint.occupancy_grids import LEVELS, OccupancyGrids, Stage, levels_of
+from idfslam.mapping.joint.occupancy_grids import LEVELS, LearningStage, OccupancyGrids, levels_of
 from idfslam.mapping.joint.occupancy_losses import RayLosses, depth_and_colour_loss, depth_errors, variance_weighted_loss
 from idfslam.mapping.joint.window_poses import WindowPoses
 from idfslam.mapping.occupancy_rendering import OccupancyField, RenderedRays, farthest_sample, near_surface_depths, volume_render
@@ -44,7 +44,7 @@ class GridsMap(JointMap):
         """Rays through the coarse level, without samples near the surface: what it knows must not depend on the reading."""
         nothing = torch.zeros_like(rays.depth)
         depths = near_surface_depths(nothing, farthest_sample(rays.depth), self.config.mapper.samples, 0)
-        return volume_render(partial(self.field.occupancy, stage=Stage.COARSE), rays.origins, rays.directions, depths)
+        return volume_render(partial(self.field.occupancy, stage=LearningStage.COARSE), rays.origins, rays.directions, depths)
 
     def tracking_loss(self, rays: Rays) -> RayLosses:
         c = self.config.inverse_rendering
@@ -60,7 +60,7 @@ class GridsMap(JointMap):
         with self.field.learning():
             self._freeze_decoders(colour=last)
             for step in range(steps):
-                stage = Stage.COLOUR if last else self._stage(step / steps)
+                stage = LearningStage.COLOUR if last else self._stage(step / steps)
                 self._set_rates(adam, stage, c.first_factor if first else 1.0)
                 for level in ("coarse", *levels_of(stage)):
                     self.field.grid(level).gradient.zero_()
@@ -68,19 +68,19 @@ class GridsMap(JointMap):
                 self._collect_gradients(stage)
                 poses.zero_grad()
                 pixels = [self.uniform_pixels(frame, count) for frame in frames]
-                rays = join(self.rays_of(frames, pixels, poses, moving=stage is Stage.COLOUR))
+                rays = join(self.rays_of(frames, pixels, poses, moving=stage is LearningStage.COLOUR))
                 losses = self._mapping_loss(rays, stage, in_view)
                 numbers = named(losses, frames[-1].index)
                 self._backward(losses)
                 adam.step()
-                if stage is Stage.COLOUR:
+                if stage is LearningStage.COLOUR:
                     poses.step()
         self._mark_used(adam)
         return numbers
 
-    def _mapping_loss(self, rays: Rays, stage: Stage, in_view: Callable[[Tensor], Tensor] | None) -> RayLosses:
+    def _mapping_loss(self, rays: Rays, stage: LearningStage, in_view: Callable[[Tensor], Tensor] | None) -> RayLosses:
         """The depth loss of the coarse level and of the finest in this stage, and in the last stage that of colour (Eqs. 8-10)."""
-        weight = self.config.mapper.photometric_weight if stage is Stage.COLOUR else 0.0
+        weight = self.config.mapper.photometric_weight if stage is LearningStage.COLOUR else 0.0
         losses = depth_and_colour_loss(
             self._render(partial(self.field.occupancy, stage=stage, learnable=in_view), rays), rays.colour, rays.depth, weight
         )
@@ -88,10 +88,10 @@ class GridsMap(JointMap):
         coarse = depth_errors(self._render_coarse(fixed), rays.depth).mean()
         return RayLosses(losses.total + coarse, losses.photometric, losses.depth, losses.per_ray)
 
-    def _stage(self, done: float) -> Stage:
+    def _stage(self, done: float) -> LearningStage:
         """The stage of a step, by the share of the steps before it."""
         c = self.config.occupancy_grids
-        return Stage.MIDDLE if done <= c.middle_share else Stage.FINE if done <= c.fine_share else Stage.COLOUR
+        return LearningStage.MIDDLE if done <= c.middle_share else LearningStage.FINE if done <= c.fine_share else LearningStage.COLOUR
 
     def _optimiser(self) -> torch.optim.Adam:
         """An Adam with a group for each level, and one for the decoder of colours."""
@@ -99,14 +99,14 @@ class GridsMap(JointMap):
         groups.append({"params": list(self.field.colour_decoder.parameters()), "name": "decoder"})
         return torch.optim.Adam(groups, lr=0.0)
 
-    def _set_rates(self, adam: torch.optim.Adam, stage: Stage, factor: float) -> None:
+    def _set_rates(self, adam: torch.optim.Adam, stage: LearningStage, factor: float) -> None:
         c = self.config.occupancy_grids
         later = {"middle": c.rate, "fine": c.rate, "colour": c.rate, "decoder": c.decoder_rate}
-        rates = {"coarse": c.coarse_rate} | ({"middle": c.middle_rate} if stage is Stage.MIDDLE else later)
+        rates = {"coarse": c.coarse_rate} | ({"middle": c.middle_rate} if stage is LearningStage.MIDDLE else later)
         for group in adam.param_groups:
             group["lr"] = factor * rates.get(group["name"], 0.0)
 
-    def _collect_gradients(self, stage: Stage) -> None:
+    def _collect_gradients(self, stage: LearningStage) -> None:
         """Has Adam read the gradients that the backward pass adds to the buffers of the grids that take part."""
         for level in ("coarse", *levels_of(stage)):
             grid = self.field.grid(level)

@@ -28,7 +28,7 @@ LEVELS = ("coarse", "middle", "fine", "colour")
 PRETRAINED = ("coarse_decoder", "middle_decoder", "fine_decoder")
 
 
-class Stage(Enum):
+class LearningStage(Enum):
     """Which levels take part: they are learnt from coarse to fine (NICE-SLAM, Sec. 3.3)."""
 
     COARSE = "coarse"  # the coarse level alone, which predicts what was not seen
@@ -74,7 +74,7 @@ class OccupancyGrids(OccupancyField):
         self,
         points: Tensor,
         steps: Tensor,
-        stage: Stage = Stage.COLOUR,
+        stage: LearningStage = LearningStage.COLOUR,
         learnable: Callable[[Tensor], Tensor] | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Occupancy (N,) and, in the stage `COLOUR`, colour (N, 3) at points (N, 3) [m]; the lengths play no part.
@@ -88,13 +88,13 @@ class OccupancyGrids(OccupancyField):
             return found if collects is None else torch.where(collects, found, found.detach())
 
         colour = torch.zeros_like(points)
-        if stage is Stage.COARSE:
+        if stage is LearningStage.COARSE:
             return self._sigmoid(self.coarse_decoder(points, features("coarse"))), colour
         middle = features("middle")
         logit = self.middle_decoder(points, middle)
-        if stage is not Stage.MIDDLE:
+        if stage is not LearningStage.MIDDLE:
             logit = logit + self.fine_decoder(points, torch.cat([features("fine"), middle.detach()], -1))
-        if stage is Stage.COLOUR:
+        if stage is LearningStage.COLOUR:
             colour = self.colour_decoder(points, features("colour"))
         return self._sigmoid(logit), colour
 
@@ -107,7 +107,7 @@ class OccupancyGrids(OccupancyField):
         return 1 - 2 * occupancy, colour.clamp(0, 1)
 
     def sdf(self, points: Tensor) -> Tensor:
-        return 1 - 2 * self.occupancy(points, points, Stage.FINE)[0]
+        return 1 - 2 * self.occupancy(points, points, LearningStage.FINE)[0]
 
     @torch.no_grad()
     def mark_used(self, level: str, entries: Tensor) -> None:
@@ -136,6 +136,8 @@ class OccupancyGrids(OccupancyField):
         return None
 
 
-def levels_of(stage: Stage) -> tuple[str, ...]:
+def levels_of(stage: LearningStage) -> tuple[str, ...]:
     """The levels whose features a stage reads."""
-    return {Stage.COARSE: ("coarse",), Stage.MIDDLE: ("middle",), Stage.FINE: ("middle", "fine")}.get(stage, ("middle", "fine", "colour"))
+    return {LearningStage.COARSE: ("coarse",), LearningStage.MIDDLE: ("middle",), LearningStage.FINE: ("middle", "fine")}.get(
+        stage, ("middle", "fine", "colour")
+    )
