@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from idfslam.adjustment.observations import Observations
 from idfslam.config import FAST
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld import handheld_room
@@ -18,7 +19,7 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import RowTimes
-from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, NoAdjustment
+from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, NoAdjustment, images_agree
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
 FRAMES = range(0, 160, 20)
@@ -53,6 +54,17 @@ def graph_of(frames: list[Frame], true: np.ndarray) -> KeyframeGraph:
 def errors(graph: KeyframeGraph, true: np.ndarray) -> np.ndarray:
     """(K,) [m] the distances to the true positions."""
     return np.array([np.linalg.norm(k.T_wk.numpy()[:3, 3] - T[:3, 3]) for k, T in zip(graph.keyframes, true)])
+
+
+@pytest.mark.parametrize(
+    ("width", "off", "agree"),
+    [(640, 0.34, True), (640, 0.36, False), (320, 0.24, True), (320, 0.25, False), (160, 0.21, True), (160, 0.22, False)],
+)
+def test_images_agree_within_what_places_are_found_to(width: int, off: float, agree: bool) -> None:
+    """off [px] of an image of this width. At 320: sqrt(0.29^2 + (2 * 0.2)^2) = 0.494 px of 640, which are 0.247 there; at 160 0.213."""
+    none, flat, one = np.zeros(0, np.int64), np.zeros((1, 2)), np.zeros(1)
+    seen = Observations(none, np.zeros(1, np.int64), flat, np.eye(2)[None] / off, one, one, flat)
+    assert images_agree(seen, width) == agree
 
 
 def test_the_keyframes_move_to_where_the_images_want_them(room: SyntheticRoom) -> None:

@@ -4,6 +4,7 @@ Where it is trusted, its poses are final: the map learns them in the polish, and
 """
 
 import logging
+import math
 from abc import ABC, abstractmethod
 from time import perf_counter
 from typing import Any
@@ -31,15 +32,24 @@ log = logging.getLogger(__name__)
 # All of these were chosen by hand.
 _LEAST_KEYFRAMES = 3  # More: short runs stay as they are
 _LEAST_LANDMARKS = 100  # in all. More: runs with few landmarks stay as they are
-# [px] of 640: largest noise of the landmarks at which the images agree. Generated recordings with 0.33 had 24 and 6 % less error after it,
-# one with 0.39 had 70 % more, and redkitchen, with 0.45, 40 % more. More: blurred and contradictory recordings are adjusted, and bent.
-AGREE = 0.35
+# [px] of 640: largest noise of the landmarks at which the images agree, but for the error of a place in an image. At a width of 640 both
+# make 0.35: generated recordings with 0.33 had 24 and 6 % less error after the adjustment, one with 0.39 had 70 % more, and redkitchen,
+# with 0.45, 40 % more. More: blurred and contradictory recordings are adjusted, and bent.
+_BENT = 0.29
+# [px] Error of a place in an image, of any size. At a width of 320 both make 0.49: rooms with 0.37 to 0.43 had 14 and 23 % less error, and
+# redkitchen and freiburg1_rpy have 0.69 and 1.08. More: the same in small images.
+_UNSHARP = 0.2
 # [1] Standard deviation of an edge, over that which loops are tested with. In generated recordings the errors of edges are 0.1 to 0.5 times
 # the latter. More: landmarks that err together move keyframes that see few of them.
 EDGES = 0.2
 # Of which the images are in memory at once, about 1.5 MB each. Beyond, the landmarks are those that the local adjustment has found, which
 # are fewer. More: longer runs are adjusted more exactly, and take more memory and time
 _MOST_KEYFRAMES = 300
+
+
+def images_agree(seen: Observations, width: int) -> bool:
+    """Whether landmarks lie where images of this width [px] show them: no farther than places are found, in images that are not bent."""
+    return noise_of(seen, width) <= math.hypot(_BENT, _UNSHARP * 640 / width)
 
 
 class KeyframeAdjustment(ABC):
@@ -120,9 +130,9 @@ class GlobalAdjustment(KeyframeAdjustment):
             problem = in_motion(problem, [self.motions.of(keyframe) for keyframe in self.graph.keyframes])
         adjusted = adjust(problem, seconds=end - perf_counter())
         kept = adjusted.problem.seen
-        noise = noise_of(kept[~kept.distant], model.stated.width)
-        log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px", *_counts(adjusted), noise)
-        return adjusted if noise <= AGREE and adjusted.complete else None
+        near, width = kept[~kept.distant], model.stated.width
+        log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px", *_counts(adjusted), noise_of(near, width))
+        return adjusted if images_agree(near, width) and adjusted.complete else None
 
     def covariances(self) -> dict[int, Array]:
         if self.adjusted is None:

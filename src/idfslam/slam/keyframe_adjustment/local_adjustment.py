@@ -15,13 +15,12 @@ from idfslam.adjustment.bundle_adjustment import KINDS, Problem, adjust_briefly,
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
 from idfslam.adjustment.observations import Array
-from idfslam.adjustment.self_calibration import noise_of
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.measured_edges import measured_edge
 from idfslam.graph.pose_graph import Edge, RelativePoses
-from idfslam.slam.keyframe_adjustment.global_adjustment import AGREE, EDGES
+from idfslam.slam.keyframe_adjustment.global_adjustment import EDGES, images_agree
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
@@ -79,7 +78,7 @@ class LocalAdjustment(KeyframeHook):
         if len(problem.points) < _LEAST_LANDMARKS or problem.fixed.all():
             return Moved()
         adjusted, self._noise = adjust_briefly(problem, noise=self._noise, steps=_STEPS)
-        self.agrees = noise_of(adjusted.seen, problem.model.stated.width) <= AGREE
+        self.agrees = images_agree(adjusted.seen, problem.model.stated.width)
         if not self.agrees:
             return Moved()
         return self._move(numbers[~problem.fixed], adjusted.poses[~problem.fixed])
