@@ -5,8 +5,9 @@ are looked for in each frame while the camera moves, tell its pose more exactly.
 knows where they lie. Where little but these holds a pose, the corners of the next keyframe are looked for as well, backwards from it.
 """
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +20,9 @@ from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.distant_corners import DistantCorners
 from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.local_depth import local_depth
+from idfslam.adjustment.observations import Array, Indices, Observations
 from idfslam.adjustment.patch_search import search
-from idfslam.adjustment.resection import resected
+from idfslam.adjustment.resection import Images, on_rays, resected
 from idfslam.alignment.alignment import expected_error
 from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
@@ -32,13 +34,17 @@ from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import brightness
-from idfslam.tracking.patch_alignment import AlignedPatches
 from idfslam.tracking.patches import Patches
 
 # All of these were chosen by hand on generated rooms and on rooms larger than a Kinect's reach.
 _MOST_PATCHES = 200  # patches with depth of a keyframe that frames are searched for. More: exacter poses, more time and memory
 # [m] Expected error of a pose from which the next keyframe's corners are looked for too. More: fewer such frames, and these gain less
 _SCARCE = 0.005
+_UNEVEN = 0.02  # [1] standard deviation of depth where no smooth surface is, as a share of it. More: edges of things count less
+# [1] Least share of the least inverse depth that a corner without depth may have in the largest, to count. More: fewer and surer corners
+_LEAST_KNOWN = 0.5
+_ROUNDED = 1e-3  # [1] added to variances: twice what a number of 16 bits is rounded by. More: long patches count as less long
+_TOGETHER = 30  # most frames that are resected together. More: corners are placed more exactly, slower
 _MOST_WAITING = 60  # frames that wait for the next keyframe, at a byte a pixel. More: longer stretches gain, and take more memory
 
 
@@ -68,23 +74,48 @@ class _Host:
 
     keyframe: int  # number of the stored keyframe
     near: Patches
+    sigma: Array  # (N,) [m] of the depth of those with depth
     distant: DistantCorners
+
+    def __len__(self) -> int:
+        return len(self.near) + len(self.distant)
+
+    @property
+    def kind(self) -> Indices:
+        """(M,) 0 of those with depth, 1 of those without."""
+        return np.repeat([0, 1], [len(self.near), len(self.distant)])
+
+    def depth(self, noise: float) -> tuple[Array, Array]:
+        """(M,) [m] and its standard deviation (M,) [m], where the sensor's noise is so many times the stated one. NaN where it is open."""
+        least, most = self.distant.least, self.distant.most
+        known = least > _LEAST_KNOWN * most
+        z = np.where(known, 2 / np.maximum(least + most, 1e-9), np.nan)
+        return np.concatenate([self.near.points[:, 2].numpy(), z]), np.concatenate([noise * self.sigma, z * z * (most - least) / 12**0.5])
 
     @property
     def uv(self) -> NDArray[np.float64]:
         """(M, 2) [px]"""
         return np.concatenate([self.near.uv.numpy(), self.distant.uv])
 
+    def covariances(self, sightings: Sequence["_Sightings"]) -> Array:
+        """(M, 2, 2) [px^2] of the corners' places in the keyframe: as exactly as it shows them, frames show them on average."""
+        total, count = np.zeros((len(self), 2, 2)), np.zeros(len(self))
+        for seen in sightings:
+            corner = seen.corner.numpy()
+            total[corner] += np.linalg.inv(seen.information)
+            count[corner] += 1
+        return total / np.maximum(count, 1)[:, None, None]
+
     def state(self) -> State:
         """All of it."""
-        near, distant = (vars(part) for part in (self.near, self.distant))
-        return {"keyframe": self.keyframe, "near": near | {}, "distant": {name: torch.from_numpy(a.copy()) for name, a in distant.items()}}
+        distant = {name: torch.from_numpy(array.copy()) for name, array in vars(self.distant).items()}
+        return {"keyframe": self.keyframe, "near": vars(self.near) | {}, "sigma": torch.from_numpy(self.sigma.copy()), "distant": distant}
 
     @staticmethod
     def from_state(state: State) -> "_Host":
         """What `state` was made of."""
         distant = {name: tensor.numpy().copy() for name, tensor in state["distant"].items()}
-        return _Host(state["keyframe"], Patches(**state["near"]), DistantCorners(**distant))
+        return _Host(state["keyframe"], Patches(**state["near"]), state["sigma"].numpy().copy(), DistantCorners(**distant))
 
 
 @dataclass(frozen=True)
@@ -95,7 +126,12 @@ class _Sightings:
     host: int  # number among the hosts
     corner: Tensor  # (N,) int16
     uv: Tensor  # (N, 2) float32 [px]
-    information: Tensor  # (N, 2, 2) float16 [1/px^2]
+    rounded: Tensor  # (N, 2, 2) float16 [1/px^2] information
+
+    @property
+    def information(self) -> Array:
+        """(N, 2, 2) [1/px^2], positive definite in spite of the rounding."""
+        return np.asarray(self.rounded.double().numpy() * (1 + _ROUNDED * np.eye(2)))
 
 
 class FrameResection(Resection):
@@ -151,10 +187,12 @@ class FrameResection(Resection):
         near, view = features.patches, KeyframeView.of(keyframe.frame, keyframe.moving)
         chosen = np.unique(np.linspace(0, max(len(near) - 1, 0), min(len(near), _MOST_PATCHES)).round().astype(np.int64))
         near = near[torch.from_numpy(chosen)]
-        reading = torch.from_numpy(local_depth(view.depth, near.uv.numpy())[0])
-        points = torch.where((reading > 0)[:, None], near.points * (reading / near.points[:, 2])[:, None], near.points)
+        reading, sigma, _ = local_depth(view.depth, near.uv.numpy())
+        read = reading > 0
+        points = near.points * torch.from_numpy(np.where(read, reading / near.points[:, 2].numpy(), 1.0))[:, None]
+        sigma = np.where(read, sigma, _UNEVEN * points[:, 2].numpy())
         distant = DistantCorners.of(view, CameraModel.as_stated(features.grey_camera))
-        self._hosts.append(_Host(number, replace(near, points=points), distant))
+        self._hosts.append(_Host(number, replace(near, points=points), sigma, distant))
 
     def _look_forward(self, view: Keyframe, covariance: Tensor) -> None:
         """Looks for the last keyframe's corners in a frame."""
@@ -200,45 +238,63 @@ class FrameResection(Resection):
         adjusted = self.adjustment.adjusted
         if adjusted is None or adjusted.problem.velocities is not None:
             return
-        points = [self._points(host, adjusted) for host in self._hosts]
-        by_frame: dict[int, list[_Sightings]] = {}
+        by_frame, by_host = dict[int, list[_Sightings]](), [list[_Sightings]() for _ in self._hosts]
         for seen in self._seen:
-            by_frame.setdefault(seen.frame, []).append(seen)
-        for frame, parts in by_frame.items():
-            if not self.frames.is_refined(frame):
-                T_wc = self.frames.T_wc(frame)
-                R = torch.block_diag(*[T_wc[:3, :3]] * 2)
-                covariance = R @ self._covariances[frame].double() @ R.T
-                self.frames.move(frame, resected(T_wc, covariance, self._measured(parts, points, adjusted)))
+            by_host[seen.host].append(seen)
+            if not self.frames.is_refined(seen.frame):
+                by_frame.setdefault(seen.frame, []).append(seen)
+        places = [self._places(host, seen_of, adjusted) for host, seen_of in zip(self._hosts, by_host)]
+        groups = list(_groups(by_frame.values()))
+        for group, poses in zip(groups, resected([self._images(group, places, adjusted) for group in groups])):
+            for parts, T_wc in zip(group, poses):
+                self.frames.move(parts[0].frame, torch.from_numpy(T_wc))
 
-    def _points(self, host: _Host, adjusted: Adjusted) -> Tensor:
-        """(M, 3) [m] in the world, of a host's corners; NaN where none is known."""
+    def _places(self, host: _Host, seen: Sequence[_Sightings], adjusted: Adjusted) -> tuple[Array, Array]:
+        """Of a host's corners: (M, 3) [m] in the world, NaN where nothing is known, and (M, 3, 3) [m^2] their covariances."""
         keyframe, problem = self.graph.keyframes[host.keyframe], adjusted.problem
-        points = np.full((len(host.near) + len(host.distant), 3), np.nan)
-        points[: len(host.near)] = se3.transform(keyframe.T_wk, host.near.points).numpy()
+        T, (z, z_sigma) = keyframe.T_wk.numpy(), host.depth(adjusted.noise[KINDS.index("depth")])
+        variance = self._noise(adjusted)[host.kind][:, None, None] ** 2
+        points, covariances = on_rays(problem.model, host.uv, z, host.covariances(seen) * variance, z_sigma)
+        points, covariances = points @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ covariances @ T[:3, :3].T
         of_host = problem.seen.keyframe == host.keyframe
         known = {tuple(uv): landmark for uv, landmark in zip(problem.seen.uv[of_host].tolist(), problem.seen.landmark[of_host].tolist())}
         for i, uv in enumerate(host.uv.tolist()):
             if (landmark := known.get(tuple(uv))) is not None:
-                points[i] = problem.points[landmark]
+                points[i], covariances[i] = problem.points[landmark], adjusted.system.landmark_covariances[landmark]
         if keyframe.moving is not None:
             points[_shows(keyframe.moving, host.uv, problem.model.camera)] = np.nan
-        return torch.from_numpy(points)
+        return points, covariances
 
-    def _measured(self, parts: Sequence[_Sightings], points: Sequence[Tensor], adjusted: Adjusted) -> AlignedPatches:
-        """What a frame shows of points (M, 3) [m] of each host, in the noise that the adjustment has found.
+    @staticmethod
+    def _noise(adjusted: Adjusted) -> Array:
+        """(2,) [1] of places in images, of corners with depth and of those without, as the adjustment has found it."""
+        return np.array([adjusted.noise[KINDS.index(kind)] for kind in ("image", "distant")])
 
-        The keyframe's place of a corner is as noisy as the frame's.
-        """
-        image, distant = (2 * adjusted.noise[KINDS.index(kind)] ** 2 for kind in ("image", "distant"))
-        places = torch.cat([points[part.host][part.corner.long()] for part in parts])
-        has_depth = torch.cat([part.corner < len(self._hosts[part.host].near) for part in parts])
-        variance = torch.where(has_depth, image, distant)[:, None, None]
-        uv, information = torch.cat([part.uv for part in parts]).double(), torch.cat([part.information for part in parts]).double()
-        known = ~places[:, 0].isnan()
-        nothing = torch.zeros(int(known.sum()), dtype=torch.float64)
-        camera = adjusted.problem.model.camera
-        return AlignedPatches(places[known], uv[known], (information / variance)[known], nothing, nothing, camera)
+    def _images(self, group: Sequence[Sequence[_Sightings]], places: Sequence[tuple[Array, Array]], adjusted: Adjusted) -> Images:
+        """Frames, each with what it shows, and the corners that they show."""
+        frames, hosts = [parts[0].frame for parts in group], sorted({seen.host for parts in group for seen in parts})
+        first = dict(zip(hosts, np.cumsum([0, *(len(self._hosts[host]) for host in hosts)])))
+        points, covariances = (np.concatenate([places[host][i] for host in hosts]) for i in range(2))
+        noise, kind = self._noise(adjusted), np.concatenate([self._hosts[host].kind for host in hosts])
+        parts = [(i, seen) for i, of_frame in enumerate(group) for seen in of_frame]
+        landmark = np.concatenate([seen.corner.numpy() + first[seen.host] for _, seen in parts])
+        uv = np.concatenate([seen.uv.double().numpy() for _, seen in parts])
+        information = np.concatenate([seen.information for _, seen in parts])
+        image = np.concatenate([np.full(len(seen.corner), i) for i, seen in parts])
+        root = np.linalg.cholesky(information).transpose(0, 2, 1) / noise[kind[landmark], None, None]
+        n = len(image)
+        seen = Observations(image, landmark, uv, root, np.zeros(n), np.ones(n), np.zeros((n, 2)))[~np.isnan(points[landmark, 0])]
+        shown, number = np.unique(seen.landmark, return_inverse=True)
+        poses, of_poses = np.stack([self.frames.T_wc(frame).numpy() for frame in frames]), [self._covariances[frame] for frame in frames]
+        seen = replace(seen, landmark=number)[np.lexsort((seen.keyframe, number))]
+        return Images(adjusted.problem.model, poses, torch.stack(of_poses).double().numpy(), points[shown], covariances[shown], seen)
+
+
+def _groups(sightings: Iterable[list[_Sightings]]) -> Iterator[list[list[_Sightings]]]:
+    """What each frame shows, frames together that show corners of the same host first."""
+    for _, of_host in itertools.groupby(sightings, key=lambda parts: parts[0].host):
+        parts = list(of_host)
+        yield from (parts[i : i + _TOGETHER] for i in range(0, len(parts), _TOGETHER))
 
 
 def _shows(pixels: NDArray[np.bool_], uv: NDArray[np.float64], camera: Camera) -> NDArray[np.bool_]:
