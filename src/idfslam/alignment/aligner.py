@@ -44,8 +44,8 @@ from idfslam.storage.state import State, Stateful
 # reach less far. With 120 and 240 rows they are equal on generated recordings; on fr1/rpy they come near the true ones in 180 frames with
 # 240, and in 340 with 120.
 _TIMING_ROWS = 240
-_ALONE = 4  # steps of the images alone to the pose where they fit best. More: slower. Less: depth that contradicts them hides the times
-_RIDGE = 1e-3  # [1] of their mean information, added to each direction of these steps. More: images move less where they tell little
+_ALONE = 4  # steps of depth or the images alone to the pose where they fit best. More: slower. Less: their contradiction hides the times
+_RIDGE = 1e-3  # [1] of their mean information, added to each direction of these steps. More: they move less where they tell little
 
 # All of these were chosen by hand on generated rooms and redkitchen.
 
@@ -222,16 +222,17 @@ class MapAligner(Stateful):
     ) -> tuple[RowMoments, RowMoments]:
         """The sums of depth and of images about a pose (4, 4), at a motion, with the moments of the rows, in units of information.
 
-        Those of images are taken where the images alone fit best, and carried to the pose. Where the times are wrong, depth and images
-        contradict each other, and a pose between them is out of reach of the images' slopes.
+        Both are taken where depth or the images alone fit best, and carried to the pose. Where the times are wrong, they contradict each
+        other, and a pose between them is out of reach of the images' slopes and of the robust weights of depth.
         """
         scale, finest = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
         level = level_of(appearance, _TIMING_ROWS)
-        depth = self._against_map(surface).term(T_wc, self._robust(finest), motion)
+        against, robust = self._against_map(surface), self._robust(finest)
+        depth = _at_its_best(T_wc, lambda T: against.term(T, robust, motion).sums, self.config.converged)
         posed = self._posed(references)
         images = _at_its_best(T_wc, lambda T: image_term(appearance, posed, T, level, motion, self.config).sums, self.config.converged)
-        return depth.sums.scaled(scale), images.scaled(scale)
+        return depth.scaled(scale), images.scaled(scale)
 
     def is_doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess should be tried: the view is lost, overlaps little with the map, or the images contradict its pose."""
