@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from idfslam.config import FAST
 from idfslam.datasets.generated.faults import Faults
@@ -12,7 +13,9 @@ from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room
 from idfslam.datasets.recording import Selection
 from idfslam.geometry.sensor_timing import SYNCHRONISED
 from idfslam.geometry.trajectory import align
-from idfslam.slam import Slam
+from idfslam.graph.keyframe import Keyframe
+from idfslam.slam import Slam, Tracked
+from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
 
 FAST_PART = 60  # frame at which the camera of seed 1 begins to shake
 CONFIG = replace(FAST, refine=False, finetune=replace(FAST.finetune, enabled=False))
@@ -55,6 +58,27 @@ def test_a_resumed_run_is_the_same_to_the_bit(shaken: HandheldRecording) -> None
     for i in range(20, 30):
         one, other = unbroken.process(frames[i]), again.process(frames[i])
         assert np.array_equal(one.T_wc, other.T_wc) and one.status is other.status
+
+
+@pytest.mark.parametrize(("speed", "again"), [(2.0, True), (0.1, False)])
+def test_keyframes_are_rectified_again_where_a_time_has_changed_by_much(shaken: HandheldRecording, speed: float, again: bool) -> None:
+    """By 8 ms at first, by 12 and by 14 ms later. speed [rad/s]: at 2, 6 ms are 2 px of 160; a slow keyframe stays as it is."""
+    front_end, frame = Slam(CONFIG).front_end, shaken[0]
+    assert isinstance(front_end, AlignmentToMap)
+    compensation = front_end.compensation
+    keyframe = Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
+    keyframe.velocity = np.array([0, 0, 0, 0, speed, 0])
+    told = []
+    for delay in (-0.008, -0.012, -0.014):
+        compensation.timing.timing = lambda stated, delay=delay: (0.0, 0.0, delay)  # type: ignore[method-assign]
+        compensation._stated = frame.timing
+        told.append(compensation.accept(keyframe, Tracked.first(keyframe.T_wk, has_depth=True), []))
+        if told[-1]:
+            assert compensation.rectify_stored(keyframe) is (again or delay == -0.008)
+    assert told == [True, False, True]
+    assert keyframe.rectification is not None
+    assert keyframe.rectification.times.depth_delay == pytest.approx(frame.depth_lag - (0.014 if again else 0.008))
+    assert len(keyframe.earlier_times) == again
 
 
 def test_a_synchronised_recording_passes_unchanged() -> None:

@@ -5,7 +5,7 @@ and mapping with rolling shutter RGB-D cameras" (ICCV 2015) model the same by sp
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,12 @@ Array = NDArray[np.float64]
 
 # All of these were chosen by hand.
 # [px] Least displacement in `_TYPICAL` of the difference of a frame's velocity to its references', for the frame to tell about the sensor's
-# times. More: fewer frames are used, and slow recordings take less time.
+# times, or of a change of these, for a keyframe to be rectified again. More: fewer frames are used, and slow recordings take less time.
 _TELLING = 1.0
 _TYPICAL = 0.01  # [s] half of a usual read-out time. More: slower motion tells about the times
+# [s] Change of an estimated time since stored keyframes were last rectified, from which they are rectified again. More: depth of the first
+# keyframes stays longer where wrong times carried it. Less: keyframes are learnt again more often, and lose their landmarks.
+_CHANGED = 0.005
 _NAMES = "readout", "depth_readout", "depth_delay"
 
 
@@ -51,16 +54,19 @@ class MotionCompensation(Stateful):
         self._told: MovingFrame | None = None  # what the frame before tells of the times
         self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
+        self._rectified_with: dict[str, float] = {}  # estimates [s] when stored keyframes were last rectified
 
     def state(self) -> State:
-        """The times that the last frame stated, and what it tells of those that it does not."""
+        """The times that the last frame stated, what it tells of those that it does not, and those that stored keyframes have."""
         told = None if self._told is None else self._told.state()
-        return {"stated": list(vars(self._stated).values()), "before": self._before, "told": told}
+        stated = list(vars(self._stated).values())
+        return {"stated": stated, "before": self._before, "told": told, "rectified_with": dict(self._rectified_with)}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._stated, self._before = SensorTiming(*state["stated"]), state["before"]
         self._told = None if state["told"] is None else MovingFrame.of(state["told"])
+        self._rectified_with = dict(state["rectified_with"])
 
     def begin(self, view: Keyframe, T_last: Tensor, references: Sequence[Keyframe]) -> MotionPrior | None:
         """Gives a view its predicted velocity and pose. T_last (4, 4): of the frame before, as the graph has it.
@@ -107,20 +113,25 @@ class MotionCompensation(Stateful):
             self._rectify(view, view.rectification.times, alignment.joint.velocity, alignment.T_wc)
 
     def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> bool:
-        """Learns from the final result for a view: its velocity, and the sensor's times. Returns whether one more of these is known."""
-        before = self._known()
+        """Learns from the final result for a view: its velocity, and the sensor's times.
+
+        Returns whether one of these is known now, or known so much better that stored keyframes have to be rectified.
+        """
         if self._raw is not None and self._prior is not None:
             self._accept(view, tracked, references, self._prior)
         self._raw, self._prior, self._reference_covariance = None, None, None
-        if not self._known() - before:
+        now = self.figures() or {}
+        if not self._are_news(now):
             return False
-        found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in (self.figures() or {}).items())
+        self._rectified_with = now
+        found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in now.items())
         log.info("frame %d: the sensor's times are estimated: %s", view.index, found)
         return True
 
-    def _known(self) -> set[str]:
-        """The names of the times that are estimated by now."""
-        return {name for name, value in (self.figures() or {}).items() if value}
+    def _are_news(self, now: Mapping[str, float]) -> bool:
+        """Whether an estimate [s] is used, and stored keyframes were rectified without it or with quite another one."""
+        then = self._rectified_with
+        return any(value and (not then.get(name) or abs(value - then[name]) > _CHANGED) for name, value in now.items())
 
     def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
         assert self._raw is not None
@@ -154,11 +165,19 @@ class MotionCompensation(Stateful):
         return self.rectify_stored(first)
 
     def rectify_stored(self, keyframe: Keyframe) -> bool:
-        """Rectifies a keyframe of the time before the sensor's times were known. Returns whether the map has to learn it again."""
+        """Rectifies a keyframe of the time before the sensor's times were known as they are now. Returns whether its images have changed.
+
+        Then the map has to learn it again.
+        """
         times = self.times(keyframe)
-        if keyframe.rectification is not None or keyframe.velocity is None or times.synchronised:
+        if keyframe.velocity is None or times.synchronised:
             return False
-        keyframe.rectify(Rectification(times, keyframe.velocity))
+        if (done := keyframe.rectification) is None:
+            keyframe.rectify(Rectification(times, keyframe.velocity))
+        elif displacement(keyframe.frame, done.velocity, float(np.abs(times.array - done.times.array).max())) < _TELLING:
+            return False
+        else:
+            keyframe.rectify_further(times)
         self.aligner.appearances.forget(keyframe)
         return True
 
