@@ -51,6 +51,13 @@ class Knowing(FrontEnd):
         return Tracked(self.T_wc[view.index].clone(), status, Source.REGISTERED, covariance=COVARIANCE)
 
 
+class Refuting:
+    """Patches that no other pose keeps."""
+
+    def agree(self, T_kc: torch.Tensor, T_by_image: torch.Tensor) -> bool:
+        return False
+
+
 def run(recording: Path, doubtful: Collection[int]) -> tuple[Slam, list[FrameResult], set[int]]:
     """The box room of 14 frames, a map update after every second frame; with the frames that the map was trained on."""
     data, config = open_recording(recording), small()
@@ -133,6 +140,31 @@ def test_a_pose_that_nothing_measures_is_in_doubt(sigma: float, displaced: float
     front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
     front_end.frames.append(0.0, T_wc, Status.OK)
     assert front_end.track(keyframe(2, 0.1)).status is (Status.DOUBTFUL if doubtful else Status.DEGENERATE)
+
+
+@pytest.mark.parametrize(
+    ("away", "sigma", "doubtful"),
+    [
+        (0.06, 0.03, True),  # few patches in a strip of the image lead far away
+        (0.06, 0.02, False),  # they fix the pose
+        (0.04, 0.03, False),  # both poses are about the same
+    ],
+)
+def test_a_registered_pose_far_from_the_aligned_one_has_to_be_sure(away: float, sigma: float, doubtful: bool) -> None:
+    """away: between the two poses [m]; the image refutes the aligned one. sigma: the error [m] expected of the registered one."""
+    front_end = Slam(FAST).front_end
+    assert isinstance(front_end, AlignmentToMap)
+    T_wc = at(0.1, 0)
+    aligned = Alignment(at(0.1 + away, 0), Status.OK, 1.0, 0.001, 0.1, 0.01, 0.4, None, 5, displacement=0.01)
+    result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, np.diag([sigma**2, 0, 0, 0, 0, 0]), 40, Refuting())  # type: ignore[arg-type]
+    front_end._begin = lambda view: None  # type: ignore[method-assign]
+    front_end._best_alignment = lambda view, motion: (aligned, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    front_end._displaced = lambda *_: 0.5  # type: ignore[method-assign]
+    front_end.aligner.evidence = lambda view, T, references: replace(aligned, T_wc=T)  # type: ignore[method-assign]
+    front_end.frames.append(0.0, T_wc, Status.OK)
+    tracked = front_end.track(keyframe(2, 0.1))
+    assert tracked.source is Source.REGISTERED and torch.equal(tracked.T_wc, T_wc)
+    assert tracked.status is (Status.DOUBTFUL if doubtful else Status.OK)
 
 
 @pytest.mark.parametrize(("predicted", "kept"), [(0.06, False), (0.02, True)])

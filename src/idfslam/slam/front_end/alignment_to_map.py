@@ -98,7 +98,7 @@ class AlignmentToMap(FrontEnd):
         if registered is not None and registered.refutes(aligned):
             displaced = self._displaced(view, registered, aligned)
             if wide or displaced < _DISPLACED:
-                return self._registered(view, registered, wide=wide)
+                return self._registered(view, registered, aligned, wide=wide)
             undecided = displaced <= 1 / _DISPLACED and registered.is_apart(aligned)
         self.compensation.follow(view, aligned)
         if aligned.status is Status.LOST:
@@ -163,12 +163,16 @@ class AlignmentToMap(FrontEnd):
         at_registered = self.aligner.displacement(view, registered.T_wc, self._references())
         return at_registered / aligned.displacement if at_registered and aligned.displacement else 1.0
 
-    def _registered(self, view: Keyframe, registered: RegisteredPose, *, wide: bool) -> Tracked:
-        """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors."""
+    def _registered(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment, *, wide: bool) -> Tracked:
+        """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors.
+
+        It is in doubt where nothing else confirms it yet, or where it is far from the aligned one and not sure itself.
+        """
         view.registered = wide
         found = self.aligner.evidence(view, registered.T_wc, self._references())
         evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
-        status = Status.DOUBTFUL if self._in_doubt and not wide else Status.OK  # nothing else confirms it yet
+        unconfirmed = self._in_doubt or (registered.is_apart(aligned) and not registered.is_sure)
+        status = Status.DOUBTFUL if unconfirmed and not wide else Status.OK
         return Tracked(registered.T_wc, status, Source.REGISTERED, evidence, found, covariance=registered.covariance)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
