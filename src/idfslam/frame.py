@@ -165,7 +165,7 @@ class FrameResult:
     @property
     def moving_share(self) -> float:
         """[1] share of the pixels that show what moves."""
-        return 0.0 if self.moving is None else float(self.moving.mean())
+        return 0.0 if self.moving is None else np.count_nonzero(self.moving) / self.moving.size
 
     @property
     def sigma_position(self) -> float | None:

@@ -19,6 +19,7 @@ WORKED_OUT_AGAIN = {
     "_pixels",  # of the mapper
     "_thumbnails",  # of the estimation of light
     "_solved",  # of the estimator of the sensor's times, from its sums
+    "around",  # of a remembered view, from what moves in it
 }
 OF_A_PROCESS = {"_pool", "_running", "_early", "_final", "_milliseconds"}  # threads and times
 

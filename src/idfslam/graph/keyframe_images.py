@@ -117,17 +117,17 @@ class KeyframeImages:
 
     def hide(self, moving: NDArray[np.bool_] | None) -> None:
         """Hides the pixels (H, W) that show what moves, and no others: their depth is left out everywhere. None: nothing is hidden."""
-        if moving is None and self.moving is None:
-            return
-        self.moving = moving if moving is not None and moving.any() else None
-        self._forget_derived()
+        before, self.moving = self.moving, moving if moving is not None and moving.any() else None
+        same = self.moving is before or (before is not None and self.moving is not None and np.array_equal(before, self.moving))
+        if not same:
+            self._forget_derived()
 
     def _without_movers(self, name: str, images: Images) -> Images:
         if self.moving is None:
             return images
         if name not in self._shown or self._shown[name][0] is not images:
-            frame = replace(images.frame, depth=np.where(self.moving, np.float32(0), images.frame.depth))
-            shown = Images(frame, torch.from_numpy(frame.depth).to(self._device), images.colour, self.moving)
+            depth = torch.from_numpy(images.frame.depth).masked_fill(torch.from_numpy(self.moving), 0)
+            shown = Images(replace(images.frame, depth=depth.numpy()), depth.to(self._device), images.colour, self.moving)
             self._shown[name] = images, shown
         return self._shown[name][1]
 

@@ -2,18 +2,20 @@
 
 from dataclasses import asdict, dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
-from idfslam.segmentation.constants import ROWS, SAMPLES
+from idfslam.segmentation.constants import LEAST_AROUND, ROWS, SAMPLES
 from idfslam.segmentation.plain_form import form
 from idfslam.storage.state import State
 
 Image = NDArray[np.float32]
 _PIXEL = np.dtype("V12")  # of colour: three float32
+_AROUND = np.ones((3, 3), np.uint8)  # a cell and its neighbours: the constants of `idfslam.segmentation.constants` are for these
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,12 @@ def coarse_view(depth: Image, colour: Image, camera: Camera) -> CoarseView:
     small, cell = cells_camera(camera), cell_size(camera)
     parts = [np.empty((small.height, small.width), np.float32) for _ in range(6)]
     form(numba_segmentation.coarsen)(depth, colour, cell, max(1, cell // SAMPLES), *parts)
-    return CoarseView(small, *parts)
+    middle, nearest, farthest, brightness, darkest, brightest = parts
+    near, dark = (np.asarray(cv2.erode(image, _AROUND, borderType=cv2.BORDER_REPLICATE), np.float32) for image in (nearest, darkest))
+    far, bright = (np.asarray(cv2.dilate(image, _AROUND, borderType=cv2.BORDER_REPLICATE), np.float32) for image in (farthest, brightest))
+    known = cv2.boxFilter((middle > 0).astype(np.uint8), -1, _AROUND.shape, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    near[known < LEAST_AROUND] = np.inf
+    return CoarseView(small, middle, near, far, brightness, dark, bright)
 
 
 def thinned(frame: Frame) -> Frame:

@@ -14,14 +14,13 @@ from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.constants import (
     COMPARABLE,
     CONTRAST,
-    EVERYTHING,
     NEAREST_SEEN,
     SIGMAS,
     SLACK,
     STEP,
     USUAL,
 )
-from idfslam.segmentation.plain_form import compiles
+from idfslam.segmentation.plain_form import compiles, form
 from idfslam.sensing.depth_noise import BEST, GROWTH, NEAREST
 
 Array = NDArray[np.float64]
@@ -72,25 +71,18 @@ def votes(view: CoarseView, T_wc: Array, others: Sequence[PosedView]) -> Votes:
     Another view whose surfaces lie farther from the view's than noise explains widens its tolerance by that: its pose, or the view's, is
     off. One that most of the view violates says nothing.
     """
+    from idfslam.segmentation.kernels import numba_segmentation
+
     shape = view.depth.shape
-    through, seen, agree = (np.zeros(shape, np.int32) for _ in range(3))
-    stood, gone_since, by = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), list[Cells]()
-    vote = compiled_vote if compiles() else plain_vote
-    for other in others:
-        T_oc = np.linalg.inv(other.T_wc) @ T_wc
-        gone, there, fixed = (np.zeros(shape, np.bool_) for _ in range(3))
-        known = vote(view, other, T_oc, gone, there, fixed)
-        if gone.sum() > EVERYTHING * known:
-            gone[:], there[:], fixed[:] = False, False, False
+    through, seen, agree = np.zeros((3, *shape), np.int32)
+    stood, gone_since = np.zeros((2, *shape), np.bool_)
+    by, vote, count_votes = list[Cells](), compiled_vote if compiles() else plain_vote, form(numba_segmentation.count_votes)
+    to_others = np.linalg.inv(np.array([other.T_wc for other in others]).reshape(-1, 4, 4))
+    for other, T_ow in zip(others, to_others):
+        gone, there, fixed = np.zeros((3, *shape), np.bool_)
+        known = vote(view, other, T_ow @ T_wc, gone, there, fixed)
+        count_votes(known, gone, there, fixed, other.testifies, other.settles, through, seen, agree, stood, gone_since)
         by.append(gone)
-        through += gone
-        if other.testifies:
-            seen += fixed
-            agree += there
-        if other.settles:
-            stood |= there
-        else:
-            gone_since |= gone
     return Votes(through, seen, agree, stood & ~gone_since, by)
 
 
@@ -103,9 +95,9 @@ def compiled_vote(view: CoarseView, other: PosedView, T_oc: Array, gone: Cells, 
     return int(numba_segmentation.vote(a.depth, a.brightness, *images, *intrinsics(a.camera, b.camera), T_oc, gone, there, fixed))  # type: ignore[call-arg]
 
 
-def intrinsics(a: Camera, b: Camera) -> tuple[Array, Array]:
+def intrinsics(a: Camera, b: Camera) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """1 / fx, 1 / fy, cx, cy of a camera, and fx, fy, cx, cy of another one: what compiled loops take points from one to the other with."""
-    return np.array([1 / a.fx, 1 / a.fy, a.cx, a.cy]), np.array([b.fx, b.fy, b.cx, b.cy])
+    return (1 / a.fx, 1 / a.fy, a.cx, a.cy), (b.fx, b.fy, b.cx, b.cy)
 
 
 def plain_vote(view: CoarseView, other: PosedView, T_oc: Array, gone: Cells, there: Cells, fixed: Cells) -> int:

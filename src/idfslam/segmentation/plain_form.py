@@ -6,10 +6,12 @@ import torch
 
 from idfslam.compute.backend import Backend, backend_of
 
+_HOST = torch.device("cpu")
+
 
 def compiles() -> bool:
     """Whether compiled loops are used."""
-    return backend_of(torch.device("cpu")) is Backend.NUMBA
+    return backend_of(_HOST) is Backend.NUMBA
 
 
 def form(kernel: Any) -> Any:

@@ -1,8 +1,10 @@
 """Views that are remembered for comparisons with later ones, and the one before the present."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from idfslam.storage.state import State
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
+
+_AROUND = np.ones((3, 3), np.uint8)  # cells around what moves that tell nothing either. Larger: fewer false masks end beside a body
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,11 @@ class Remembered:
     stored: bool  # whether it is the host keyframe itself
     left: Cells  # cells whose points later views saw through
     number: int  # of the frame: no two views have the same
+
+    @cached_property
+    def around(self) -> Cells:
+        """(h, w) the cells that move, and those beside them: silhouettes are of the body and of what is behind it."""
+        return cv2.dilate(self.moving.astype(np.uint8), _AROUND).astype(np.bool_)
 
     def state(self) -> State:
         """All of it."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +19,6 @@ _APART, _TURNED = 2.5, np.cos(np.deg2rad(50))  # [m], cosine: views farther apar
 # [frames] from when on a view that sees the same tells that it stays. More: slower walkers are found, false masks last longer
 _TESTIFIES = 10
 _STANDS = 90  # [frames] after which what stands in its place has become part of the scene. More: what was moved is mapped later
-
-_AROUND = np.ones((3, 3), np.uint8)  # cells around what moves that tell nothing either. Larger: fewer false masks end beside a body
 
 
 class Witnesses:
@@ -69,7 +66,8 @@ class Witnesses:
 
     def _unlikeness(self, kind: Sequence[Remembered], T_wc: Array) -> Array:
         """(N,) how far views are from a pose (4, 4); infinite: they hardly see the same."""
-        T = np.array([self._pose(kept) for kept in kind]).reshape(-1, 4, 4)
+        hosts, in_hosts = [self._pose_of(kept.host) for kept in kind], [kept.T_kc for kept in kind]
+        T = np.array(hosts).reshape(-1, 4, 4) @ np.array(in_hosts).reshape(-1, 4, 4)
         apart, facing = np.linalg.norm(T[:, :3, 3] - T_wc[:3, 3], axis=1), T[:, :3, 2] @ T_wc[:3, 2]
         return np.where((apart < _APART) & (facing > _TURNED), apart / _APART + 2 * (1 - facing), np.inf)
 
@@ -78,5 +76,4 @@ class Witnesses:
 
     def _posed(self, kept: Remembered, number: int) -> PosedView:
         age = abs(number - kept.number)
-        around = cv2.dilate(kept.moving.astype(np.uint8), _AROUND).astype(np.bool_)  # silhouettes are of the body and of what is behind it
-        return PosedView(kept.view, self._pose(kept), around, testifies=age >= _TESTIFIES, settles=age >= _STANDS)
+        return PosedView(kept.view, self._pose(kept), kept.around, testifies=age >= _TESTIFIES, settles=age >= _STANDS)

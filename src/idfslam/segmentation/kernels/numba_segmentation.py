@@ -3,27 +3,28 @@
 import numpy as np
 from numba import njit
 
-from idfslam.segmentation.constants import COMPARABLE, CONTRAST, LEAST_AROUND, NEAREST_SEEN, SIGMAS, SLACK, STEP, USUAL
+from idfslam.segmentation.constants import COMPARABLE, CONTRAST, EVERYTHING, NEAREST_SEEN, SIGMAS, SLACK, STEP, USUAL
 from idfslam.sensing.depth_noise import BEST, GROWTH, NEAREST
 
 _compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_compiled
-def coarsen(depth, colour, cell, step, middle, near, far, brightness, dark, bright) -> None:  # type: ignore[no-untyped-def] # noqa: C901 (two passes over cells)
-    """Fills the images (h, w) of a `CoarseView` from depth (H, W) and colour (H, W, 3), from every `step`-th pixel of each cell."""
+def coarsen(depth, colour, cell, step, middle, nearest, farthest, brightness, darkest, brightest) -> None:  # type: ignore[no-untyped-def]
+    """Fills images (h, w) with what each cell has by itself, from every `step`-th pixel of depth (H, W) and colour (H, W, 3).
+
+    The median, nearest and farthest reading (0, infinite and 0 without any), and the mean, least and largest brightness.
+    """
     rows, columns = middle.shape
-    nearest, farthest = np.full((rows, columns), np.float32(np.inf)), np.zeros((rows, columns), np.float32)
-    least, most = np.ones((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
     values = np.empty(cell * cell, np.float32)
     for i in range(rows):
         for j in range(columns):
-            count, total, number = 0, np.float32(0), 0
+            count, total, number, least, most = 0, np.float32(0), 0, np.float32(1), np.float32(0)
             for v in range(i * cell + step // 2, min((i + 1) * cell, depth.shape[0]), step):
                 for u in range(j * cell + step // 2, min((j + 1) * cell, depth.shape[1]), step):
                     light = (colour[v, u, 0] + colour[v, u, 1] + colour[v, u, 2]) * np.float32(1 / 3)
                     total, number = total + light, number + 1
-                    least[i, j], most[i, j] = min(least[i, j], light), max(most[i, j], light)
+                    least, most = min(least, light), max(most, light)
                     z = depth[v, u]
                     if z > 0:
                         k = count
@@ -32,21 +33,9 @@ def coarsen(depth, colour, cell, step, middle, near, far, brightness, dark, brig
                             k -= 1
                         values[k] = z
                         count += 1
-            brightness[i, j] = total / max(number, 1)
+            brightness[i, j], darkest[i, j], brightest[i, j] = total / max(number, 1), least, most
             middle[i, j] = values[count // 2] if count else 0
-            if count:
-                nearest[i, j], farthest[i, j] = values[0], values[count - 1]
-    for i in range(rows):
-        for j in range(columns):
-            around = 0
-            near[i, j], far[i, j], dark[i, j], bright[i, j] = np.inf, 0, 1, 0
-            for v in range(max(i - 1, 0), min(i + 2, rows)):
-                for u in range(max(j - 1, 0), min(j + 2, columns)):
-                    around += middle[v, u] > 0
-                    near[i, j], far[i, j] = min(near[i, j], nearest[v, u]), max(far[i, j], farthest[v, u])
-                    dark[i, j], bright[i, j] = min(dark[i, j], least[v, u]), max(bright[i, j], most[v, u])
-            if around < LEAST_AROUND:
-                near[i, j] = np.inf
+            nearest[i, j], farthest[i, j] = values[0] if count else np.inf, values[count - 1] if count else 0
 
 
 @_compiled
@@ -56,61 +45,99 @@ def _sigma(z):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _seen_at(i, j, z, a, b, T, shape):  # type: ignore[no-untyped-def]
-    """Row and column of the other view in which a cell's point lies, and its depth there; row -1: in none.
+def _seen_at(x, y, z, b, T, rows, columns):  # type: ignore[no-untyped-def]
+    """Row and column of another view in which a point z (x, y, 1) lies, and its depth there; row -1: in none.
 
-    a: 1 / fx, 1 / fy, cx, cy of the view; b: fx, fy, cx, cy of the other one.
+    b: fx, fy, cx, cy of the other view, of rows x columns cells; T: the numbers of the transform to it. There are no branches, so that
+    the compiler vectorises loops over points.
     """
-    x, y = (j - a[2]) * a[0], (i - a[3]) * a[1]
-    r = (T[2, 0] * x + T[2, 1] * y + T[2, 2]) * z + T[2, 3]
-    if z <= 0 or r <= NEAREST_SEEN:
-        return -1, -1, r
-    p = (T[0, 0] * x + T[0, 1] * y + T[0, 2]) * z + T[0, 3]
-    q = (T[1, 0] * x + T[1, 1] * y + T[1, 2]) * z + T[1, 3]
+    r = (T[8] * x + T[9] * y + T[10]) * z + T[11]
+    p = (T[0] * x + T[1] * y + T[2]) * z + T[3]
+    q = (T[4] * x + T[5] * y + T[6]) * z + T[7]
     nearness = 1 / r
     u, v = p * nearness * b[0] + b[2], q * nearness * b[1] + b[3]
-    if not (u >= -0.5 and v >= -0.5 and u < shape[1] - 0.5 and v < shape[0] - 0.5):
-        return -1, -1, r
-    return int(v + 0.5), int(u + 0.5), r
+    inside = (z > 0) & (r > NEAREST_SEEN) & (u >= -0.5) & (v >= -0.5) & (u < columns - 0.5) & (v < rows - 0.5)
+    return np.int32(v + 0.5) if inside else np.int32(-1), np.int32(u + 0.5), r
+
+
+@_compiled
+def _numbers(T):  # type: ignore[no-untyped-def]
+    """The first three rows of T (4, 4). Unlike those of an array, a loop that fills arrays need not read them again at each step."""
+    return T[0, 0], T[0, 1], T[0, 2], T[0, 3], T[1, 0], T[1, 1], T[1, 2], T[1, 3], T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+
+
+@_compiled
+def _places(depth, a, b, T, shape):  # type: ignore[no-untyped-def]
+    """The cells of the other view, counted row by row, in which the cells' points lie, (h, w), -1: none; and their depths (h, w) there.
+
+    a: 1 / fx, 1 / fy, cx, cy of the view; b: fx, fy, cx, cy of the other one; T (4, 4) to it.
+    """
+    place, z_there, numbers = np.empty(depth.shape, np.int32), np.empty(depth.shape), _numbers(T)
+    for i in range(depth.shape[0]):
+        y = (i - a[3]) * a[1]
+        for j in range(depth.shape[1]):
+            row, column, r = _seen_at((j - a[2]) * a[0], y, float(depth[i, j]), b, numbers, shape[0], shape[1])
+            place[i, j] = row * np.int32(shape[1]) + column if row >= 0 else np.int32(-1)
+            z_there[i, j] = r
+    return place, z_there
 
 
 @_compiled
 def vote(depth, brightness, depth_b, near, far, brightness_b, dark, bright, moving, a, b, T, gone, there, fixed) -> int:  # type: ignore[no-untyped-def]
-    """`free_space.plain_vote`. a, b: as `_seen_at` has them; T (4, 4) from the view to the other one."""
+    """`free_space.plain_vote`. a, b, T: as `_places` has them."""
     rows, columns = depth.shape
+    place, z_there = _places(depth, a, b, T, depth_b.shape)
+    depth_b, near, far, brightness_b = depth_b.ravel(), near.ravel(), far.ravel(), brightness_b.ravel()
+    dark, bright, moving = dark.ravel(), bright.ravel(), moving.ravel()
     differences, count, own, others = np.empty((rows // STEP + 1) * (columns // STEP + 1)), 0, 0.0, 0.0
     for i in range(0, rows, STEP):
         for j in range(0, columns, STEP):
-            z = float(depth[i, j])
-            row, column, r = _seen_at(i, j, z, a, b, T, depth_b.shape)
-            if row < 0:
+            cell, r = place[i, j], z_there[i, j]
+            if cell < 0:
                 continue
-            at = float(depth_b[row, column])
+            at = float(depth_b[cell])
             if at > 0 and abs(r - at) < COMPARABLE:
-                differences[count] = abs(r - at) / (_sigma(z) + _sigma(r))
-                count, own, others = count + 1, own + brightness[i, j], others + brightness_b[row, column]
+                differences[count] = abs(r - at) / (_sigma(float(depth[i, j])) + _sigma(r))
+                count, own, others = count + 1, own + brightness[i, j], others + brightness_b[cell]
     spread = max(1.0, np.median(differences[:count]) / USUAL) if count else 1.0
     gain = own / max(others, 1e-6) if count else 1.0
     known = 0
     for i in range(rows):
         for j in range(columns):
-            z = float(depth[i, j])
-            row, column, r = _seen_at(i, j, z, a, b, T, depth_b.shape)
-            if row < 0:
+            cell, r = place[i, j], z_there[i, j]
+            if cell < 0:
                 continue
-            margin = SLACK + SIGMAS * spread * (_sigma(z) + _sigma(r))
-            nearest = float(near[row, column])
+            margin = SLACK + SIGMAS * spread * (_sigma(float(depth[i, j])) + _sigma(r))
+            nearest, at = float(near[cell]), depth_b[cell]
             if np.isfinite(nearest) and r < nearest - margin:
                 gone[i, j] = True
                 known += 1
                 continue
-            nearest = nearest if np.isfinite(nearest) else float(depth_b[row, column])
-            if depth_b[row, column] > 0 and r > nearest - margin and r < far[row, column] + margin:
+            nearest = nearest if np.isfinite(nearest) else float(at)
+            if at > 0 and r > nearest - margin and r < far[cell] + margin:
                 known += 1
                 light = float(brightness[i, j])
-                there[i, j] = gain * dark[row, column] - CONTRAST <= light <= gain * bright[row, column] + CONTRAST
-                fixed[i, j] = there[i, j] and not moving[row, column]
+                there[i, j] = gain * dark[cell] - CONTRAST <= light <= gain * bright[cell] + CONTRAST
+                fixed[i, j] = there[i, j] and not moving[cell]
     return known
+
+
+@_compiled
+def count_votes(known, gone, there, fixed, testifies, settles, through, seen, agree, stood, gone_since) -> None:  # type: ignore[no-untyped-def]
+    """Adds what another view says of `known` cells to the votes (h, w); it says nothing if nearly all are gone: `free_space.votes`."""
+    if gone.sum() > EVERYTHING * known:
+        gone[:] = False
+        return
+    for i in range(gone.shape[0]):
+        for j in range(gone.shape[1]):
+            through[i, j] += gone[i, j]
+            if testifies:
+                seen[i, j] += fixed[i, j]
+                agree[i, j] += there[i, j]
+            if settles:
+                stood[i, j] |= there[i, j]
+            else:
+                gone_since[i, j] |= gone[i, j]
 
 
 @_compiled
@@ -140,12 +167,14 @@ def look(means, depth, near, far, camera, T, number, through, seen, free, first,
 
 @_compiled
 def carry(cells, ages, depth, a, b, T, near, out):  # type: ignore[no-untyped-def]
-    """`carrying.plain_carry`."""
+    """`carrying.plain_carry`. a, b, T: as `_places` has them."""
+    numbers = _numbers(T)
     for i in range(depth.shape[0]):
         for j in range(depth.shape[1]):
             if not cells[i, j]:
                 continue
-            row, column, r = _seen_at(i, j, float(depth[i, j]), a, b, T, near.shape)
+            x, y = (j - a[2]) * a[0], (i - a[3]) * a[1]
+            row, column, r = _seen_at(x, y, float(depth[i, j]), b, numbers, near.shape[0], near.shape[1])
             if row >= 0:
                 near[row, column] = min(near[row, column], r)
                 out[row, column] = min(out[row, column], ages[i, j])

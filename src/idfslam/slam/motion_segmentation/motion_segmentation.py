@@ -119,7 +119,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         with self.timer.stage("segment"):
             more = in_pixels(self.memory.reconsider(_coarse(view), tracked.T_wc.numpy()), view.camera)
         shown = view.frame.depth > 0
-        if (more & shown).sum() < _MORE * shown.sum():
+        if np.count_nonzero(more & shown) < _MORE * np.count_nonzero(shown):
             return tracked
         again, undo = tracked_without(more, view, front_end)
         if again.is_lost or front_end.misfit(view, again.T_wc) > front_end.misfit(view, tracked.T_wc):
@@ -190,10 +190,9 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
 def _coarse(view: Keyframe) -> CoarseView:
     """The coarse view of all that a view shows. Most frames are never rectified, so those pixels that it reads are rectified alone."""
-    if (rectification := view.rectification_of_taken) is None:
-        frame = thinned(view.unmasked.frame)
-    else:
-        frame = rectified(thinned(view.taken_unmasked.frame), rectification)
+    rectification, frame = view.rectification_of_taken, view.taken_unmasked.frame
+    if rectification is not None:
+        frame = rectified(thinned(frame), rectification)
     return replace(coarse_view(frame.depth, frame.colour, frame.camera), camera=cells_camera(view.camera))
 
 
@@ -202,7 +201,7 @@ def crowded(view: Keyframe, tracked: Tracked) -> Tracked:
     if view.moving is None:
         return tracked
     shown = view.moving | (view.taken_unmasked.frame.depth > 0)
-    share = float(view.moving.sum() / shown.sum())
+    share = np.count_nonzero(view.moving) / np.count_nonzero(shown)
     if share < _CROWDED or tracked.status is not Status.OK:
         return tracked
     covariance = None if tracked.covariance is None else tracked.covariance / (1 - share) ** 2
