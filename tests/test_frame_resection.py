@@ -16,6 +16,7 @@ from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam.keyframe_adjustment.frame_resection import FrameResection
 from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment
+from idfslam.slam.keyframe_adjustment.keyframe_corners import KeyframeCorners
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.tracked import Source, Tracked
 from idfslam.tracking.tracker import Tracker
@@ -57,7 +58,8 @@ class Run:
 
     def new_resection(self) -> FrameResection:
         features = KeyframeFeatures(Tracker(TrackerConfig(), FinetuneConfig(enabled=False)))
-        return FrameResection(self.frames.graph, self.frames, features, self.adjustment)
+        corners = KeyframeCorners(self.frames.graph, features)
+        return FrameResection(self.frames.graph, self.frames, corners, self.adjustment)
 
     def add(self, frame: Frame, T_wc: torch.Tensor, *, keyframe: bool) -> None:
         view = Keyframe(frame, T_wc, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
@@ -110,9 +112,10 @@ def test_a_restored_one_gives_the_same(room: SyntheticRoom, true: np.ndarray) ->
         error = se3.exp(torch.tensor([0.01, 0, 0, 0, 0, 0.003], dtype=torch.float64))
         run.add(seen(room[85], len(run.sources), REACH), torch.from_numpy(true[85]) @ error, keyframe=False)
         if restored:
-            state = run.resection.state()
+            state, of_corners = run.resection.state(), run.resection.corners.state()
             run.resection = run.new_resection()
             run.resection.restore(state)
+            run.resection.corners.restore(of_corners)
         run.add(seen(room[90], len(run.sources) + 1, REACH), torch.from_numpy(true[90]), keyframe=True)
         assert run.adjustment.run()
         run.resection.run()

@@ -1,6 +1,7 @@
 """Landmarks that are found while a recording runs: in generated images at true poses they are where their hosts saw them."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
+from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.observations import Array, Observations
 from idfslam.adjustment.residuals import residuals
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -41,7 +43,7 @@ def tracks(room: SyntheticRoom, poses: Array) -> GrowingTracks:
         frame = room[index]
         shown.append(features_of(frame))
         others = [(j, shown[j], np.linalg.inv(poses[j]) @ poses[k]) for j in range(k)]
-        made.add(k, shown[k], frame.depth, others, CameraModel.as_stated(frame.camera))
+        made.add(k, shown[k], KeyframeView.of(frame), others, CameraModel.as_stated(frame.camera))
     return made
 
 
@@ -96,3 +98,32 @@ def test_a_state_restores_it(tracks: GrowingTracks, poses: Array) -> None:
     other.restore(tracks.state())
     for one, same in zip(vars(everything(tracks, poses)[1]).values(), vars(everything(other, poses)[1]).values()):
         np.testing.assert_array_equal(one, same)
+
+
+def test_corners_without_depth_are_landmarks_once_two_others_see_them(room: SyntheticRoom, poses: Array) -> None:
+    """A sensor that reaches 2 m: the landmarks beyond lie where the whole depth image has them."""
+    made, shown, model = GrowingTracks(), list[FrameFeatures](), CameraModel.as_stated(room.camera)
+    for k, index in enumerate(FRAMES):
+        frame = room[index]
+        frame = replace(frame, depth=np.where(frame.depth < 2.0, frame.depth, 0).astype(np.float32))
+        shown.append(features_of(frame))
+        others = [(j, shown[j], np.linalg.inv(poses[j]) @ poses[k]) for j in range(k)]
+        made.add(k, shown[k], KeyframeView.of(frame), others, model)
+        assert k >= 2 or not everything(made, poses[: k + 1])[1].distant.any()
+    points, seen = everything(made, poses)
+    distant = np.unique(seen.landmark[seen.distant])
+    assert len(distant) > 20
+    assert (np.bincount(seen.landmark)[distant] >= 3).all()
+    first = seen[seen.distant & (seen.keyframe == 0)]
+    z = np.einsum("j,nj->n", poses[0][:3, 2], points[first.landmark] - poses[0][:3, 3])
+    u, v = np.rint(first.uv).astype(int).T
+    assert np.median(np.abs(z / room[0].depth[v, u] - 1)) < 0.05
+
+
+def test_corners_without_depth_are_restored(room: SyntheticRoom, poses: Array) -> None:
+    frame = replace(room[0], depth=np.zeros_like(room[0].depth))
+    made, other = GrowingTracks(), GrowingTracks()
+    made.add(0, features_of(frame), KeyframeView.of(frame), [], CameraModel.as_stated(frame.camera))
+    other.restore(made.state())
+    assert np.array_equal(other._hosted[0].points, made._hosted[0].points)
+    assert len(other._hosted[0]) > 50

@@ -1,81 +1,75 @@
-"""Resection of images from known points: poses by hand, outliers, points of uncertain place, and what the poses before hold."""
+"""Resection of images from known points: poses by hand, outliers, and what a pose before holds."""
+
+from dataclasses import replace
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from idfslam.adjustment.bundle_adjustment import exp
-from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.observations import Array, Observations
-from idfslam.adjustment.resection import Images, on_rays, resected
+from idfslam.adjustment.resection import resected, with_spread
+from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
+from idfslam.tracking.patch_alignment import AlignedPatches
 
-MODEL = CameraModel.as_stated(Camera(320, 240, 280.0, 280.0, 159.5, 119.5))
-TRUE = exp(np.array([[0.3, -0.2, 0.1, 0.2, -0.4, 0.1], [0.42, -0.18, 0.1, 0.2, -0.4, 0.1], [0.36, -0.08, 0.12, 0.2, -0.4, 0.1]]))
-BEFORE = TRUE @ exp(np.array([[2, -1, 1.5, 0.5, -0.8, 0.4], [-1, 2, 1, -0.4, 0.6, 0.5], [1.5, 1, -2, 0.8, 0.3, -0.5]]) / 100)
-LOOSE, TIGHT = 1e-2 * np.eye(6), 1e-10 * np.eye(6)
+CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
+TRUE = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.2, -0.4, 0.1], dtype=torch.float64))
+BEFORE = se3.exp(torch.tensor([0.02, -0.01, 0.015, 0.005, -0.008, 0.004], dtype=torch.float64)) @ TRUE
+LOOSE, TIGHT = 1e-2 * torch.eye(6, dtype=torch.float64), 1e-10 * torch.eye(6, dtype=torch.float64)
 
 
-def shown(
-    n: int,
-    covariance: Array = LOOSE,
-    *,
-    outliers: int = 0,
-    nearest: float = 1.0,
-    farthest: float = 6.0,
-    wrong: float = 0.0,
-    sigma: float = 0.0,
-) -> Images:
-    """Random points that three images show with a deviation of 0.1 px, and some of them 5 to 20 px off.
-
-    wrong: by how much three quarters of the points are read too far away, as a share of their distance; sigma: what is stated of it.
-    """
+def shown(n: int, *, outliers: int = 0, nearest: float = 1.0, farthest: float = 6.0) -> AlignedPatches:
+    """Random points of the world where an image at the true pose shows them, with a deviation of 0.1 px; some are shown 5 to 20 px off."""
     rng = np.random.default_rng(0)
-    uv, z = rng.uniform([40, 40], [280, 200], (n, 2)), rng.uniform(nearest, farthest, n)
-    points = MODEL.rays(uv) * z[:, None] @ TRUE[0, :3, :3].T + TRUE[0, :3, 3]
-    places = np.stack([MODEL.project((points - T[:3, 3]) @ T[:3, :3])[0] for T in TRUE], 1).reshape(3 * n, 2)
-    places[: 3 * outliers] += rng.uniform(5, 20, (3 * outliers, 2))
-    image, landmark = np.tile(np.arange(3), n), np.repeat(np.arange(n), 3)
-    root, nothing = np.tile(10 * np.eye(2), (3 * n, 1, 1)), np.zeros(3 * n)
-    seen = Observations(image, landmark, places, root, nothing, np.ones(3 * n), np.zeros((3 * n, 2)))
-    most = np.arange(n) % 4 > 0
-    read, covariances = on_rays(MODEL, uv, z * (1 + wrong * most), np.tile(1e-4 * np.eye(2), (n, 1, 1)), sigma * z * most)
-    R = TRUE[0, :3, :3]
-    return Images(MODEL, BEFORE, np.tile(covariance, (3, 1, 1)), read @ R.T + TRUE[0, :3, 3], R @ covariances @ R.T, seen)
+    uv = torch.from_numpy(rng.uniform([10, 10], [310, 230], (n, 2)))
+    points = se3.transform(TRUE, CAMERA.rays(uv) * torch.from_numpy(rng.uniform(nearest, farthest, (n, 1))))
+    uv[:outliers] += torch.from_numpy(rng.uniform(5, 20, (outliers, 2)))
+    nothing = torch.zeros(n, dtype=torch.float64)
+    return AlignedPatches(points, uv, 100 * torch.eye(2, dtype=torch.float64).expand(n, 2, 2), nothing, nothing, CAMERA)
 
 
-def off(poses: Array) -> float:
-    """Largest distance to a true pose [m + rad]."""
-    change = np.linalg.inv(TRUE) @ poses
-    turn = np.arccos(((np.trace(change, axis1=1, axis2=2) - 1) / 2).clip(-1, 1))
-    return float((np.linalg.norm(change[:, :3, 3], axis=1) + turn).max())
+def off(T: Tensor) -> float:
+    """Distance to the true pose [m + rad]."""
+    change = se3.inverse(TRUE) @ T
+    return float(change[:3, 3].norm() + se3.angle(change))
 
 
-def test_exact_places_give_the_exact_poses() -> None:
+def test_exact_places_give_the_exact_pose() -> None:
     assert off(BEFORE) > 0.02
-    assert off(resected([shown(40)])[0]) < 1e-4  # what is left is drawn to the poses before
+    assert off(resected(BEFORE, LOOSE, shown(40))) < 1e-4  # what is left is drawn to the pose before
 
 
-def test_a_quarter_of_wrong_places_does_not_draw_them() -> None:
-    assert off(resected([shown(80, outliers=20)])[0]) < 1e-3
+def test_a_quarter_of_wrong_places_does_not_draw_it() -> None:
+    assert off(resected(BEFORE, LOOSE, shown(80, outliers=20))) < 1e-3
 
 
-def test_without_points_or_with_sure_poses_they_stay() -> None:
-    assert np.allclose(resected([shown(0)])[0], BEFORE, atol=1e-12)
-    assert np.allclose(resected([shown(3, TIGHT)])[0], BEFORE, atol=1e-4)
+def test_without_points_or_with_a_sure_pose_it_stays() -> None:
+    assert off(resected(BEFORE, LOOSE, shown(0)) @ se3.inverse(BEFORE) @ TRUE) < 1e-12
+    assert float((resected(BEFORE, TIGHT, shown(10)) - BEFORE).abs().max()) < 1e-4
 
 
-def test_points_at_infinity_turn_them_and_leave_their_places() -> None:
-    """The turn is found, and the centres move by far less than they are off."""
-    poses = resected([shown(60, 1e-4 * np.eye(6), nearest=900, farthest=1000)])[0]
-    assert np.abs(poses[:, :3, :3] - TRUE[:, :3, :3]).max() < 2e-4 < np.abs(BEFORE - TRUE)[:, :3, :3].max()
-    assert np.abs(poses - BEFORE)[:, :3, 3].max() < 1e-4
+def test_points_at_infinity_turn_it_and_leave_its_place() -> None:
+    """The turn is found, and the centre moves by far less than it is off."""
+    T = resected(BEFORE, 1e-4 * torch.eye(6, dtype=torch.float64), shown(60, nearest=900, farthest=1000))
+    assert float(se3.angle(se3.inverse(TRUE) @ T)) < 2e-4 < float(se3.angle(se3.inverse(TRUE) @ BEFORE))
+    assert float((T - BEFORE)[:3, 3].norm()) < 1e-4
 
 
-def test_points_read_wrongly_do_not_draw_the_poses() -> None:
-    """Thirty of forty are read 3 % too far. Where that is told, the other ten place the poses."""
-    told, untold = (resected([shown(40, wrong=0.03, sigma=sigma)])[0] for sigma in (0.03, 0.0))
-    assert off(told) < 0.001 < 0.003 < off(untold)
+def test_a_spread_of_points_takes_what_lies_along_it() -> None:
+    """The information of places is the inverse of their own covariance and of what the spread moves them by, together."""
+    seen = shown(30)
+    spread = torch.from_numpy(np.random.default_rng(1).normal(0, 0.05, (30, 3)))
+    places = [CAMERA.project(se3.transform(se3.inverse(TRUE), seen.points + sign * 1e-4 * spread))[0] for sign in (1, -1)]
+    moved = (places[0] - places[1]) / 2e-4
+    expected = torch.linalg.inv(torch.linalg.inv(seen.information) + moved[:, :, None] * moved[:, None])
+    assert torch.allclose(with_spread(seen, TRUE, spread).information, expected, rtol=1e-4, atol=1e-6)
+    assert torch.equal(with_spread(seen, TRUE, torch.zeros(30, 3).double()).information, seen.information)
 
 
-def test_poses_before_count_by_how_far_the_points_move_them() -> None:
-    """Covariances that are stated 25 times too small hold the poses little: they would stay 0.022 off."""
-    assert off(resected([shown(12, np.diag([1.6e-5] * 3 + [4e-6] * 3))])[0]) < 0.001
+def test_points_of_unknown_distance_tell_what_lies_across_their_rays() -> None:
+    """Points whose inverse distance to a host 20 cm beside is up to 30 % wrong. As exact ones they would draw the pose away."""
+    seen, rng = shown(60, nearest=2.0), np.random.default_rng(2)
+    host = TRUE[:3, 3] + torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64)
+    believed = host + (seen.points - host) / (1 + torch.from_numpy(rng.uniform(-0.3, 0.3, (60, 1))))
+    wrong, spread = replace(seen, points=believed), 0.3 / 3**0.5 * (believed - host)
+    found = resected(BEFORE, LOOSE, with_spread(wrong, BEFORE, spread))
+    assert off(found) < 0.5 * off(resected(BEFORE, LOOSE, wrong)), (off(found), off(resected(BEFORE, LOOSE, wrong)))

@@ -14,6 +14,7 @@ from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.observations import Array
 from idfslam.adjustment.patch_search import Found
+from idfslam.storage.state import State
 from idfslam.tracking.patches import Patches
 
 # All of these were chosen by hand on rooms larger than a Kinect's reach.
@@ -24,6 +25,8 @@ _LEAST_CORNER = 0.01  # [1] least strength of a corner, as a share of the image'
 _NEAREST = 1.0  # [m] least depth of a corner. More: faster, and near holes in depth have no landmarks
 _FARTHEST = 1000.0  # [m] at which a patch is tried instead of at infinity, which is the same in a room
 _MARGIN = 1.5  # [px] by which a place in a keyframe of inexact pose may be off along the line. More: intervals stay wider
+_KNOWN = 0.1  # [1] of the inverse depth: half of the interval of a corner whose distance is known. More: used sooner, and less exact
+_ADJUSTED = 0.05  # [1] the same of one that was adjusted, at first. More: it holds poses less
 _OFF_LINE = 4.0  # [px] the same beside the line. More: worse poses are mended, and more patches are found wrongly
 
 
@@ -51,8 +54,33 @@ class DistantCorners:
         uv = _best_of_cells(view)
         return cls(uv, model.rays(uv), np.zeros(len(uv)), np.full(len(uv), 1 / _NEAREST))
 
+    @classmethod
+    def adjusted(cls, uv: Array, depth: Array, model: CameraModel) -> "DistantCorners":
+        """Corners at pixels uv (N, 2) whose depth (N,) [m] an adjustment has found."""
+        return cls(uv, model.rays(uv), (1 - _ADJUSTED) / depth, (1 + _ADJUSTED) / depth)
+
+    def __add__(self, other: "DistantCorners") -> "DistantCorners":
+        return DistantCorners(**{name: np.concatenate([array, vars(other)[name]]) for name, array in vars(self).items()})
+
+    def state(self) -> State:
+        """All of it."""
+        return {name: torch.from_numpy(array.copy()) for name, array in vars(self).items()}
+
+    @staticmethod
+    def from_state(state: State) -> "DistantCorners":
+        """What `state` was made of."""
+        return DistantCorners(**{name: tensor.numpy().copy() for name, tensor in state.items()})
+
     def __len__(self) -> int:
         return len(self.uv)
+
+    def __getitem__(self, chosen: NDArray[np.generic]) -> "DistantCorners":
+        return DistantCorners(self.uv[chosen], self.rays[chosen], self.least[chosen], self.most[chosen])
+
+    @property
+    def are_known(self) -> NDArray[np.bool_]:
+        """(N,) whether the interval says how far away a corner is."""
+        return np.asarray(self.most - self.least < _KNOWN * (self.most + self.least))
 
     def at(self, share: float) -> Patches:
         """Patches that face the camera, at this share of the intervals."""

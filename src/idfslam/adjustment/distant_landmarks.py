@@ -49,7 +49,7 @@ def _hosted(
     count, spread = np.zeros(len(uv)), np.zeros((len(uv), 2, 2))
     found = []
     for j in _neighbours(k, T_ok) if len(uv) else []:
-        is_found, at, covariance = _searched(corners, images[k], images[j], T_ok[j], model)
+        is_found, at, covariance = searched(corners, images[k], images[j], T_ok[j], model)
         fits = corners.narrow(is_found, at, T_ok[j], model)
         found.append((j, fits, at, covariance))
         count, spread = count + fits, spread + covariance * fits[:, None, None]
@@ -68,7 +68,7 @@ def _neighbours(k: int, T_ok: Array) -> list[int]:
     return [int(j) for j in order if alike[j] and j != k][:_NEIGHBOURS]
 
 
-def _searched(
+def searched(
     corners: DistantCorners, host: FrameFeatures, other: FrameFeatures, T_oh: Array, model: CameraModel
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Which corners (N,) of a host another keyframe at T_oh (4, 4) shows, where, uv (N, 2), and the covariance (N, 2, 2) of that."""

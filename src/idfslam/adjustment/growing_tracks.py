@@ -12,7 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.landmark_tracks import Taken, found_in
+from idfslam.adjustment.distant_corners import DistantCorners, open_pixels
+from idfslam.adjustment.distant_landmarks import searched
+from idfslam.adjustment.landmark_tracks import KeyframeView, Taken, found_in
 from idfslam.adjustment.local_depth import local_depth
 from idfslam.adjustment.observations import Array, Indices, Observations, determined, joined
 from idfslam.adjustment.patch_search import root_of
@@ -20,12 +22,17 @@ from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import FrameFeatures
 from idfslam.tracking.patches import Patches
 
+# Keyframes besides its host that must see a corner without depth for it to be a landmark. More: fewer and surer ones, later. Chosen by
+# hand on rooms larger than a Kinect's reach
+_VIEWERS = 2
+
 
 @dataclass
 class _Hosted:
-    """M patches of a keyframe that have depth: its landmarks, and its own sightings of them."""
+    """M corners of a keyframe, those with depth and then those without: its landmarks, and its own sightings of them."""
 
-    patches: Patches
+    near: Patches
+    distant: DistantCorners
     reading: Array  # (M,) [m]
     sigma: Array  # (M,) [m]
     slope: Array  # (M, 2) [m/px]
@@ -35,16 +42,49 @@ class _Hosted:
 
     def state(self) -> State:
         """All of it."""
-        p = self.patches
-        arrays = {name: vars(self)[name] for name in _ARRAYS}
-        tensors = {name: torch.from_numpy(array.copy()) for name, array in arrays.items()}
-        return {"uv": p.uv, "points": p.points, "normals": p.normals, "first": self.first, **tensors}
+        arrays = {name: torch.from_numpy(vars(self)[name].copy()) for name in _ARRAYS}
+        return {"near": vars(self.near) | {}, "distant": self.distant.state(), "first": self.first, **arrays}
 
     @staticmethod
     def from_state(state: State) -> "_Hosted":
         """What `state` was made of."""
-        patches = Patches(state["uv"], state["points"], state["normals"])
-        return _Hosted(patches, first=state["first"], **{name: state[name].numpy().copy() for name in _ARRAYS})
+        corners = Patches(**state["near"]), DistantCorners.from_state(state["distant"])
+        return _Hosted(*corners, first=state["first"], **{name: state[name].numpy().copy() for name in _ARRAYS})
+
+    def __len__(self) -> int:
+        return len(self.near) + len(self.distant)
+
+    @property
+    def uv(self) -> Array:
+        """(M, 2) [px]"""
+        return np.concatenate([self.near.uv.numpy(), self.distant.uv])
+
+    @property
+    def points(self) -> Array:
+        """(M, 3) [m] in the keyframe's frame, as it saw them alone."""
+        return np.concatenate([self.near.points.numpy(), self.distant.at(0.5).points.numpy()])
+
+    @property
+    def are_known(self) -> NDArray[np.bool_]:
+        """(M,) whether it is known how far away they are."""
+        of_distant = self.distant.are_known & (self.sightings[len(self.near) :] >= _VIEWERS)
+        return np.concatenate([np.ones(len(self.near), bool), of_distant])
+
+    def kept(self, chosen: Indices, first: int) -> "_Hosted":
+        """Some of them (ascending), numbered from `first` on."""
+        near = chosen < len(self.near)
+        corners = self.near[torch.from_numpy(chosen[near])], self.distant[chosen[~near] - len(self.near)]
+        return _Hosted(*corners, first=first, **{name: vars(self)[name][chosen] for name in _ARRAYS})
+
+    def found_by(self, host: FrameFeatures, viewer: FrameFeatures, T_vh: Array, model: CameraModel) -> tuple[Indices, Array, Array]:
+        """Which of the host's corners (M,) a viewer at T_vh (4, 4) shows, where, uv (M, 2), and the covariance (M, 2, 2) of that."""
+        found = found_in(self.near, host, viewer, T_vh, model)
+        if not len(self.distant):
+            return found
+        seen, uv, covariance = searched(self.distant, host, viewer, T_vh, model)
+        at = np.flatnonzero(self.distant.narrow(seen, uv, T_vh, model))
+        parts = (at + len(self.near), uv[at], covariance[at])
+        return tuple(np.concatenate(pair) for pair in zip(found, parts))  # type: ignore[return-value]
 
 
 _ARRAYS = "reading", "sigma", "slope", "covariance", "sightings"
@@ -77,21 +117,21 @@ class GrowingTracks(Stateful):
         self,
         number: int,
         features: FrameFeatures,
-        depth: NDArray[np.float32],
+        view: KeyframeView,
         others: Sequence[tuple[int, FrameFeatures, Array]],
         model: CameraModel,
     ) -> None:
-        """Adds keyframe `number`, with depth (H, W) [m] of the size of its `grey` image.
+        """Adds keyframe `number`.
 
         others: keyframes whose landmarks it may see: number, features, and its pose T_ok (4, 4) in theirs, right to about five pixels.
         """
-        taken, found = Taken(tuple(features.grey.shape)), []
+        taken, found, no_reading = Taken(tuple(features.grey.shape)), [], open_pixels(view)
         for k, other, T_ok in others:
-            if (hosted := self._hosted.get(k)) is None or not len(hosted.patches):
+            if (hosted := self._hosted.get(k)) is None or not len(hosted):
                 continue
-            at, uv, covariance = found_in(hosted.patches, other, features, np.asarray(np.linalg.inv(T_ok), np.float64), model)
-            reading, sigma, slope = local_depth(depth, uv)
-            good = (reading > 0) & taken.free(uv)
+            at, uv, covariance = hosted.found_by(other, features, np.asarray(np.linalg.inv(T_ok), np.float64), model)
+            reading, sigma, slope = local_depth(view.depth, uv)
+            good = ((reading > 0) | ((at >= len(hosted.near)) & _at(no_reading, uv))) & taken.free(uv)
             at, (uv, covariance, reading, sigma, slope) = at[good], (column[good] for column in (uv, covariance, reading, sigma, slope))
             taken.take(uv)
             hosted.covariance[at] += covariance
@@ -100,15 +140,19 @@ class GrowingTracks(Stateful):
             numbers = np.full(len(at), number, np.int64), hosted.first + at
             found.append(Observations(*numbers, uv, root_of(covariance), reading, sigma, slope))
         self._seen[number] = joined(found)
-        self._host(number, features, depth, taken)
+        self._host(number, features, view, taken, model)
 
-    def _host(self, number: int, features: FrameFeatures, depth: NDArray[np.float32], taken: Taken) -> None:
-        patches = features.patches
-        reading, sigma, slope = local_depth(depth, patches.uv.numpy())
+    def _host(self, number: int, features: FrameFeatures, view: KeyframeView, taken: Taken, model: CameraModel) -> None:
+        patches, distant = features.patches, DistantCorners.of(view, model)
+        reading, sigma, slope = local_depth(view.depth, patches.uv.numpy())
         chosen = (reading > 0) & taken.free(patches.uv.numpy())
-        patches, count = patches[torch.from_numpy(np.flatnonzero(chosen))], int(chosen.sum())
-        nothing = np.zeros((count, 2, 2)), np.zeros(count, np.int64)
-        self._hosted[number] = _Hosted(patches, reading[chosen], sigma[chosen], slope[chosen], self._count, *nothing)
+        patches, distant = patches[torch.from_numpy(np.flatnonzero(chosen))], distant[taken.free(distant.uv)]
+        none, count = len(distant), len(patches) + len(distant)
+        reading, sigma = np.append(reading[chosen], np.zeros(none)), np.append(sigma[chosen], np.ones(none))
+        slope = np.concatenate([slope[chosen], np.zeros((none, 2))])
+        self._hosted[number] = _Hosted(
+            patches, distant, reading, sigma, slope, self._count, np.zeros((count, 2, 2)), np.zeros(count, np.int64)
+        )
         self._count += count
 
     def forget(self, k: int) -> None:
@@ -124,13 +168,12 @@ class GrowingTracks(Stateful):
         if (hosted := self._hosted.get(k)) is None:
             return
         self._seen[k] = self._seen[k][~_at(moving, self._seen[k].uv)]
-        kept = np.flatnonzero(~_at(moving, hosted.patches.uv.numpy()))
-        arrays = {name: vars(hosted)[name][kept] for name in _ARRAYS}
-        self._hosted[k] = _Hosted(hosted.patches[torch.from_numpy(kept)], first=self._count, **arrays)
+        kept = np.flatnonzero(~_at(moving, hosted.uv))
+        self._hosted[k] = hosted.kept(kept, self._count)
         for viewer in self._viewers.get(k, []):
             seen = self._seen[viewer]
             place = seen.landmark - hosted.first
-            of_host = (place >= 0) & (place < len(hosted.patches))
+            of_host = (place >= 0) & (place < len(hosted))
             numbers = np.where(of_host, self._count + np.searchsorted(kept, place), seen.landmark)
             self._seen[viewer] = replace(seen, landmark=numbers)[~of_host | np.isin(place, kept)]
         self._count += len(kept)
@@ -145,7 +188,7 @@ class GrowingTracks(Stateful):
     def _drop(self, viewer: int, hosted: _Hosted) -> None:
         seen = self._seen[viewer]
         place = seen.landmark - hosted.first
-        self._seen[viewer] = seen[(place < 0) | (place >= len(hosted.patches))]
+        self._seen[viewer] = seen[(place < 0) | (place >= len(hosted))]
 
     def seen_by(self, chosen: NDArray[np.bool_], poses: Array) -> tuple[Array, Observations]:
         """Landmarks (L, 3) [m] in the world that any of the keyframes `chosen` (K,) sees, and all sightings of these.
@@ -155,7 +198,10 @@ class GrowingTracks(Stateful):
         hosts = sorted({k for k in self._hosted if chosen[k]} | {host for host, viewers in self._viewers.items() if chosen[viewers].any()})
         viewers = sorted({viewer for host in hosts for viewer in self._viewers.get(host, [])})
         everything = joined([*(self._seen[k] for k in viewers), *(self._own(k) for k in hosts)])
-        wanted = np.unique(everything.landmark[chosen[everything.keyframe]])
+        known = np.concatenate(
+            [self._hosted[k].first + np.flatnonzero(self._hosted[k].are_known) for k in hosts] or [np.zeros(0, np.int64)]
+        )
+        wanted = np.intersect1d(everything.landmark[chosen[everything.keyframe]], known)
         seen = everything[np.isin(everything.landmark, wanted)]
         seen = seen[np.lexsort((seen.keyframe, seen.landmark))]
         numbers = np.searchsorted(wanted, seen.landmark)
@@ -167,15 +213,15 @@ class GrowingTracks(Stateful):
         at = np.flatnonzero(hosted.sightings)
         root = root_of(hosted.covariance[at] / hosted.sightings[at, None, None])
         measured = hosted.reading[at], hosted.sigma[at], hosted.slope[at]
-        return Observations(np.full(len(at), k, np.int64), hosted.first + at, hosted.patches.uv.numpy()[at], root, *measured)
+        return Observations(np.full(len(at), k, np.int64), hosted.first + at, hosted.uv[at], root, *measured)
 
     def _points(self, landmarks: Indices, hosts: Sequence[int], poses: Array) -> Array:
         """(L, 3) [m] in the world of landmarks (L,), ascending, of these hosts."""
         points = np.zeros((len(landmarks), 3))
         for k in hosts:
             hosted, T = self._hosted[k], poses[k]
-            first, end = np.searchsorted(landmarks, [hosted.first, hosted.first + len(hosted.patches)])
-            p = hosted.patches.points.numpy()[landmarks[first:end] - hosted.first]
+            first, end = np.searchsorted(landmarks, [hosted.first, hosted.first + len(hosted)])
+            p = hosted.points[landmarks[first:end] - hosted.first]
             points[first:end] = p @ T[:3, :3].T + T[:3, 3]
         return points
 

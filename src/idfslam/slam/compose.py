@@ -47,6 +47,7 @@ from idfslam.slam.front_end.registration import Registration
 from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
 from idfslam.slam.keyframe_adjustment.frame_resection import FrameResection, NoResection, Resection
 from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
+from idfslam.slam.keyframe_adjustment.keyframe_corners import KeyframeCorners
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
 from idfslam.slam.keyframe_features import KeyframeFeatures
@@ -249,7 +250,12 @@ class System:
             return NoResection()
         local = self.local_adjustment
         agree = (lambda: True) if local is None else (lambda: local.agrees)
-        return FrameResection(self.graph, self.frames, self.features, self.adjustment, agree)
+        return FrameResection(self.graph, self.frames, self.corners, self.adjustment, agree)
+
+    @cached_property
+    def corners(self) -> KeyframeCorners:
+        local = self.local_adjustment
+        return KeyframeCorners(self.graph, self.features) if local is None else KeyframeCorners(self.graph, self.features, local.distant)
 
     @cached_property
     def motions(self) -> KeyframeMotions:
@@ -294,7 +300,8 @@ def _alignment(system: System) -> FrontEnd:
     def learn_again(keyframe: Keyframe) -> None:
         s.back_end.learn_again(keyframe)  # which is made after the front end
 
-    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add)
+    corners = s.resection.corners if isinstance(s.resection, FrameResection) else None  # which learns how far away they are
+    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add, corners)
 
 
 def _registration(system: System) -> FrontEnd:

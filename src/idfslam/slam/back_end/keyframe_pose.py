@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 
 from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import Alignment, expected_error
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
@@ -19,6 +20,9 @@ _CERTAIN = 2.0
 # by degrees, and then fits the map worse: by 10 to 40 % on fr1/rpy. Right ones, also in corridors with bare walls, lose 5 % at most.
 # More: fewer keyframes are registered.
 _FITS = 0.95
+# [1] Expected error of that alignment over the tracked pose's from which the latter stays. More: with scarce depth, more keyframes are
+# registered although corners hold them. Chosen by hand: without corners the ratio is about 1.
+_SURER = 2.0
 
 
 class KeyframePose(ABC):
@@ -69,8 +73,15 @@ class KeyframeRegistration(KeyframePose):
             return
         aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.relocaliser.references), registered=True)
         fits = tracked.alignment is None or aligned.score >= _FITS * tracked.alignment.score
-        if aligned.status is not Status.LOST and fits:
+        if aligned.status is not Status.LOST and fits and not _is_surer(tracked, aligned):
             self.graph.set_pose(keyframe, aligned.T_wc)
+
+
+def _is_surer(tracked: Tracked, aligned: Alignment) -> bool:
+    """Whether a tracked pose is expected to be much less off than an aligned one, as where corners hold it."""
+    if tracked.covariance is None or aligned.covariance is None:
+        return False
+    return expected_error(aligned.covariance)[0] > _SURER * expected_error(tracked.covariance)[0]
 
 
 class TrackedPose(KeyframePose):

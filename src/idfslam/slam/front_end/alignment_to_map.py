@@ -30,6 +30,8 @@ from idfslam.slam.front_end.motion_compensation import MotionCompensation
 from idfslam.slam.front_end.recent_frame import RecentFrame
 from idfslam.slam.front_end.registered_pose import RegisteredPose, are_apart
 from idfslam.slam.front_end.registration import Registration
+from idfslam.slam.front_end.scarce_depth import ScarceDepth
+from idfslam.slam.keyframe_adjustment.keyframe_corners import KeyframeCorners
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State
@@ -71,11 +73,16 @@ class AlignmentToMap(FrontEnd):
         timer: StageTimer,
         learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
         relearn: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
+        corners: KeyframeCorners | None = None,
     ) -> None:
-        """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by."""
+        """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by.
+
+        corners: of keyframes, which hold poses where depth is scarce.
+        """
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
         self.rotation, self.recent = ImageRotation(), RecentFrame(aligner, frames)
+        self.scarce = None if corners is None else ScarceDepth(corners)
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -93,6 +100,9 @@ class AlignmentToMap(FrontEnd):
         T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
         aligned, registered = self._best_alignment(view, motion)
+        by_map = aligned
+        if self.scarce is not None:
+            aligned = self.scarce.resected(view, by_map)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         undecided = False
         if registered is not None and registered.refutes(aligned):
@@ -109,7 +119,8 @@ class AlignmentToMap(FrontEnd):
         if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
             return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)
         undecided |= unmeasured or (unseen and not confirmed and self._in_doubt)
-        return self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
+        tracked = self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
+        return replace(tracked, alignment=by_map)  # without corners, which are asked again at the end of a run
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
         """The result of depth alone for a view without colour: nothing ends a doubt, or helps depth that is degenerate.

@@ -16,33 +16,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.adjustment.bundle_adjustment import KINDS, Adjusted
-from idfslam.adjustment.camera_model import CameraModel
-from idfslam.adjustment.distant_corners import DistantCorners
-from idfslam.adjustment.landmark_tracks import KeyframeView
-from idfslam.adjustment.local_depth import local_depth
-from idfslam.adjustment.observations import Array, Indices, Observations
-from idfslam.adjustment.patch_search import search
-from idfslam.adjustment.resection import Images, on_rays, resected
+from idfslam.adjustment.joint_resection import Images, jointly_resected, on_rays
+from idfslam.adjustment.observations import Array, Observations
 from idfslam.alignment.alignment import expected_error
-from idfslam.geometry import se3
-from idfslam.geometry.camera import Camera
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_adjustment.global_adjustment import KeyframeAdjustment
-from idfslam.slam.keyframe_features import KeyframeFeatures
+from idfslam.slam.keyframe_adjustment.keyframe_corners import HostCorners, KeyframeCorners, shows
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import brightness
-from idfslam.tracking.patches import Patches
 
 # All of these were chosen by hand on generated rooms and on rooms larger than a Kinect's reach.
-_MOST_PATCHES = 200  # patches with depth of a keyframe that frames are searched for. More: exacter poses, more time and memory
 # [m] Expected error of a pose from which the next keyframe's corners are looked for too. More: fewer such frames, and these gain less
 _SCARCE = 0.005
-_UNEVEN = 0.02  # [1] standard deviation of depth where no smooth surface is, as a share of it. More: edges of things count less
-# [1] Least share of the least inverse depth that a corner without depth may have in the largest, to count. More: fewer and surer corners
-_LEAST_KNOWN = 0.5
 _ROUNDED = 1e-3  # [1] added to variances: twice what a number of 16 bits is rounded by. More: long patches count as less long
 _TOGETHER = 30  # most frames that are resected together. More: corners are placed more exactly, slower
 _MOST_WAITING = 60  # frames that wait for the next keyframe, at a byte a pixel. More: longer stretches gain, and take more memory
@@ -66,56 +54,6 @@ class NoResection(Resection):
     def see(self, view: Keyframe, tracked: Tracked) -> None: ...
 
     def run(self) -> None: ...
-
-
-@dataclass
-class _Host:
-    """The corners of a keyframe that frames are searched for: those with depth, then those without."""
-
-    keyframe: int  # number of the stored keyframe
-    near: Patches
-    sigma: Array  # (N,) [m] of the depth of those with depth
-    distant: DistantCorners
-
-    def __len__(self) -> int:
-        return len(self.near) + len(self.distant)
-
-    @property
-    def kind(self) -> Indices:
-        """(M,) 0 of those with depth, 1 of those without."""
-        return np.repeat([0, 1], [len(self.near), len(self.distant)])
-
-    def depth(self, noise: float) -> tuple[Array, Array]:
-        """(M,) [m] and its standard deviation (M,) [m], where the sensor's noise is so many times the stated one. NaN where it is open."""
-        least, most = self.distant.least, self.distant.most
-        known = least > _LEAST_KNOWN * most
-        z = np.where(known, 2 / np.maximum(least + most, 1e-9), np.nan)
-        return np.concatenate([self.near.points[:, 2].numpy(), z]), np.concatenate([noise * self.sigma, z * z * (most - least) / 12**0.5])
-
-    @property
-    def uv(self) -> NDArray[np.float64]:
-        """(M, 2) [px]"""
-        return np.concatenate([self.near.uv.numpy(), self.distant.uv])
-
-    def covariances(self, sightings: Sequence["_Sightings"]) -> Array:
-        """(M, 2, 2) [px^2] of the corners' places in the keyframe: as exactly as it shows them, frames show them on average."""
-        total, count = np.zeros((len(self), 2, 2)), np.zeros(len(self))
-        for seen in sightings:
-            corner = seen.corner.numpy()
-            total[corner] += np.linalg.inv(seen.information)
-            count[corner] += 1
-        return total / np.maximum(count, 1)[:, None, None]
-
-    def state(self) -> State:
-        """All of it."""
-        distant = {name: torch.from_numpy(array.copy()) for name, array in vars(self.distant).items()}
-        return {"keyframe": self.keyframe, "near": vars(self.near) | {}, "sigma": torch.from_numpy(self.sigma.copy()), "distant": distant}
-
-    @staticmethod
-    def from_state(state: State) -> "_Host":
-        """What `state` was made of."""
-        distant = {name: tensor.numpy().copy() for name, tensor in state["distant"].items()}
-        return _Host(state["keyframe"], Patches(**state["near"]), state["sigma"].numpy().copy(), DistantCorners(**distant))
 
 
 @dataclass(frozen=True)
@@ -144,21 +82,19 @@ class FrameResection(Resection):
         self,
         graph: KeyframeGraph,
         frames: FramePoses,
-        features: KeyframeFeatures,
+        corners: KeyframeCorners,
         adjustment: KeyframeAdjustment,
         agree: Callable[[], bool] = lambda: True,
     ) -> None:
         """agree: whether the images of the last keyframes do. Where they do not, only frames with scarce depth are looked at."""
-        self.graph, self.frames, self.features, self.adjustment, self.agree = graph, frames, features, adjustment, agree
-        self._hosts: list[_Host] = []
+        self.graph, self.frames, self.corners, self.adjustment, self.agree = graph, frames, corners, adjustment, agree
         self._seen: list[_Sightings] = []
         self._covariances: dict[int, Tensor] = {}  # (6, 6) by frame, of shift [m] and turn [rad] along the camera's axes
         self._waiting: list[tuple[int, Tensor]] = []  # frames that the next keyframe's corners are looked for in: index, grey (H, W)
 
     def state(self) -> State:
-        """Corners, sightings, covariances, and the brightness of the frames that wait."""
+        """Sightings, covariances, and the brightness of the frames that wait."""
         return {
-            "hosts": [host.state() for host in self._hosts],
             "seen": [vars(seen) | {} for seen in self._seen],
             "frames": list(self._covariances),
             "covariances": torch.stack(list(self._covariances.values())) if self._covariances else torch.zeros(0, 6, 6),
@@ -167,7 +103,6 @@ class FrameResection(Resection):
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self._hosts = [_Host.from_state(host) for host in state["hosts"]]
         self._seen = [_Sightings(**seen) for seen in state["seen"]]
         self._covariances = dict(zip(state["frames"], (C.clone() for C in state["covariances"])))
         self._waiting = [(waiting["frame"], waiting["grey"]) for waiting in state["waiting"]]
@@ -176,23 +111,12 @@ class FrameResection(Resection):
         if not self.graph.keyframes or view.rectification is not None:
             return
         if self.graph.is_stored(view):
+            self._seen = [seen for seen in self._seen if seen.frame != len(self.frames) - 1]  # a keyframe keeps its pose
             self._look_back(view.host)
         elif tracked.covariance is not None and not tracked.is_lost and not view.colour_is_older:
-            self._look_forward(view, tracked.covariance)
-
-    def _begin(self, number: int) -> None:
-        """Begins with the corners of a stored keyframe."""
-        keyframe = self.graph.keyframes[number]
-        features = self.features.of(keyframe)
-        near, view = features.patches, KeyframeView.of(keyframe.frame, keyframe.moving)
-        chosen = np.unique(np.linspace(0, max(len(near) - 1, 0), min(len(near), _MOST_PATCHES)).round().astype(np.int64))
-        near = near[torch.from_numpy(chosen)]
-        reading, sigma, _ = local_depth(view.depth, near.uv.numpy())
-        read = reading > 0
-        points = near.points * torch.from_numpy(np.where(read, reading / near.points[:, 2].numpy(), 1.0))[:, None]
-        sigma = np.where(read, sigma, _UNEVEN * points[:, 2].numpy())
-        distant = DistantCorners.of(view, CameraModel.as_stated(features.grey_camera))
-        self._hosts.append(_Host(number, replace(near, points=points), sigma, distant))
+            aligned = tracked.alignment
+            without_corners = tracked.covariance if aligned is None or aligned.covariance is None else aligned.covariance
+            self._look_forward(view, without_corners)
 
     def _look_forward(self, view: Keyframe, covariance: Tensor) -> None:
         """Looks for the last keyframe's corners in a frame."""
@@ -200,8 +124,7 @@ class FrameResection(Resection):
         if not (scarce or self.agree()):
             return
         frame, (number, _) = len(self.frames) - 1, self.frames.in_host(-1)
-        if not self._hosts or self._hosts[-1].keyframe != number:
-            self._begin(number)
+        self.corners.begin(number)
         grey, R = torch.from_numpy(brightness(view.frame)), torch.block_diag(*[self.frames.T_wc(-1)[:3, :3]] * 2)
         self._covariances[frame] = (R.T @ covariance @ R).float()
         self._look(frame, grey, view.moving)
@@ -210,8 +133,7 @@ class FrameResection(Resection):
 
     def _look_back(self, number: int) -> None:
         """Looks for the corners of a new keyframe in the frames before it that wait."""
-        if self._waiting:
-            self._begin(number)
+        self.corners.begin(number)
         for frame, grey in reversed(self._waiting):
             if self.frames.submap(frame) == self.graph.keyframes[number].submap:
                 self._look(frame, grey, None)
@@ -219,42 +141,32 @@ class FrameResection(Resection):
 
     def _look(self, frame: int, grey: Tensor, moving: NDArray[np.bool_] | None) -> None:
         """Looks for the corners of the last host in a frame's image (H, W)."""
-        host = self._hosts[-1]
-        keyframe = self.graph.keyframes[host.keyframe]
-        features = self.features.of(keyframe)
-        model, T_fk = CameraModel.as_stated(features.grey_camera), (se3.inverse(self.frames.T_wc(frame)) @ keyframe.T_wk).numpy()
-        near, distant = (search(patches, features.grey, grey, T_fk, model) for patches in (host.near, host.distant.at(0.5)))
-        fits = host.distant.narrow_by(distant, T_fk, model)
-        corner = np.concatenate([near.patch, len(host.near) + distant.patch[fits]])
-        uv, covariance = (np.concatenate([a, b[fits]]) for a, b in ((near.uv, distant.uv), (near.covariance, distant.covariance)))
-        if moving is not None:
-            still = ~_shows(moving, uv, features.grey_camera)
-            corner, uv, covariance = corner[still], uv[still], covariance[still]
-        if len(corner):
-            arrays = corner.astype(np.int16), uv.astype(np.float32), np.linalg.inv(covariance).astype(np.float16)
-            self._seen.append(_Sightings(frame, len(self._hosts) - 1, *(torch.from_numpy(array) for array in arrays)))
+        T_wc = self.frames.T_wc(frame)
+        seen = self.corners.narrow(self.corners.search(grey, T_wc, moving), T_wc)
+        if len(seen.corner):
+            arrays = seen.corner.astype(np.int16), seen.uv.astype(np.float32), np.linalg.inv(seen.covariance).astype(np.float16)
+            self._seen.append(_Sightings(frame, seen.host, *(torch.from_numpy(array) for array in arrays)))
 
     def run(self) -> None:
         adjusted = self.adjustment.adjusted
         if adjusted is None or adjusted.problem.velocities is not None:
             return
-        by_frame, by_host = dict[int, list[_Sightings]](), [list[_Sightings]() for _ in self._hosts]
+        by_frame, by_host = dict[int, list[_Sightings]](), [list[_Sightings]() for _ in self.corners.hosts]
         for seen in self._seen:
             by_host[seen.host].append(seen)
-            if not self.frames.is_refined(seen.frame):
-                by_frame.setdefault(seen.frame, []).append(seen)
-        places = [self._places(host, seen_of, adjusted) for host, seen_of in zip(self._hosts, by_host)]
+            by_frame.setdefault(seen.frame, []).append(seen)
+        places = [self._places(host, seen_of, adjusted) for host, seen_of in zip(self.corners.hosts, by_host)]
         groups = list(_groups(by_frame.values()))
-        for group, poses in zip(groups, resected([self._images(group, places, adjusted) for group in groups])):
+        for group, poses in zip(groups, jointly_resected([self._images(group, places, adjusted) for group in groups])):
             for parts, T_wc in zip(group, poses):
                 self.frames.move(parts[0].frame, torch.from_numpy(T_wc))
 
-    def _places(self, host: _Host, seen: Sequence[_Sightings], adjusted: Adjusted) -> tuple[Array, Array]:
+    def _places(self, host: HostCorners, seen: Sequence[_Sightings], adjusted: Adjusted) -> tuple[Array, Array]:
         """Of a host's corners: (M, 3) [m] in the world, NaN where nothing is known, and (M, 3, 3) [m^2] their covariances."""
         keyframe, problem = self.graph.keyframes[host.keyframe], adjusted.problem
         T, (z, z_sigma) = keyframe.T_wk.numpy(), host.depth(adjusted.noise[KINDS.index("depth")])
         variance = self._noise(adjusted)[host.kind][:, None, None] ** 2
-        points, covariances = on_rays(problem.model, host.uv, z, host.covariances(seen) * variance, z_sigma)
+        points, covariances = on_rays(problem.model, host.uv, z, _mean_covariances(len(host), seen) * variance, z_sigma)
         points, covariances = points @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ covariances @ T[:3, :3].T
         of_host = problem.seen.keyframe == host.keyframe
         known = {tuple(uv): landmark for uv, landmark in zip(problem.seen.uv[of_host].tolist(), problem.seen.landmark[of_host].tolist())}
@@ -262,7 +174,7 @@ class FrameResection(Resection):
             if (landmark := known.get(tuple(uv))) is not None:
                 points[i], covariances[i] = problem.points[landmark], adjusted.system.landmark_covariances[landmark]
         if keyframe.moving is not None:
-            points[_shows(keyframe.moving, host.uv, problem.model.camera)] = np.nan
+            points[shows(keyframe.moving, host.uv, problem.model.camera)] = np.nan
         return points, covariances
 
     @staticmethod
@@ -273,9 +185,9 @@ class FrameResection(Resection):
     def _images(self, group: Sequence[Sequence[_Sightings]], places: Sequence[tuple[Array, Array]], adjusted: Adjusted) -> Images:
         """Frames, each with what it shows, and the corners that they show."""
         frames, hosts = [parts[0].frame for parts in group], sorted({seen.host for parts in group for seen in parts})
-        first = dict(zip(hosts, np.cumsum([0, *(len(self._hosts[host]) for host in hosts)])))
+        first = dict(zip(hosts, np.cumsum([0, *(len(self.corners.hosts[host]) for host in hosts)])))
         points, covariances = (np.concatenate([places[host][i] for host in hosts]) for i in range(2))
-        noise, kind = self._noise(adjusted), np.concatenate([self._hosts[host].kind for host in hosts])
+        noise, kind = self._noise(adjusted), np.concatenate([self.corners.hosts[host].kind for host in hosts])
         parts = [(i, seen) for i, of_frame in enumerate(group) for seen in of_frame]
         landmark = np.concatenate([seen.corner.numpy() + first[seen.host] for _, seen in parts])
         uv = np.concatenate([seen.uv.double().numpy() for _, seen in parts])
@@ -290,15 +202,18 @@ class FrameResection(Resection):
         return Images(adjusted.problem.model, poses, torch.stack(of_poses).double().numpy(), points[shown], covariances[shown], seen)
 
 
+def _mean_covariances(count: int, sightings: Sequence[_Sightings]) -> Array:
+    """(M, 2, 2) [px^2] of `count` corners' places in their keyframe: as exactly as it shows them, frames show them on average."""
+    total, seen = np.zeros((count, 2, 2)), np.zeros(count)
+    for part in sightings:
+        corner = part.corner.numpy()
+        total[corner] += np.linalg.inv(part.information)
+        seen[corner] += 1
+    return total / np.maximum(seen, 1)[:, None, None]
+
+
 def _groups(sightings: Iterable[list[_Sightings]]) -> Iterator[list[list[_Sightings]]]:
     """What each frame shows, frames together that show corners of the same host first."""
     for _, of_host in itertools.groupby(sightings, key=lambda parts: parts[0].host):
         parts = list(of_host)
         yield from (parts[i : i + _TOGETHER] for i in range(0, len(parts), _TOGETHER))
-
-
-def _shows(pixels: NDArray[np.bool_], uv: NDArray[np.float64], camera: Camera) -> NDArray[np.bool_]:
-    """(N,) the pixels of an image (H, W) nearest to places uv (N, 2) in one of a camera."""
-    rows, columns = pixels.shape
-    u, v = np.rint((uv + 0.5) * [columns / camera.width, rows / camera.height] - 0.5).astype(np.int64).T
-    return np.asarray(pixels[v.clip(0, rows - 1), u.clip(0, columns - 1)])

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from idfslam.adjustment.bundle_adjustment import KINDS, Problem, adjust_briefly, in_motion
 from idfslam.adjustment.camera_model import NAMES, CameraModel
 from idfslam.adjustment.growing_tracks import GrowingTracks
+from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.observations import Array
+from idfslam.adjustment.residuals import camera_points
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
@@ -25,7 +27,7 @@ from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
-from idfslam.tracking.frame_features import grey_size, subsampled_depth
+from idfslam.tracking.frame_features import grey_size
 
 # All of these were chosen by hand.
 _WINDOW = 8  # newest keyframes that are adjusted. More: slower, and errors are mended that were made longer ago
@@ -46,13 +48,22 @@ class LocalAdjustment(KeyframeHook):
         self._edges: dict[int, Edge] = {}  # from a keyframe before each to it, as it was tracked
         self._noise = np.ones(len(KINDS))  # in the last window, over the stated one, by kind of measurement
         self.agrees = True  # whether the images of the last window agreed
+        self._distant: tuple[int, Array, Array] = -1, np.zeros((0, 2)), np.zeros(0)  # of `distant`: keyframe, uv and depth
         self._images: dict[int, list[float]] = {}  # how those of each keyframe were rectified when landmarks were found in them
 
     def state(self) -> State:
         """All but the tracks, which are a part of their own."""
         edges = {str(b): {"a": edge.a, "T_ab": edge.T_ab} for b, edge in self._edges.items()}
         images = {str(k): times for k, times in self._images.items()}
-        return {"held": sorted(self._held), "edges": edges, "images": images, "noise": self._noise.tolist(), "agrees": self.agrees}
+        number, *arrays = self._distant
+        return {
+            "held": sorted(self._held),
+            "edges": edges,
+            "images": images,
+            "noise": self._noise.tolist(),
+            "agrees": self.agrees,
+            "distant": [number, *(torch.from_numpy(array.copy()) for array in arrays)],
+        }
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
@@ -60,6 +71,12 @@ class LocalAdjustment(KeyframeHook):
         self._edges = {int(b): measured_edge(edge["a"], int(b), edge["T_ab"], EDGES) for b, edge in state["edges"].items()}
         self._noise, self.agrees = np.array(state["noise"]), state["agrees"]
         self._images = {int(k): list(times) for k, times in state["images"].items()}
+        number, *arrays = state["distant"]
+        self._distant = number, arrays[0].numpy().copy(), arrays[1].numpy().copy()
+
+    def distant(self, number: int) -> tuple[Array, Array]:
+        """Where keyframe `number` shows landmarks without depth, uv (N, 2) [px], and their depth (N,) [m] as the last window has it."""
+        return self._distant[1:] if self._distant[0] == number else (np.zeros((0, 2)), np.zeros(0))
 
     def holds(self, keyframe: Keyframe) -> bool:
         """Whether a stored keyframe lies where landmarks want it, and is not to be moved by others."""
@@ -78,9 +95,13 @@ class LocalAdjustment(KeyframeHook):
         if len(problem.points) < _LEAST_LANDMARKS or problem.fixed.all():
             return Moved()
         adjusted, self._noise = adjust_briefly(problem, noise=self._noise, steps=_STEPS)
-        self.agrees = images_agree(adjusted.seen, problem.model.stated.width)
+        with_depth = adjusted.seen[~adjusted.seen.distant]
+        self.agrees = len(with_depth) > 0 and images_agree(with_depth, problem.model.stated.width)
         if not self.agrees:
             return Moved()
+        seen = adjusted.seen[adjusted.seen.distant & (numbers[adjusted.seen.keyframe] == keyframe.host)]
+        depth = camera_points(adjusted.poses, adjusted.points, seen)[:, 2]
+        self._distant = keyframe.host, seen.uv[depth > 0], depth[depth > 0]
         return self._move(numbers[~problem.fixed], adjusted.poses[~problem.fixed])
 
     def _forget_changed(self) -> None:
@@ -99,12 +120,10 @@ class LocalAdjustment(KeyframeHook):
 
     def _add(self, keyframe: Keyframe, poses: Array) -> None:
         """Looks for landmarks in a new keyframe."""
-        features, number, depth = self.features.of(keyframe), keyframe.host, keyframe.frame.depth
-        height, width = features.grey.shape
-        depth = depth if depth.shape == (height, width) else subsampled_depth(depth, height, width)
+        features, number, view = self.features.of(keyframe), keyframe.host, KeyframeView.of(keyframe.frame, keyframe.moving)
         older = _spread([i for i in keyframe.edges if i < number])
         others = [(i, self.features.of(self.graph.keyframes[i]), np.linalg.inv(poses[i]) @ poses[number]) for i in older]
-        self.tracks.add(number, features, depth, others, CameraModel.as_stated(features.grey_camera))
+        self.tracks.add(number, features, view, others, CameraModel.as_stated(features.grey_camera))
         self._images[number] = _rectified(keyframe)
         if older:
             self._edges[number] = measured_edge(older[0], number, torch.from_numpy(others[0][2]), EDGES)
