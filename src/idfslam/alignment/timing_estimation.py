@@ -31,6 +31,9 @@ SIGNIFICANT = 4.0
 # [1] Share of the sums that is kept from frame to frame. More: the estimate is steadier, and early frames, tracked without times, count for
 # longer. With 0.99, generated recordings are the same, and the times of fr1/rpy come half as far in its 340 frames.
 _KEPT = 0.98
+# [1] Correlation that is expected of what neighbouring frames tell beyond the estimate: they share keyframes, map and errors of velocity
+# for about ten frames. More: larger deviations. Chosen by hand: with 0.7 and 0.9 fr1/rpy is the same.
+_CORRELATED = 0.9
 _SHORTEST = 1e-3  # [s] distortion, as a root mean square, below which errors count as those of this one. More: less weight for short times
 # [1/m^2], [1/rad^2] Information on the pose beside the frame's own, for directions that it leaves open: more than the motion before tells
 # makes the times seem surer than they are. More: those directions count as known.
@@ -76,15 +79,18 @@ class TimingEstimator(Stateful):
 
     def __init__(self) -> None:
         self._information, self._vector = np.zeros((3, 3)), np.zeros(3)
-        self._solved: dict[tuple[float | None, ...], tuple[Array, Array]] = {}  # of the present sums, by the times that are stated
+        self._scatter, self._before = np.zeros((3, 3)), np.zeros(3)  # of what frames told beyond the estimate, and what those before told
+        self._solved: dict[tuple[float | None, ...], tuple[Array, Array, Array]] = {}  # of the present sums, by the times that are stated
 
     def state(self) -> State:
         """The sums."""
-        return {"information": torch.from_numpy(self._information.copy()), "vector": torch.from_numpy(self._vector.copy())}
+        sums = {"information": self._information, "vector": self._vector, "scatter": self._scatter, "before": self._before}
+        return {name: torch.from_numpy(value.copy()) for name, value in sums.items()}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._information, self._vector = state["information"].numpy().copy(), state["vector"].numpy().copy()
+        self._scatter, self._before = state["scatter"].numpy().copy(), state["before"].numpy().copy()
         self._solved.clear()
 
     @property
@@ -107,45 +113,54 @@ class TimingEstimator(Stateful):
         """Readout, depth readout and depth delay [s]: as stated, or as estimated where that is significant, or zero."""
         values = [stated.readout, stated.depth_readout, stated.depth_delay]
         unknown = [k for k in range(3) if values[k] is None]
-        for k, value, sigma in zip(unknown, *self._estimate(values)):
+        for k, value, sigma, _ in zip(unknown, *self._estimate(values)):
             least = 0.0 if k < 2 else -_LONGEST
             values[k] = float(np.clip(value, least, _LONGEST)) if abs(value) > SIGNIFICANT * sigma else 0.0
         return values[0] or 0.0, values[1] or 0.0, values[2] or 0.0
 
     def estimates(self, stated: SensorTiming) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation [s] of each time that is not stated, by name, significant or not."""
+        """Value and standard deviation [s] of each time that is not stated, by name, significant or not.
+
+        The deviation is that of correlated frames (the sandwich of Newey and West, Econometrica 1987), and no less than the formal one.
+        """
         values = vars(stated)
         unknown = [name for name, value in values.items() if value is None]
         found = zip(*self._estimate(list(values.values())))
-        return {name: (float(value), float(sigma)) for name, (value, sigma) in zip(unknown, found)}
+        return {name: (float(value), max(float(formal), float(sigma))) for name, (value, formal, sigma) in zip(unknown, found)}
 
     def relative_error(self, stated: SensorTiming, times: RowTimes) -> float:
         """The error that is expected of the distortions of a frame with these times, over the distortions [1]; 0 if all times are stated.
 
         Both are root mean squares over the rows of both images, for a velocity of 1.
         """
-        sigmas = {name: sigma for name, (_, sigma) in self.estimates(stated).items()}
+        values = vars(stated)
+        sigmas = dict(zip((name for name, value in values.items() if value is None), self._estimate(list(values.values()))[1]))
         error = _mean_square(*(sigmas.get(name, 0.0) for name in ("readout", "depth_readout", "depth_delay")))
         return math.sqrt(error / max(_mean_square(times.readout, times.depth_readout, times.depth_delay), _SHORTEST**2)) if error else 0.0
 
-    def _estimate(self, values: Sequence[float | None]) -> tuple[Array, Array]:
-        """The unknown times [s] and their standard deviations, given the others. Each frame asks for them several times."""
+    def _estimate(self, values: Sequence[float | None]) -> tuple[Array, Array, Array]:
+        """The unknown times [s], given the others, and their standard deviations, if frames are independent, and if they are correlated.
+
+        Each frame asks for them several times.
+        """
         stated = tuple(values)
         if stated not in self._solved:
             self._solved[stated] = self._solution(stated)
         return self._solved[stated]
 
-    def _solution(self, values: Sequence[float | None]) -> tuple[Array, Array]:
+    def _solution(self, values: Sequence[float | None]) -> tuple[Array, Array, Array]:
         """`_estimate` from the sums."""
         known = np.array([value is not None for value in values])
         given = np.array([value or 0.0 for value in values])
-        information = self._information[~known][:, ~known] + np.eye(int((~known).sum())) / _PRIOR**2
+        prior = np.eye(int((~known).sum())) / _PRIOR**2
+        information = self._information[~known][:, ~known] + prior
         vector = self._vector[~known] - self._information[~known][:, known] @ given[known]
         covariance = np.linalg.inv(information)
-        return covariance @ vector, np.sqrt(np.diag(covariance))
+        of_correlated = covariance @ (self._scatter[~known][:, ~known] + prior) @ covariance
+        return covariance @ vector, np.sqrt(np.diag(covariance)), np.sqrt(np.maximum(np.diag(of_correlated), 0.0))
 
-    def add(self, frame: "MovingFrame", velocity: Array, velocity_covariance: Array) -> None:
-        """Adds a frame whose velocity (6,) along world axes is known by now, with this covariance (6, 6)."""
+    def add(self, frame: "MovingFrame", velocity: Array, velocity_covariance: Array, stated: SensorTiming) -> None:
+        """Adds a frame whose velocity (6,) along world axes is known by now, with this covariance (6, 6). stated: its times."""
         H, b = distorted(*joint_system(frame.depth, frame.images, frame.times))
         D, C, times = frame.depth.H, frame.images.H, frame.times
         u, corrected = velocity - frame.of_references, velocity - frame.velocity
@@ -161,6 +176,22 @@ class TimingEstimator(Stateful):
         gain = np.linalg.solve(H + prior, cross)
         information = square - cross.T @ gain
         at = np.array([times.readout, times.depth_readout, times.depth_delay - frame.lag])
+        vector = gradient - gain.T @ b + information @ at
+        self._scatter = _KEPT**2 * self._scatter + self._scattered(vector - information @ self._all(stated))
         self._information = _KEPT * self._information + information
-        self._vector = _KEPT * self._vector + gradient - gain.T @ b + information @ at
+        self._vector = _KEPT * self._vector + vector
         self._solved.clear()
+
+    def _all(self, stated: SensorTiming) -> Array:
+        """(3,) [s] the times: those that are stated, and the estimates of the others, significant or not."""
+        values = list(vars(stated).values())
+        times = np.array([value or 0.0 for value in values])
+        times[[value is None for value in values]] = self._estimate(values)[0]
+        return times
+
+    def _scattered(self, left: Array) -> Array:
+        """(3, 3) what a frame adds to the scatter, by what it told beyond the estimate (3,), and what frames before it told so."""
+        self._before = _CORRELATED * self._before
+        cross = np.outer(left, self._before)
+        self._before = self._before + left
+        return np.outer(left, left) + cross + cross.T

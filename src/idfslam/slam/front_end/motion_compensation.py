@@ -208,7 +208,7 @@ class MotionCompensation(Stateful):
             if keyframe.index == self._before:
                 _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
         if told is not None:
-            self.timing.add(told, velocity, covariance)
+            self.timing.add(told, velocity, covariance, self._stated)
 
     def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
         """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
