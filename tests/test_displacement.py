@@ -57,16 +57,17 @@ def test_a_ramp_by_hand() -> None:
     ramp = (0.2 + 0.001 * torch.arange(320.0)).expand(240, 320)[..., None].expand(240, 320, 3)
     frame = appearance(ramp, torch.full((240, 320), 2.0))
     coarse = frame.levels[2]
-    u, v = (axis.flatten() for axis in torch.meshgrid(torch.arange(4.0, 76, 2), torch.arange(4.0, 56, 2), indexing="xy"))
+    u, v = (axis.flatten() for axis in torch.meshgrid(torch.arange(4.0, 76), torch.arange(4.0, 56), indexing="xy"))
     points = coarse.camera.rays(torch.stack([u, v], -1)) * 2.0
-    off = 0.006 * (1 - 2 * (torch.arange(len(u)) % 2))
+    diagonal = torch.arange(len(u)) % 72 + torch.arange(len(u)) // 72  # so that the mean of each part of the image stays
+    off = 0.006 * (1 - 2 * (diagonal % 2))
     values = [level.at(level.camera.project(points)[0]) for level in frame.levels]
     of_ramp = Landmarks(points, [value[0] + off for value in values], [value[1:].contiguous() for value in values])
     seen, found = displacement(frame, of_ramp, EYE, EYE)
-    assert seen == len(u) == 36 * 26 and coarse.camera.fx == 70
+    assert seen == len(u) == 72 * 52 and coarse.camera.fx == 70
     assert found == pytest.approx(1.5 / 70, rel=0.02)
-    nearer = replace(frame, depth=torch.where(torch.arange(320) < 208, frame.depth, 1.5))  # contradicts the right ones: 11 of 36 columns
-    third = torch.where(torch.arange(len(u)) % 6 < 2, 1.0, 0.5)  # a third is 1.5 pixels off, the others 0.75
+    nearer = replace(frame, depth=torch.where(torch.arange(320) < 208, frame.depth, 1.5))  # contradicts the right ones: 22 of 72 columns
+    third = torch.where(diagonal % 6 < 2, 1.0, 0.5)  # a third is 1.5 pixels off, the others 0.75
     mixed = Landmarks(points, [value[0] + off * third for value in values], of_ramp.slopes)
     assert displacement(frame, mixed, EYE, EYE)[1] == pytest.approx(0.75 / 70, rel=0.1)
     assert displacement(nearer, mixed, EYE, EYE) == (len(u), pytest.approx(1.5 / 70, rel=0.1))  # 0.31 + 0.69 / 3 lie off: more than half

@@ -21,6 +21,17 @@ SAME_EXPOSURE = 1.2
 LEAST_MEAN = 1e-3  # [1] least mean brightness of an image, which divides that of the other. More: changes of dark images count less
 # [1] Range of the change of exposure. Wider: an image that is nearly black confirms any pose
 LEAST_CHANGE, LARGEST_CHANGE = 0.2, 5.0
+# Light that changes unevenly (`uneven_light.plain_relit`), chosen on pairs of images of generated rooms where a half darkens, a shadow or
+# patches of sun move, or the camera carries a torch
+# [1] Parts of the image, each of which has a gain of its own. More: sharper shadows are followed, and fewer landmarks tell of each part.
+# With 6 and 4 patches of sun left poses 1.4 instead of 1.0 cm off
+LIGHT_COLUMNS, LIGHT_ROWS = 8, 6
+# [landmarks] that say that the light of a part has changed as the image's has. More: parts are lit less: with 10 instead of 0.3 a half that
+# darkens left poses 2.1 instead of 0.1 cm off
+UNCHANGED = 0.3
+UNMOVED = 0.01  # [landmarks] that say that a part is not displaced. More: more of the displacement of a single edge passes for light
+OUTLYING = 2.0  # [1] width of the robust kernel, in mean differences of a part. More: the edges of shadows count more
+LEAST_DIFFERENCE = 1e-4  # [1] added to that width, of brightness. More: nothing, up to a step of 8 bits
 LEAST_GRADIENT = 1e-3  # [1/px] least gradient by which a difference of brightness is divided. More: bare places seem displaced less
 DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice
 

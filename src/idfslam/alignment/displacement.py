@@ -15,8 +15,8 @@ from torch import Tensor
 from idfslam.alignment.constants import LEAST_GRADIENT
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.landmarks import Landmarks
-from idfslam.alignment.photometric import exposure
 from idfslam.alignment.sighting import Appearance, Sighting, masked
+from idfslam.alignment.uneven_light import plain_relit
 from idfslam.compute.backend import pick
 
 # Rows of the image that displacements are measured on. More: smaller errors show, and blur and noise pass for errors.
@@ -32,7 +32,8 @@ def level_of(frame: Appearance, rows: int = _ROWS) -> int:
 def displacement(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor, motion: FrameMotion | None = None) -> tuple[int, float]:
     """The number of a keyframe's landmarks within a frame at `T_wc`, and their median displacement [rad]; poses (4, 4) float64.
 
-    Differences of exposure are taken out. The displacement is 0 if no landmark lies within the frame. motion: of the camera within it.
+    Differences of exposure and light are taken out. The displacement is 0 if no landmark lies within the frame. motion: of the camera
+    within it.
     """
     sighting = Sighting(frame, marks, T_wk, T_wc, level_of(frame), motion)
     seen, pixels = pick(marks.points, compiled=compiled_displacement, plain=plain_displacement)(sighting)
@@ -57,8 +58,9 @@ def plain_displacement(sighting: Sighting) -> tuple[int, float]:
     if not bool(inside.any()):
         return 0, 0.0
     value, *slopes = image.at(places.uv)
-    gain, offset = exposure(marks.luminance[level], value, seen)
-    du, dv = ((of_frame + gain * of_keyframe) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level]))
-    off = (value - gain * marks.luminance[level] - offset).abs() / torch.hypot(du, dv).clamp(min=LEAST_GRADIENT)
-    widest = float(image.camera.width)
-    return int(inside.sum()), float(off.clamp(max=widest).where(seen, off.new_tensor(widest))[inside].quantile(0.5))
+    means = [(of_frame + of_keyframe) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level])]
+    relit = plain_relit(*(x[seen] for x in (marks.luminance[level], value, *means, image.shares(places.uv))))
+    du, dv = ((of_frame[seen] + relit.gain * of_keyframe[seen]) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level]))
+    off = relit.difference.abs() / torch.hypot(du, dv).clamp(min=LEAST_GRADIENT)
+    displaced = torch.full_like(value, image.camera.width).masked_scatter(seen, off.clamp(max=image.camera.width))
+    return int(inside.sum()), float(displaced[inside].quantile(0.5))

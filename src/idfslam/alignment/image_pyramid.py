@@ -23,6 +23,10 @@ class Level:
         """Luminance and its derivatives along u and v [1/px] at pixels (N, 2), bilinear: (3, N). Outside, those of the nearest border."""
         return pick(self.luminance, compiled=compiled_sampled, plain=plain_sampled)(self.luminance, uv)
 
+    def shares(self, uv: Tensor) -> Tensor:
+        """Pixels (N, 2) as shares of the image's width and height: (N, 2), from 0 at its left and upper edge to 1."""
+        return (uv + 0.5) / uv.new_tensor([self.camera.width, self.camera.height])
+
     def luminance_at(self, uv: Tensor) -> Tensor:
         """Luminance (N,) at pixels (N, 2), as `at` gives it."""
         return self.at(uv)[0]

@@ -89,4 +89,4 @@ def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, le
 
 
 def _term(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Term:
-    return photometric_term(Sighting(small, seen, T_seen, T, level), floor=_NOISE, widest=_ROBUST)
+    return photometric_term(Sighting(small, seen, T_seen, T, level), floor=_NOISE, widest=_ROBUST, even=True)

@@ -8,19 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from idfslam.alignment.constants import (
-    DEVIATION,
-    LARGEST_CHANGE,
-    LARGEST_GAIN,
-    LEAST_CHANGE,
-    LEAST_GAIN,
-    LEAST_MEAN,
-    LEAST_SPREAD,
-    NEAREST,
-    SAME_EXPOSURE,
-)
+from idfslam.alignment.constants import DEVIATION, NEAREST
+from idfslam.alignment.exposure import exposure
 from idfslam.alignment.row_moments import PoseEquations, RowMoments
 from idfslam.alignment.sighting import Sighting
+from idfslam.alignment.uneven_light import plain_relit
 from idfslam.compute.backend import pick
 
 
@@ -32,35 +24,39 @@ class Term(PoseEquations):
     noise: float  # scale of the brightness differences [1]
 
 
-def photometric_term(sighting: Sighting, *, floor: float, widest: float, moments: bool = False) -> Term:
-    """Normal equations of the brightness differences of a keyframe's landmarks in a frame, after exposure is compensated.
+def photometric_term(sighting: Sighting, *, floor: float, widest: float, even: bool = False, moments: bool = False) -> Term:
+    """Normal equations of the brightness differences of a keyframe's landmarks in a frame, after exposure and light are compensated.
 
     Differences are divided by their own scale, so that sharp, well-registered images count more than blurred ones. The scale comes from
     their median and is at least `floor` [1]. The robust kernel has a width of `widest` scales.
-    moments: whether the sums have the moments of the rows.
+    even: whether light has changed everywhere alike. moments: whether the sums have the moments of the rows.
     """
     term = pick(sighting.marks.points, compiled=compiled_photometric_term, plain=plain_photometric_term)
-    return term(sighting, floor=floor, widest=widest, moments=moments)
+    return term(sighting, floor=floor, widest=widest, even=even, moments=moments)
 
 
-def compiled_photometric_term(sighting: Sighting, *, floor: float, widest: float, moments: bool = False) -> Term:
+def compiled_photometric_term(sighting: Sighting, *, floor: float, widest: float, even: bool = False, moments: bool = False) -> Term:
     """`photometric_term` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import photometric_system
 
     sums, marks = RowMoments.zeros(moments=moments), sighting.marks
     landmarks = marks.points.numpy(), marks.luminance[sighting.level].numpy()
-    seen, noise = photometric_system(*landmarks, *sighting.numbers(), floor, widest, sums.H, sums.b)  # type: ignore[call-arg]
+    seen, noise = photometric_system(*landmarks, *sighting.numbers(), floor, widest, even, sums.H, sums.b)  # type: ignore[call-arg]
     return Term(sums, seen, noise)
 
 
-def plain_photometric_term(sighting: Sighting, *, floor: float, widest: float, moments: bool = False) -> Term:
+def plain_photometric_term(sighting: Sighting, *, floor: float, widest: float, even: bool = False, moments: bool = False) -> Term:
     """`photometric_term` in torch, on any device."""
     image, target, places = sighting.image, sighting.marks.luminance[sighting.level], sighting.places()
     T_wc, uv, z = sighting.T_wc.to(target), places.uv, places.z
     value, slope_u, slope_v = image.at(uv)
     inside = places.within & places.in_sight
-    gain, offset = exposure(target, value, inside)
-    r = value - gain * target - offset
+    if even:
+        gain, offset = exposure(target, value, inside)
+        r = value - gain * target - offset
+    else:
+        seen = (x[inside] for x in (target, value, slope_u, slope_v, image.shares(uv)))
+        r = torch.zeros_like(value).masked_scatter(inside, plain_relit(*seen).difference)
     scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
     w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)
     # dr = -slope . dpi/dp . R^T (shift + turn x d)
@@ -77,19 +73,3 @@ def plain_photometric_term(sighting: Sighting, *, floor: float, widest: float, m
 def _median(values: Tensor) -> Tensor:
     """The median, as numpy computes it: the middle two are averaged. 0 for no values."""
     return values.quantile(0.5) if len(values) else values.new_zeros(())
-
-
-def exposure(target: Tensor, value: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Gain and offset with value = gain * target + offset over the landmarks in view, from means and standard deviations.
-
-    Blur takes contrast and leaves the mean. So the ratio of the contrasts is the gain only within a range, about that of the means where
-    these say that the exposure has changed, or the light.
-    """
-    n = inside.sum().clamp(min=1)
-    mean_t, mean_v = (target * inside).sum() / n, (value * inside).sum() / n
-    spread_t = (((target - mean_t) ** 2 * inside).sum() / n).sqrt()
-    spread_v = (((value - mean_v) ** 2 * inside).sum() / n).sqrt()
-    of_means = mean_v.clamp(min=LEAST_MEAN) / mean_t.clamp(min=LEAST_MEAN)
-    change = torch.ones_like(of_means).clamp(of_means / SAME_EXPOSURE, of_means * SAME_EXPOSURE).clamp(LEAST_CHANGE, LARGEST_CHANGE)
-    gain = (spread_v / spread_t.clamp(min=LEAST_SPREAD)).clamp(LEAST_GAIN * change, LARGEST_GAIN * change)
-    return gain, mean_v - gain * mean_t

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.constants import DEVIATION, NEAREST
+from idfslam.alignment.exposure import exposure
 from idfslam.alignment.landmarks import Landmarks
 from idfslam.alignment.motion import change_between
-from idfslam.alignment.photometric import exposure
 from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.alignment.sighting import Appearance, Sighting
 

@@ -9,15 +9,9 @@ from numpy.typing import NDArray
 
 from idfslam.alignment.constants import (
     DEVIATION,
-    LARGEST_CHANGE,
-    LARGEST_GAIN,
-    LEAST_CHANGE,
-    LEAST_GAIN,
     LEAST_GRADIENT,
-    LEAST_MEAN,
     LEAST_RADIUS,
     LEAST_SLOPE,
-    LEAST_SPREAD,
     LEAST_VALUE,
     MAPPED,
     MASKED,
@@ -25,9 +19,9 @@ from idfslam.alignment.constants import (
     OCCLUSION,
     OCCLUSION_SHARE,
     ROW_STEPS,
-    SAME_EXPOSURE,
     SLOPE_FLOOR,
 )
+from idfslam.alignment.kernels.light import expected_brightness, relit
 from idfslam.geometry.cholesky import solved
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
@@ -264,15 +258,6 @@ def _carry(x, y, z, s, velocity):  # type: ignore[no-untyped-def]
     return x + s * a + half * (wy * c - wz * b), y + s * b + half * (wz * a - wx * c), z + s * c + half * (wx * b - wy * a)
 
 
-@_inlined
-def _gain(mean_t: float, mean_v: float, variance_t: float, variance_v: float) -> float:
-    """The gain by the brightness of landmarks in the keyframe and in the frame: `photometric.exposure`."""
-    of_means = max(mean_v, LEAST_MEAN) / max(mean_t, LEAST_MEAN)
-    change = min(max(min(max(1.0, of_means / SAME_EXPOSURE), of_means * SAME_EXPOSURE), LEAST_CHANGE), LARGEST_CHANGE)
-    gain = np.sqrt(max(variance_v, 0.0)) / max(np.sqrt(max(variance_t, 0.0)), LEAST_SPREAD)
-    return min(max(gain, LEAST_GAIN * change), LARGEST_GAIN * change)  # type: ignore[no-any-return]
-
-
 @_compiled
 def carry_points(points, seconds, velocity, out) -> None:  # type: ignore[no-untyped-def]
     """Fills out (N, 3) with points (N, 3), each carried by the velocity (6,) for its seconds (N,)."""
@@ -375,7 +360,7 @@ def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
 
 @_compiled
 def photometric_system(  # type: ignore[no-untyped-def]
-    points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, H, b
+    points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, even, H, b
 ):
     """Fills the normal equations of the brightness differences of landmarks (M, 3) [m], keyframe axes, in an image (h, w).
 
@@ -384,12 +369,11 @@ def photometric_system(  # type: ignore[no-untyped-def]
 
     T_wk, T_wc (4, 4): the poses of the keyframe and of the frame. `depth` (H, W) [m] is the frame's. It has `ratio` times as many pixels
     along each axis as the image. times (3,) [s]: read-out of colour and of depth, and delay of depth; velocity (6,): with them, landmarks
-    are seen where the camera is when their rows are read.
+    are seen where the camera is when their rows are read. even: whether light has changed everywhere alike.
     """
     height, width = image.shape
     d, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
-    seen, values = np.empty(len(points), np.int64), np.empty((3, len(points)))
-    n, sum_t, sum_v, sum_tt, sum_vv = 0, 0.0, 0.0, 0.0, 0.0
+    seen, values, shares, n = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((2, len(points))), 0
     for i in range(len(points)):
         x, y, z = camera[0, i], camera[1, i], camera[2, i]
         if z < NEAREST:
@@ -401,18 +385,16 @@ def photometric_system(  # type: ignore[no-untyped-def]
             continue
         seen[n] = i
         values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
-        sum_t += target[i]
-        sum_v += values[0, n]
-        sum_tt += target[i] * target[i]
-        sum_vv += values[0, n] * values[0, n]
+        shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
         n += 1
     if n == 0:
         return 0, 0.0
-    mean_t, mean_v = sum_t / n, sum_v / n
-    gain = _gain(mean_t, mean_v, sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
-    J, w, r, rows = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n)
-    for k in range(n):
-        r[k] = values[0, k] - mean_v - gain * (target[seen[k]] - mean_t)
+    J, w, r, rows, light = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n), np.ones(n)
+    if even:
+        expected_brightness(target[seen[:n]], values[0, :n], light, r)
+        r[:] = values[0, :n] - r
+    else:
+        relit(target[seen[:n]], values[0, :n], values[1:, :n], shares[:, :n], light, r)
     scale = max(DEVIATION * np.median(np.abs(r)), floor)
     R_wc = _numbers(T_wc)
     for k in range(n):
@@ -440,8 +422,8 @@ def median_displacement(  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     _, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
-    found = np.empty((len(points), 4))
-    n, hidden, sum_t, sum_v, sum_tt, sum_vv = 0, 0, 0.0, 0.0, 0.0, 0.0
+    seen, values, shares = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((2, len(points)))
+    n, hidden = 0, 0
     for i in range(len(points)):
         x, y, z = camera[0, i], camera[1, i], camera[2, i]
         if z < NEAREST:
@@ -454,23 +436,22 @@ def median_displacement(  # type: ignore[no-untyped-def]
         if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
             hidden += 1
             continue
-        found[n, 0], found[n, 1], found[n, 2] = _brightness(image, u, v)
-        found[n, 3] = i
-        sum_t += target[i]
-        sum_v += found[n, 0]
-        sum_tt += target[i] * target[i]
-        sum_vv += found[n, 0] * found[n, 0]
+        seen[n] = i
+        values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
+        shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
         n += 1
     if n + hidden == 0:
         return 0, 0.0
     displaced = np.full(n + hidden, np.float64(width))
-    mean_t, mean_v = sum_t / max(n, 1), sum_v / max(n, 1)
-    gain = _gain(mean_t, mean_v, sum_tt / max(n, 1) - mean_t**2, sum_vv / max(n, 1) - mean_v**2)
-    for k in range(n):
-        i = int(found[k, 3])
-        du, dv = (found[k, 1] + gain * slopes[0, i]) / 2, (found[k, 2] + gain * slopes[1, i]) / 2
-        r = found[k, 0] - mean_v - gain * (target[i] - mean_t)
-        displaced[k] = min(abs(r) / max(np.sqrt(du * du + dv * dv), LEAST_GRADIENT), np.float64(width))
+    if n > 0:
+        light, r, means = np.empty(n), np.empty(n), np.empty((2, n))
+        for k in range(n):
+            means[0, k], means[1, k] = (values[1, k] + slopes[0, seen[k]]) / 2, (values[2, k] + slopes[1, seen[k]]) / 2
+        gain = relit(target[seen[:n]], values[0, :n], means, shares[:, :n], light, r)
+        for k in range(n):
+            of_keyframe = gain * light[k]
+            du, dv = (values[1, k] + of_keyframe * slopes[0, seen[k]]) / 2, (values[2, k] + of_keyframe * slopes[1, seen[k]]) / 2
+            displaced[k] = min(abs(r[k]) / max(np.sqrt(du * du + dv * dv), LEAST_GRADIENT), np.float64(width))
     return n + hidden, np.median(displaced)
 
 

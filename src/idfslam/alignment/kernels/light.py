@@ -1,0 +1,133 @@
+"""Light that changes, everywhere alike and unevenly, compiled by Numba. The plain forms are `exposure` and `uneven_light.plain_relit`."""
+
+import numpy as np
+from numba import njit
+
+from idfslam.alignment.constants import (
+    LARGEST_CHANGE,
+    LARGEST_GAIN,
+    LEAST_CHANGE,
+    LEAST_DIFFERENCE,
+    LEAST_GAIN,
+    LEAST_MEAN,
+    LEAST_SPREAD,
+    LIGHT_COLUMNS,
+    LIGHT_ROWS,
+    OUTLYING,
+    SAME_EXPOSURE,
+    UNCHANGED,
+    UNMOVED,
+)
+
+_FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+_compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
+_inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
+_PARTS = LIGHT_ROWS * LIGHT_COLUMNS
+
+
+@_inlined
+def exposure_gain(mean_t: float, mean_v: float, variance_t: float, variance_v: float) -> float:
+    """The gain by the brightness of landmarks in the keyframe and in the frame: `exposure.exposure`."""
+    of_means = max(mean_v, LEAST_MEAN) / max(mean_t, LEAST_MEAN)
+    change = min(max(min(max(1.0, of_means / SAME_EXPOSURE), of_means * SAME_EXPOSURE), LEAST_CHANGE), LARGEST_CHANGE)
+    gain = np.sqrt(max(variance_v, 0.0)) / max(np.sqrt(max(variance_t, 0.0)), LEAST_SPREAD)
+    return min(max(gain, LEAST_GAIN * change), LARGEST_GAIN * change)  # type: ignore[no-any-return]
+
+
+@_compiled
+def expected_brightness(target, value, light, expected) -> float:  # type: ignore[no-untyped-def]
+    """Fills expected (n,) with gain * target + offset by value / light (each (n,)), and returns the gain: `exposure.exposure`."""
+    n, sum_t, sum_v, sum_tt, sum_vv = len(target), 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        even = value[k] / light[k]
+        sum_t += target[k]
+        sum_v += even
+        sum_tt += target[k] * target[k]
+        sum_vv += even * even
+    mean_t, mean_v = sum_t / n, sum_v / n
+    gain = exposure_gain(mean_t, mean_v, sum_tt / n - mean_t**2, sum_vv / n - mean_v**2)
+    for k in range(n):
+        expected[k] = mean_v + gain * (target[k] - mean_t)
+    return gain  # type: ignore[no-any-return]
+
+
+@_compiled
+def relit(target, value, slopes, place, light, difference) -> float:  # type: ignore[no-untyped-def]
+    """Fills light (n,) and difference (n,) of landmarks, and returns the gain of the image: `uneven_light.plain_relit`.
+
+    target, value (n,), slopes (2, n), place (2, n): as there.
+    """
+    n = len(target)
+    part, expected, weight = np.empty(n, np.int64), np.empty(n), np.ones(n)
+    for k in range(n):
+        row, column = min(int(place[1, k] * LIGHT_ROWS), LIGHT_ROWS - 1), min(int(place[0, k] * LIGHT_COLUMNS), LIGHT_COLUMNS - 1)
+        part[k] = row * LIGHT_COLUMNS + column
+    light[:] = 1.0
+    expected_brightness(target, value, light, expected)
+    change = np.empty((3, _PARTS))
+    _solve_parts(part, expected, value, slopes, weight, change)
+    _weigh(part, expected, value, slopes, change, weight)
+    _light_at(change[0].reshape(LIGHT_ROWS, LIGHT_COLUMNS), place, light)
+    gain = expected_brightness(target, value, light, expected)
+    _solve_parts(part, expected, value, slopes, weight, change)
+    _light_at(change[0].reshape(LIGHT_ROWS, LIGHT_COLUMNS), place, light)
+    for k in range(n):
+        difference[k] = value[k] - expected[k] * light[k]
+    return gain  # type: ignore[no-any-return]
+
+
+@_inlined
+def _solve_parts(part, expected, value, slopes, weight, change) -> None:  # type: ignore[no-untyped-def]
+    """Fills change (3, parts): of the light of each part of the image, and its displacement, which is eliminated."""
+    sums = np.zeros((_PARTS, 10))
+    for k in range(len(part)):
+        s, w, p, u, v = sums[part[k]], weight[k], expected[k], slopes[0, k], slopes[1, k]
+        r = value[k] - p
+        s[0] += w * p * p
+        s[1] += w * p * u
+        s[2] += w * p * v
+        s[3] += w * u * u
+        s[4] += w * u * v
+        s[5] += w * v * v
+        s[6] += w * p * r
+        s[7] += w * u * r
+        s[8] += w * v * r
+        s[9] += w
+    for i in range(_PARTS):
+        pp, pu, pv, uu, uv, vv, pr, ur, vr, count = sums[i]
+        pp += UNCHANGED * pp / max(count, 1e-9) + 1e-9
+        ridge = UNMOVED * (uu + vv) / max(count, 1e-9) + 1e-9
+        uu, vv = uu + ridge, vv + ridge
+        determinant = uu * vv - uv * uv
+        along_u, along_v = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
+        alone = min(max(pr / pp, LEAST_CHANGE - 1), LARGEST_CHANGE - 1)
+        of_light = (pr - along_u * ur - along_v * vr) / (pp - along_u * pu - along_v * pv)
+        of_light = min(max(of_light, min(alone, 0.0)), max(alone, 0.0))
+        ur, vr = ur - pu * of_light, vr - pv * of_light
+        change[0, i], change[1, i], change[2, i] = of_light, (vv * ur - uv * vr) / determinant, (uu * vr - uv * ur) / determinant
+
+
+@_inlined
+def _weigh(part, expected, value, slopes, change, weight) -> None:  # type: ignore[no-untyped-def]
+    """Fills weight (n,): robust, by what the change of its part does not explain of a landmark's brightness, over the mean of the part."""
+    left, total, count = np.empty(len(part)), np.zeros(_PARTS), np.zeros(_PARTS)
+    for k in range(len(part)):
+        i = part[k]
+        left[k] = value[k] - expected[k] * (1 + change[0, i]) - slopes[0, k] * change[1, i] - slopes[1, k] * change[2, i]
+        total[i] += abs(left[k])
+        count[i] += 1
+    for k in range(len(part)):
+        outlying = left[k] / (OUTLYING * total[part[k]] / count[part[k]] + LEAST_DIFFERENCE)
+        weight[k] = 1 / ((1 + outlying * outlying) * (1 + outlying * outlying))
+
+
+@_inlined
+def _light_at(change, place, light) -> None:  # type: ignore[no-untyped-def]
+    """Fills light (n,) at places (2, n), bilinear between the centres of the parts (rows, columns)."""
+    for k in range(len(light)):
+        x = min(max(place[0, k] * LIGHT_COLUMNS - 0.5, 0.0), LIGHT_COLUMNS - 1.0)
+        y = min(max(place[1, k] * LIGHT_ROWS - 0.5, 0.0), LIGHT_ROWS - 1.0)
+        j, i = min(int(x), LIGHT_COLUMNS - 2), min(int(y), LIGHT_ROWS - 2)
+        a, c = x - j, y - i
+        upper, lower = change[i, j] * (1 - a) + change[i, j + 1] * a, change[i + 1, j] * (1 - a) + change[i + 1, j + 1] * a
+        light[k] = 1 + upper * (1 - c) + lower * c
