@@ -27,7 +27,7 @@ from idfslam.storage.state import State, Stateful
 from idfslam.tracking.patches import Patches
 
 # All of these were chosen by hand on generated rooms and on rooms larger than a Kinect's reach.
-_MOST_PATCHES = 200  # patches with depth of a keyframe that frames are searched for. More: exacter poses, more time and memory
+_MOST_PATCHES = 120  # patches with depth of a keyframe that frames are searched for. More: exacter poses, more time and memory
 _UNEVEN = 0.02  # [1] standard deviation of depth where no smooth surface is, as a share of it. More: edges of things count less
 # [1] Least share of the least inverse depth that a corner without depth may have in the largest, to count. More: fewer and surer corners
 _LEAST_KNOWN = 0.5
