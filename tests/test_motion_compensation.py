@@ -72,7 +72,7 @@ def test_keyframes_are_rectified_again_where_a_time_has_changed_by_much(shaken: 
     for delay in (-0.008, -0.012, -0.014):
         compensation.timing.timing = lambda stated, delay=delay: (0.0, 0.0, delay)  # type: ignore[method-assign]
         compensation._stated = frame.timing
-        told.append(compensation.accept(keyframe, Tracked.first(keyframe.T_wk, has_depth=True), []))
+        told.append(compensation.accept(keyframe, Tracked.first(keyframe.T_wk), []))
         if told[-1]:
             assert compensation.rectify_stored(keyframe) is (again or delay == -0.008)
     assert told == [True, False, True]

@@ -14,7 +14,7 @@ from idfslam.storage.state import Stateful
 # from keyframes' images, or from what is kept
 WORKED_OUT_AGAIN = {
     *("_images", "_images_at", "_features", "_features_at", "_swap", "swap"),  # of a keyframe
-    *("farthest", "has_depth", "readings", "_shown"),  # likewise
+    *("farthest", "depth_share", "readings", "_shown"),  # likewise
     *("_appearances", "_landmarks"),  # of the aligner
     "_pixels",  # of the mapper
     "_thumbnails",  # of the estimation of light

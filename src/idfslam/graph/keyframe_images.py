@@ -16,9 +16,8 @@ from idfslam.graph.swap_file import Stored, SwapFile
 from idfslam.sensing.clipping import is_clipped
 from idfslam.sensing.rectification import Rectification, RowTimes, rectified
 
-# [1] Share of the cells of a grid over the image with a reading, from which the image has depth. Less begins no map that the next view
-# could be aligned to. More: an object without its background, and a place that is mostly out of the sensor's range, are mapped later. A
-# fifth of the image's width and height is enough.
+# [1] Share of the cells of a grid over the image with a reading, from which the image has depth. More: an object without its background,
+# and a place that is mostly out of the sensor's range, are not mapped. A fifth of the image's width and height is enough.
 _LEAST_DEPTH = 0.04
 _GRID = 12, 16  # rows and columns of these cells; more: sparse depth covers less of them. Chosen by hand
 _EIGHT_BITS = np.float32(1 / 255)  # step of a colour channel of 8 bits, as most cameras have it
@@ -156,7 +155,7 @@ class KeyframeImages:
         """Forgets what was computed from images that have changed."""
         self._shown.clear()
         self._features = self._features_at = None
-        for name in ("farthest", "has_depth"):
+        for name in ("farthest", "depth_share"):
             self.__dict__.pop(name, None)
 
     def _rectified(self, taken: Images, rectification: Rectification) -> Images:
@@ -189,10 +188,17 @@ class KeyframeImages:
         """The farthest depth reading [m]; 0 without depth."""
         return float(self.depth.max())
 
-    @cached_property
+    @property
     def has_depth(self) -> bool:
-        """Whether enough of the image has depth for it to be mapped, and to begin a map."""
-        return _share_with_depth(self.taken.frame.depth) >= _LEAST_DEPTH
+        """Whether enough of the image has depth for it to be mapped."""
+        return self.depth_share >= _LEAST_DEPTH
+
+    @cached_property
+    def depth_share(self) -> float:
+        """[1] The share of the cells of a grid over the image that have a reading."""
+        depth = self.taken.frame.depth
+        rows, columns = (np.arange(cells) * size // cells for cells, size in zip(_GRID, depth.shape))
+        return float(np.mean(np.logical_or.reduceat(np.logical_or.reduceat(depth > 0, rows, axis=0), columns, axis=1)))
 
     @property
     def features(self) -> Any:
@@ -244,9 +250,3 @@ def _reduced_to_bytes(frame: Frame) -> tuple[Tensor, Tensor]:
     steps = np.rint(frame.colour * 255).astype(np.uint8)
     exact = np.array_equal(steps * _EIGHT_BITS, frame.colour)
     return torch.from_numpy(steps if exact else frame.colour), torch.from_numpy(frame.depth)
-
-
-def _share_with_depth(depth: NDArray[np.float32]) -> float:
-    """The share of the cells of a depth image (H, W) with a reading."""
-    rows, columns = (np.arange(cells) * size // cells for cells, size in zip(_GRID, depth.shape))
-    return float(np.mean(np.logical_or.reduceat(np.logical_or.reduceat(depth > 0, rows, axis=0), columns, axis=1)))

@@ -27,6 +27,7 @@ from idfslam.slam.history import History
 from idfslam.slam.place_recognition.recovery import EXAMPLES, Mode
 from idfslam.slam.repeated_images import RepeatedImages
 from idfslam.slam.tracked import Tracked
+from idfslam.slam.world_origin import WorldOrigin
 from idfslam.storage.state import State, parts_of
 from idfslam.views.image_archive import ImageArchive, archive_of
 from idfslam.views.surface_colour import recoloured
@@ -72,7 +73,7 @@ class Slam:
         self._finished = False
         self._archive: ImageArchive | None = None  # once the poses are final
         self._volume: TsdfVolume | None = None  # likewise
-        self.order, self.repeated = FrameOrder(), RepeatedImages()
+        self.order, self.repeated, self.origin = FrameOrder(), RepeatedImages(), WorldOrigin()
 
     def process(self, frame: Frame) -> FrameResult:
         """Tracks a frame. Then maps it if it becomes a keyframe, and otherwise updates the map or finetunes the tracker.
@@ -101,12 +102,8 @@ class Slam:
 
     def _track(self, view: Keyframe, mode: Mode) -> Tracked:
         """Tracks a view from its predicted pose. One that is held out is not clear: neither map nor keyframes get it."""
-        tracked = self._track_in_map(view, mode) if self.graph.keyframes else self._first(view)
+        tracked = self._track_in_map(view, mode) if self.graph.keyframes else self.segmentation.segment(view, self.origin.track(view))
         return replace(tracked, clear=False) if is_held_out(view.index, self.config.hold_out) else tracked
-
-    def _first(self, view: Keyframe) -> Tracked:
-        """The first frame with depth, which defines the world, or one before it."""
-        return self.segmentation.segment(view, Tracked.first(view.T_wk, has_depth=view.has_depth))
 
     def _track_in_map(self, view: Keyframe, mode: Mode) -> Tracked:
         tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end)

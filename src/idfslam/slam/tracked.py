@@ -47,9 +47,9 @@ class Tracked:
     covariance: Tensor | None = None
 
     @classmethod
-    def first(cls, T_wc: Tensor, *, has_depth: bool) -> "Tracked":
-        """The result for the first frame with depth, which defines the world, or for a frame before it, which is lost."""
-        return cls(T_wc, Status.OK if has_depth else Status.LOST, Source.FIRST)
+    def first(cls, T_wc: Tensor, *, defines_world: bool = True) -> "Tracked":
+        """The result for the frame that defines the world, or for one before it, which is lost."""
+        return cls(T_wc, Status.OK if defines_world else Status.LOST, Source.FIRST)
 
     @classmethod
     def aligned(cls, alignment: Alignment, source: Source = Source.ALIGNED, *, doubtful: bool = False, clear: bool = True) -> "Tracked":
