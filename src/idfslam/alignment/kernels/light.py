@@ -20,7 +20,6 @@ from idfslam.alignment.constants import (
 )
 
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
-_compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
 _PARTS = LIGHT_ROWS * LIGHT_COLUMNS
 
@@ -34,7 +33,7 @@ def exposure_gain(mean_t: float, mean_v: float, variance_t: float, variance_v: f
     return min(max(gain, LEAST_GAIN * change), LARGEST_GAIN * change)  # type: ignore[no-any-return]
 
 
-@_compiled
+@_inlined
 def expected_brightness(target, value, light, expected) -> float:  # type: ignore[no-untyped-def]
     """Fills expected (n,) with gain * target + offset by value / light (each (n,)), and returns the gain: `exposure.exposure`."""
     n, sum_t, sum_v, sum_tt, sum_vv = len(target), 0.0, 0.0, 0.0, 0.0
@@ -51,7 +50,7 @@ def expected_brightness(target, value, light, expected) -> float:  # type: ignor
     return gain  # type: ignore[no-any-return]
 
 
-@_compiled
+@_inlined
 def relit(target, value, slopes, place, light, difference) -> float:  # type: ignore[no-untyped-def]
     """Fills light (n,) and difference (n,) of landmarks, and returns the gain of the image: `uneven_light.plain_relit`.
 

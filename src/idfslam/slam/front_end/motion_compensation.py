@@ -36,6 +36,8 @@ _TYPICAL = 0.01  # [s] half of a usual read-out time. More: slower motion tells 
 # [s] Change of an estimated time since stored keyframes were last rectified, from which they are rectified again. More: depth of the first
 # keyframes stays longer where wrong times carried it. Less: keyframes are learnt again more often, and lose their landmarks.
 _CHANGED = 0.005
+# [standard deviations] The same, as far as the estimate is unsure: one that wanders has nothing rectified. Less: as of the former.
+_SURELY = 2.0
 _NAMES = "readout", "depth_readout", "depth_delay"
 
 
@@ -130,8 +132,9 @@ class MotionCompensation(Stateful):
 
     def _are_news(self, now: Mapping[str, float]) -> bool:
         """Whether an estimate [s] is used, and stored keyframes were rectified without it or with quite another one."""
-        then = self._rectified_with
-        return any(value and (not then.get(name) or abs(value - then[name]) > _CHANGED) for name, value in now.items())
+        then, deviations = self._rectified_with, {name: sigma for name, (_, sigma) in (self.estimates() or {}).items()}
+        least = {name: max(_CHANGED, _SURELY * deviations.get(name, 0.0)) for name in now}
+        return any(value and (not then.get(name) or abs(value - then[name]) > least[name]) for name, value in now.items())
 
     def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
         assert self._raw is not None

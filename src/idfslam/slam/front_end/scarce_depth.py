@@ -43,7 +43,7 @@ class ScarceDepth:
         """
         covariance = aligned.covariance
         usable = view.rectification is None and not view.colour_is_older and aligned.status is not Status.LOST
-        if covariance is None or not usable or expected_error(covariance)[0] <= _SCARCE:
+        if covariance is None or not (usable and self.graph.keyframes) or expected_error(covariance)[0] <= _SCARCE:
             return aligned
         ran_away = aligned.is_unsure and are_apart(view.T_wk, aligned.T_wc)
         seen = self._seen(view, view.T_wk if ran_away else aligned.T_wc)
