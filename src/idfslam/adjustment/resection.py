@@ -12,8 +12,8 @@ from idfslam.alignment.motion import change_between
 from idfslam.geometry import se3
 from idfslam.tracking.patch_alignment import AlignedPatches
 
+_NEAREST = 0.1  # [m] depth from which the projection of a nearer point's spread is computed. More: near points count more. Chosen by hand
 # [standard deviations] Scale of the robust weights in each step. More: outliers count more; more steps: slower. Chosen by hand
-_NEAREST = 0.1  # [m] least depth of a point. More: fewer. Chosen by hand
 _SCALES = 12.0, 6.0, 6.0, 6.0
 
 

@@ -44,6 +44,7 @@ from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
 from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.front_end.inverse_rendering import InverseRendering
 from idfslam.slam.front_end.registration import Registration
+from idfslam.slam.front_end.scarce_depth import ScarceDepth
 from idfslam.slam.keyframe_adjustment.camera_check import CameraCheck
 from idfslam.slam.keyframe_adjustment.frame_resection import FrameResection, NoResection, Resection
 from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, KeyframeAdjustment, NoAdjustment
@@ -300,8 +301,10 @@ def _alignment(system: System) -> FrontEnd:
     def learn_again(keyframe: Keyframe) -> None:
         s.back_end.learn_again(keyframe)  # which is made after the front end
 
-    corners = s.resection.corners if isinstance(s.resection, FrameResection) else None  # which learns how far away they are
-    return AlignmentToMap(s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add, corners)
+    parts = s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add
+    if isinstance(s.resection, NoResection):  # nobody learns how far away corners are
+        return AlignmentToMap(*parts)
+    return AlignmentToMap(*parts, ScarceDepth(s.corners).resected)
 
 
 def _registration(system: System) -> FrontEnd:

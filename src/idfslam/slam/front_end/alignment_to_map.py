@@ -30,8 +30,6 @@ from idfslam.slam.front_end.motion_compensation import MotionCompensation
 from idfslam.slam.front_end.recent_frame import RecentFrame
 from idfslam.slam.front_end.registered_pose import RegisteredPose, are_apart
 from idfslam.slam.front_end.registration import Registration
-from idfslam.slam.front_end.scarce_depth import ScarceDepth
-from idfslam.slam.keyframe_adjustment.keyframe_corners import KeyframeCorners
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State
@@ -73,16 +71,16 @@ class AlignmentToMap(FrontEnd):
         timer: StageTimer,
         learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
         relearn: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
-        corners: KeyframeCorners | None = None,
+        resect: Callable[[Keyframe, Alignment], Alignment] = lambda view, aligned: aligned,
     ) -> None:
         """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by.
 
-        corners: of keyframes, which hold poses where depth is scarce.
+        resect: holds the pose of an alignment where depth is scarce, by corners of keyframes.
         """
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
         self.rotation, self.recent = ImageRotation(), RecentFrame(aligner, frames)
-        self.scarce = None if corners is None else ScarceDepth(corners)
+        self._resect = resect
         self.evidence = Evidence()  # evidence for the last frame's pose
 
     def state(self) -> State:
@@ -99,10 +97,8 @@ class AlignmentToMap(FrontEnd):
             return by_depth
         T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
-        aligned, registered = self._best_alignment(view, motion)
-        by_map = aligned
-        if self.scarce is not None:
-            aligned = self.scarce.resected(view, by_map)
+        by_map, registered = self._best_alignment(view, motion)
+        aligned = self._resect(view, by_map)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
         undecided = False
         if registered is not None and registered.refutes(aligned):
