@@ -60,7 +60,7 @@ class _Repeating:
 
     lock = Lock()
     count = 0
-    before = (False, False)  # the setting outside of `repeatable`
+    before = 0  # the setting outside of `repeatable`
 
 
 @contextmanager
@@ -74,8 +74,8 @@ def repeatable(device: torch.device) -> Iterator[None]:
         return
     with _Repeating.lock:
         if _Repeating.count == 0:
-            _Repeating.before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
-            torch.use_deterministic_algorithms(True, warn_only=True)
+            _Repeating.before = torch.get_deterministic_debug_mode()
+            torch.set_deterministic_debug_mode("warn")  # `use_deterministic_algorithms` does the same, and imports torch's compiler
         _Repeating.count += 1
     try:
         yield
@@ -83,7 +83,7 @@ def repeatable(device: torch.device) -> Iterator[None]:
         with _Repeating.lock:
             _Repeating.count -= 1
             if _Repeating.count == 0:
-                torch.use_deterministic_algorithms(_Repeating.before[0], warn_only=_Repeating.before[1])
+                torch.set_deterministic_debug_mode(_Repeating.before)
 
 
 @contextmanager

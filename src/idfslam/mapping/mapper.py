@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
+from idfslam.compute.adam import Adam
 from idfslam.compute.devices import repeatable, resolve_precision
 from idfslam.config import FieldConfig, MapperConfig
 from idfslam.geometry import se3
@@ -169,7 +170,7 @@ class Mapper(Map):
         self.updates.wait()
         c, view = self.config, TrainingView(frame, self.light(frame))
         xi = torch.zeros(6, device=self.device, requires_grad=True)
-        adam = torch.optim.Adam([xi], lr=c.pose_learning_rate)
+        adam = Adam([xi], lr=c.pose_learning_rate)
         schedule = torch.optim.lr_scheduler.StepLR(adam, c.pose_decay_every, c.pose_decay)
         start = view.T_wk.float().to(self.device)
         numbers: dict[str, float] = {}

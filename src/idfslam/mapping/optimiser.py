@@ -2,6 +2,7 @@
 
 import torch
 
+from idfslam.compute.adam import Adam
 from idfslam.config import MapperConfig
 from idfslam.mapping.field import Field
 from idfslam.mapping.grid import GridEncoding, roomy_zeros
@@ -24,7 +25,7 @@ class MapOptimiser:
         self.anneal = 1.0  # factor on both learning rates: small steps at the end average the noise of many readings
         self.grid = field.encoding if isinstance(field.encoding, GridEncoding) else None
         self.networks = [p for name, p in field.named_parameters() if not name.endswith("tables")]
-        self.adam = torch.optim.Adam(self.networks, lr=config.learning_rate, fused=True)
+        self.adam = Adam(self.networks, lr=config.learning_rate, fused=True)
         for p in self.networks:  # torch makes this state at its first step, but `compiled_field.learn_steps` does not call torch's steps
             self.adam.state[p] = {"step": torch.zeros((), device=p.device), **{name: torch.zeros_like(p) for name in MOMENTS}}
         if self.grid is not None:

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.compute.adam import Adam
 from idfslam.compute.devices import resolve_precision
 from idfslam.compute.torch_threads import unlimited_torch_threads
 from idfslam.config import FinetuneConfig, TrackerConfig
@@ -86,7 +87,7 @@ class Tracker(Stateful):
         self.dtype = resolve_precision(config.precision, self.device)
         self.inference = folded(self.extractor, self.dtype)
         learning = self.extractor.out_conv.requires_grad_(True)
-        self.optimiser = torch.optim.Adam(learning.parameters(), lr=finetune.learning_rate)
+        self.optimiser = Adam(learning.parameters(), lr=finetune.learning_rate)
         self.validator = FinetuneValidator(learning, self.optimiser, finetune.margin)
         self._steps = 0  # steps of finetuning
         self._registrations = 0  # since the last step of finetuning

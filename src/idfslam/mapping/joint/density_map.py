@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from idfslam.compute.adam import Adam
 from idfslam.compute.devices import resolve_precision
 from idfslam.config import Config
 from idfslam.mapping.active_sampling import (
@@ -39,7 +40,7 @@ class DensityMap(JointMap):
     def __init__(self, config: Config, device: torch.device, generator: torch.Generator) -> None:
         bf16 = resolve_precision(config.mapper.precision, device) is torch.bfloat16
         super().__init__(config, VolumeDensity(config.volume_density, bf16=bf16), device, generator)
-        self.adam = torch.optim.Adam(self.field.parameters(), lr=config.mapper.learning_rate)
+        self.adam = Adam(self.field.parameters(), lr=config.mapper.learning_rate)
         self._losses: FrameMemory[float] = FrameMemory()  # mean loss of each frame when it last took part
         self._pixels: dict[tuple[int, int], CellPixels] = {}  # all pixels of an image of this size, by cell
 

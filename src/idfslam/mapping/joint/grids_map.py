@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from idfslam.compute.adam import Adam
 from idfslam.config import Config
 from idfslam.geometry import se3
 from idfslam.mapping.joint.joint_map import Draw, JointMap, named
@@ -93,13 +94,13 @@ class GridsMap(JointMap):
         c = self.config.occupancy_grids
         return LearningStage.MIDDLE if done <= c.middle_share else LearningStage.FINE if done <= c.fine_share else LearningStage.COLOUR
 
-    def _optimiser(self) -> torch.optim.Adam:
+    def _optimiser(self) -> Adam:
         """An Adam with a group for each level, and one for the decoder of colours."""
         groups: list[dict[str, Any]] = [{"params": [self.field.grid(level).tables], "name": level} for level in LEVELS]
         groups.append({"params": list(self.field.colour_decoder.parameters()), "name": "decoder"})
-        return torch.optim.Adam(groups, lr=0.0)
+        return Adam(groups, lr=0.0)
 
-    def _set_rates(self, adam: torch.optim.Adam, stage: LearningStage, factor: float) -> None:
+    def _set_rates(self, adam: Adam, stage: LearningStage, factor: float) -> None:
         c = self.config.occupancy_grids
         later = {"middle": c.rate, "fine": c.rate, "colour": c.rate, "decoder": c.decoder_rate}
         rates = {"coarse": c.coarse_rate} | ({"middle": c.middle_rate} if stage is LearningStage.MIDDLE else later)
@@ -118,7 +119,7 @@ class GridsMap(JointMap):
             decoder.requires_grad_(False)
         self.field.colour_decoder.requires_grad_(not colour)
 
-    def _mark_used(self, adam: torch.optim.Adam) -> None:
+    def _mark_used(self, adam: Adam) -> None:
         """Counts the entries that this update has moved, and lets tables grow."""
         for level in LEVELS:
             grid = self.field.grid(level)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from idfslam.compute.adam import Adam
 from idfslam.geometry import se3
 from idfslam.mapping.training_view import PosedFrame
 
@@ -15,7 +16,7 @@ class WindowPoses:
     def __init__(self, rate: float, device: torch.device, may_move: Callable[[PosedFrame], bool]) -> None:
         """rate: learning rate of Adam [m, rad]. may_move: whether a frame's pose is optimised."""
         self.rate, self.device, self.may_move = rate, device, may_move
-        self._moving: dict[PosedFrame, tuple[Tensor, torch.optim.Adam]] = {}
+        self._moving: dict[PosedFrame, tuple[Tensor, Adam]] = {}
 
     def of(self, frame: PosedFrame, *, moving: bool = True) -> Tensor:
         """T_wc (4, 4) float32 of a frame; differentiable in its increment if it moves."""
@@ -24,7 +25,7 @@ class WindowPoses:
             return start
         if frame not in self._moving:
             xi = torch.zeros(6, device=self.device, requires_grad=True)
-            self._moving[frame] = xi, torch.optim.Adam([xi], lr=self.rate)
+            self._moving[frame] = xi, Adam([xi], lr=self.rate)
         xi = self._moving[frame][0]
         return start @ se3.exp(xi if moving else xi.detach())
 
