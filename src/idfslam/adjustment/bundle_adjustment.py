@@ -56,11 +56,16 @@ class Problem:
         return 6 if self.velocities is None else 12
 
     @property
+    def shared(self) -> Indices:
+        """(S,) the places, among values and times (P + T,), of those that are estimated. All keyframes share them."""
+        return np.concatenate([np.flatnonzero(self.estimated), len(self.estimated) + np.arange(len(self.times.present))])
+
+    @property
     def free(self) -> NDArray[np.bool_]:
-        """(D K + P + T,) the unknowns that are estimated. A pose that stays may have a velocity that does not."""
+        """(D K + S,) the unknowns of keyframes that are estimated, and all of `shared`. A fixed pose may have a velocity that is not."""
         of_keyframes = np.ones((len(self.poses), self.unknowns), bool)
         of_keyframes[self.fixed, :6] = False
-        return np.concatenate([of_keyframes.ravel(), self.estimated, np.ones(len(self.times.present), bool)])
+        return np.concatenate([of_keyframes.ravel(), np.ones(len(self.shared), bool)])
 
     def linearised(self) -> Linearised:
         """The residuals at the present values, with derivatives."""
@@ -79,8 +84,10 @@ class Adjusted:
 
     def values_covariance(self) -> Array:
         """(P, P) of the camera's values; zero for those that were not estimated."""
-        first = self.problem.unknowns * len(self.problem.poses)
-        return self.system.covariance(np.arange(first, first + len(NAMES)))
+        first, estimated = self.problem.unknowns * len(self.problem.poses), self.problem.estimated
+        out = np.zeros((len(NAMES), len(NAMES)))
+        out[np.ix_(estimated, estimated)] = self.system.covariance(first + np.arange(estimated.sum()))
+        return out
 
     def pose_covariance(self, keyframe: int) -> Array:
         """(6, 6) of xi, where T_wk exp(xi) is the true pose [m, rad]; zero for a fixed one."""
@@ -169,9 +176,10 @@ def _minimised(problem: Problem, end: float, steps: int) -> tuple[Problem, bool]
 def _moved(problem: Problem, n: NormalEquations, damping: float) -> Problem:
     """The problem after one step."""
     of_keyframes, shared = np.zeros(problem.unknowns * len(problem.poses)), np.concatenate([problem.model.values, problem.times.present])
-    drawn = np.concatenate([of_keyframes, -_shared_information(problem) * shared])
-    keyframes, shared_steps, points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
-    values, late = np.split(shared_steps, [len(NAMES)])
+    drawn = np.concatenate([of_keyframes, (-_shared_information(problem) * shared)[problem.shared]])
+    steps = np.zeros(len(shared))
+    keyframes, steps[problem.shared], points = ReducedSystem(n, problem.free, _information(problem), damping).solve(drawn)
+    values, late = np.split(steps, [len(NAMES)])
     model, v = replace(problem.model, values=problem.model.values + values), problem.velocities
     return replace(
         problem,
@@ -195,12 +203,13 @@ def _shared_information(problem: Problem) -> Array:
 def _information(problem: Problem) -> Array:
     of_keyframes = np.zeros((len(problem.poses), problem.unknowns))
     of_keyframes[:, :6] = _POSE_INFORMATION
-    return np.concatenate([of_keyframes.ravel(), _shared_information(problem)])
+    return np.concatenate([of_keyframes.ravel(), _shared_information(problem)[problem.shared]])
 
 
 def _equations(at: Linearised, problem: Problem) -> NormalEquations:
     weights = robust_weights(at.residuals)
-    finite = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
+    residuals = np.where(np.isfinite(at.residuals), at.residuals, 0.0)
+    finite = replace(at, residuals=residuals, by_values=at.by_values[:, :, problem.shared])
     n = NormalEquations.of(finite, weights, problem.seen, len(problem.poses), len(problem.points))
     if problem.velocities is not None:
         n.poses[:, 6:, 6:] += problem.velocities.information

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from idfslam.adjustment.bundle_adjustment import exp
-from idfslam.adjustment.camera_model import NAMES, CameraModel
+from idfslam.adjustment.camera_model import CameraModel
 from idfslam.adjustment.observations import Array, Observations
 from idfslam.adjustment.residuals import linearise
 from idfslam.adjustment.schur_complement import NormalEquations, ReducedSystem
@@ -102,13 +102,13 @@ class _Estimate:
         seen, F = self.images.seen, len(self.poses)
         at = linearise(self.images.model, self.poses, self.points, seen)
         weights = 1 / (1 + (at.residuals[:, :2] ** 2).sum(1) / scale**2) ** 2  # none of points behind the camera
-        at = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0))
+        at = replace(at, residuals=np.where(np.isfinite(at.residuals), at.residuals, 0.0), by_values=at.by_values[:, :, :0])
         n = NormalEquations.of(at, np.repeat(weights[:, None], 3, 1), seen, F, len(self.points))
         n.poses[:] += self.information / factor
         n.right_poses[:] -= np.einsum("fij,fj->fi", self.information, self.changes) / factor
         n.landmarks[:] += self.point_information
         n.right_landmarks[:] -= np.einsum("mij,mj->mi", self.point_information, self.points - self.images.points)
-        nothing, free = np.zeros(6 * F + len(NAMES)), np.arange(6 * F + len(NAMES)) < 6 * F
-        system = ReducedSystem(n, free, nothing)
+        nothing = np.zeros(6 * F)
+        system = ReducedSystem(n, np.ones(6 * F, bool), nothing)
         moves, _, shifts = system.solve(nothing)
         return replace(self, poses=self.poses @ exp(moves), points=self.points + shifts), system

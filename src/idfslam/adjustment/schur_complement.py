@@ -48,7 +48,7 @@ class NormalEquations:
             by_landmark(wB @ B),
             by_keyframe(wA @ C),
             bsr_array((blocks, seen.landmark[order], starts), shape=shape),
-            by_landmark(wB @ C).transpose(2, 0, 1).reshape(C.shape[2], -1),
+            by_landmark(wB @ C).transpose(2, 0, 1).reshape(C.shape[2], 3 * landmarks),
             -by_keyframe((wA @ r[:, :, None])[:, :, 0]),
             -np.einsum("npi,ni->p", wC, r),
             -by_landmark((wB @ r[:, :, None])[:, :, 0]),
@@ -71,7 +71,7 @@ class ReducedSystem:
         V_inverse = bsr_array((self.landmark_covariances, np.arange(L), np.arange(L + 1)), shape=(3 * L, 3 * L))
         W, Wc = n.pose_landmark, n.values_landmarks
         self._W_V = W @ V_inverse
-        self._Wc_V = (self.landmark_covariances @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, -1)
+        self._Wc_V = (self.landmark_covariances @ Wc.reshape(P, L, 3).transpose(1, 2, 0)).transpose(2, 0, 1).reshape(P, 3 * L)
         poses = bsr_array((n.poses, np.arange(K), np.arange(K + 1)), shape=(D * K, D * K)) - self._W_V @ W.T
         if n.between_poses is not None:
             poses = poses + n.between_poses

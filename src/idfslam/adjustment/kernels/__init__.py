@@ -1,0 +1,1 @@
+"""Kernels of the adjustment, compiled by Numba for the CPU."""
