@@ -200,7 +200,7 @@ def test_nothing_is_done_to_images_of_one_exposure_without_vignetting() -> None:
     light = estimation()
     walk(light, (1.0,) * 8, None)
     assert [light.of(keyframe) for keyframe in light.graph.keyframes] == [None] * 8
-    view = TrainingView(light.graph.keyframes[3], None)
+    view = TrainingView(light.graph.keyframes[3])
     uv = torch.tensor([[3, 4], [100, 80]])
     assert all(torch.equal(a, b) for a, b in zip(vars(_cast(view, uv)).values(), vars(cast(view, uv)).values(), strict=True))
 
@@ -234,7 +234,7 @@ def scene_colours() -> Tensor:
     walk(light, (1.0, 1.25, 1.0, 1.25), None)
     keyframe = light.graph.keyframes[1]
     uv = torch.tensor([[20, 30], [80, 60], [140, 100]])
-    return _cast(TrainingView(keyframe, light.of(keyframe)), uv).colour / keyframe.colour[uv[:, 1], uv[:, 0]]
+    return _cast(TrainingView(keyframe, light.later(keyframe)), uv).colour / keyframe.colour[uv[:, 1], uv[:, 0]]
 
 
 def test_the_map_learns_colours_at_the_first_exposure() -> None:
@@ -247,7 +247,7 @@ def test_the_map_learns_colours_at_the_first_exposure() -> None:
 def test_light_is_part_of_the_fast_system_alone() -> None:
     fast, paper = System(FAST), System(replace(PAPER, device="cpu"))
     assert any(isinstance(hook, LightEstimation) for hook in fast.hooks)
-    assert fast.mapper.light == fast.light.of
+    assert fast.mapper.light == fast.light.later
     assert not any(isinstance(hook, LightEstimation) for hook in paper.hooks)
     assert isinstance(Slam(FAST).state()["parts"]["back_end.hooks.0"], dict)
 

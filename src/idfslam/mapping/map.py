@@ -14,7 +14,7 @@ class Map(Stateful, ABC):
 
     field: Any  # SurfaceField that learns
     published: Any  # SurfaceField; a map may say more exactly which
-    light: Callable[[Any], Light | None]  # how a frame shows the scene's colours; None: as they are
+    light: Callable[[Any], Callable[[], Light | None]]  # tells how a frame shows the scene's colours; None: as they are
 
     @abstractmethod
     def learnt(self) -> SurfaceField:

@@ -53,7 +53,7 @@ class Mapper(Map):
         self.published = copy_of(self.field) if updates.in_background else self.field
         self.objective: Objective = SUPERVISION[config.supervision](config, field_config.truncation)
         self.optimiser = MapOptimiser(self.field, config)
-        self.light: Callable[[Any], Light | None] = lambda frame: None  # how a frame shows the scene's colours; None: as they are
+        self.light: Callable[[Any], Callable[[], Light | None]] = lambda frame: lambda: None  # tells how a frame shows the scene's colours
         self._pixels: WeakKeyDictionary[Hashable, CellPixels] = WeakKeyDictionary()  # pixels with depth of each image in memory, by cell
         self._cell_losses: FrameMemory[Tensor] = FrameMemory()  # (cells, cells) of each frame, for active sampling
 

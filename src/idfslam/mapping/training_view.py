@@ -1,6 +1,7 @@
 """The views that the map learns from: snapshots of frames with poses."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
+from functools import cached_property
 from typing import Any, Protocol
 
 from torch import Tensor
@@ -40,11 +41,16 @@ class PosedFrame(Protocol):
 class TrainingView:
     """A snapshot of a frame. While the map learns in the background, its pose does not move, and its images stay in memory."""
 
-    def __init__(self, frame: PosedFrame, light: Light | None = None) -> None:
-        """light: how the frame shows the scene's colours, which the map learns. None: as they are."""
-        self.light = light
+    def __init__(self, frame: PosedFrame, light: Callable[[], Light | None] = lambda: None) -> None:
+        """light: tells how the frame shows the scene's colours, which the map learns. None: as they are."""
+        self._light = light
         self.frame, self.index, self.T_wk, self.camera = frame, frame.index, frame.T_wk, frame.camera
         self.images: FrameImages = frame.images
+
+    @cached_property
+    def light(self) -> Light | None:
+        """How the frame shows the scene's colours. It is worked out where the map learns."""
+        return self._light()
 
     @property
     def depth(self) -> Tensor:

@@ -92,7 +92,7 @@ class System:
         self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
         if self.config.mapper.light:
-            self.map.light = self.light.of
+            self.map.light = self.light.later
         self.front_end = self._make_front_end(self)
         self.back_end = self._make_back_end(self)
 

@@ -35,7 +35,7 @@ class JointMap(Map):
         self.config, self.device, self.generator = config, device, generator
         self.field = self.published = field.to(device).requires_grad_(False)
         self.snapshot: OccupancyField | None = None  # the field at the last keyframe (`lock`)
-        self.light = lambda frame: None
+        self.light = lambda frame: lambda: None
 
     def state(self) -> State:
         """The field, its snapshot, and the generator."""

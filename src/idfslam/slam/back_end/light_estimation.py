@@ -3,7 +3,7 @@
 The map learns colours that are brought to one exposure. Otherwise it would learn a mean of all exposures in which a place was seen.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -31,7 +31,8 @@ from idfslam.sensing.vignette import TERMS, Vignette, even_powers
 from idfslam.slam.keyframe_hook import KeyframeHook, Moved
 from idfslam.storage.state import State
 
-Columns = list[NDArray[np.float64]]
+Array = NDArray[np.float64]
+Columns = list[Array]
 
 # All of these were chosen by hand.
 _ROWS = 120  # of the images that are compared: means of pixels have little noise. More: slower, and exacter near edges
@@ -100,7 +101,7 @@ class LightEstimation(KeyframeHook):
         """Compares a keyframe, if it was stored, with covisible ones."""
         if self.graph.is_stored(keyframe):
             for i in self._references(keyframe):
-                if (comparison := self._compare(keyframe, self.graph.keyframes[i])) is not None:
+                if (comparison := self._comparison(keyframe, self.graph.keyframes[i])()) is not None:
                     self._pairs.append((keyframe.host, i))
                     self._comparisons.append(comparison)
             self._solve(len(self.graph.keyframes))
@@ -117,10 +118,19 @@ class LightEstimation(KeyframeHook):
 
         A view that is no stored keyframe is compared with covisible ones whose exposures stay as they are.
         """
+        return self.later(view)()
+
+    def later(self, view: Keyframe) -> Callable[[], Light | None]:
+        """`of` at the present poses and exposures, which may change before it is called, in this thread or another."""
+        vignette = self._vignette
         if not self._changes:
-            return None if self._vignette is None else Light(torch.ones(3), torch.zeros(3), self._vignette)
-        of_view = self._exposures[view.host] if self.graph.is_stored(view) and view.host < len(self._exposures) else self._estimated(view)
-        return Light(torch.from_numpy(np.exp(of_view[:, 0])).float(), torch.from_numpy(of_view[:, 1]).float(), self._vignette)
+            return lambda: None if vignette is None else Light(torch.ones(3), torch.zeros(3), vignette)
+        if self.graph.is_stored(view) and view.host < len(self._exposures):
+            of_view = self._exposures[view.host]
+            return lambda: _light(of_view, vignette)
+        references = [i for i in self._references(view) if i < len(self._exposures)]
+        known = [(self._exposures[i], self._comparison(view, self.graph.keyframes[i])) for i in references]
+        return lambda: _light(_estimated(known, vignette), vignette)
 
     @property
     def vignette(self) -> Vignette | None:
@@ -145,25 +155,40 @@ class LightEstimation(KeyframeHook):
         known = sorted(i for i in view.covisible & measured if self.graph.keyframes[i] is not view)
         return sorted({*known[:_REFERENCES], *known[-_REFERENCES:]})
 
-    def _estimated(self, view: Keyframe) -> np.ndarray:
-        """The log gain and offset (3, 2) of a view, from stored keyframes."""
-        references = [i for i in self._references(view) if i < len(self._exposures)]
-        found = [(i, c) for i in references if (c := self._compare(view, self.graph.keyframes[i])) is not None]
-        if not found:
-            return np.zeros((3, 2))
-        # Relative to each reference; those differ little among themselves.
-        return exposure_over([c for _, c in found], self._vignette) + np.mean([self._exposures[i] for i, _ in found], 0)
+    def _comparison(self, a: Keyframe, b: Keyframe) -> Callable[[], Comparison | None]:
+        """Compares, when it is called, the places that keyframe a sees and keyframe b sees too, at their present poses."""
+        T_ba, of_a, of_b = se3.inverse(b.T_wk) @ a.T_wk, self._thumbnail(a), self._thumbnail(b)
 
-    def _compare(self, a: Keyframe, b: Keyframe) -> Comparison | None:
-        """Compares the places that keyframe a sees and keyframe b sees too."""
-        places, of_b, T_ba = self._thumbnail(a).places, self._thumbnail(b), se3.inverse(b.T_wk) @ a.T_wk
-        return compare(*pick(places.points, compiled=compiled_shared, plain=plain_shared)(places, of_b, T_ba))
+        def compared() -> Comparison | None:
+            places = of_a().places
+            return compare(*pick(places.points, compiled=compiled_shared, plain=plain_shared)(places, of_b(), T_ba))
 
-    def _thumbnail(self, keyframe: Keyframe) -> _Thumbnail:
-        images = keyframe.images
-        if images not in self._thumbnails:
-            self._thumbnails[images] = thumbnail(images.colour, images.depth, keyframe.camera)
-        return self._thumbnails[images]
+        return compared
+
+    def _thumbnail(self, keyframe: Keyframe) -> Callable[[], _Thumbnail]:
+        """Makes the small image of a keyframe's present images when it is called, if there is none yet."""
+        images, camera = keyframe.images, keyframe.camera
+
+        def made() -> _Thumbnail:
+            if images not in self._thumbnails:
+                self._thumbnails[images] = thumbnail(images.colour, images.depth, camera)
+            return self._thumbnails[images]
+
+        return made
+
+
+def _light(of_view: Array, vignette: Vignette | None) -> Light:
+    """The light of log gains and offsets (3, 2)."""
+    return Light(torch.from_numpy(np.exp(of_view[:, 0])).float(), torch.from_numpy(of_view[:, 1]).float(), vignette)
+
+
+def _estimated(known: Sequence[tuple[Array, Callable[[], Comparison | None]]], vignette: Vignette | None) -> Array:
+    """The log gains and offsets (3, 2) of a view, from those of keyframes and its comparisons with them."""
+    found = [(of_other, comparison) for of_other, compared in known if (comparison := compared()) is not None]
+    if not found:
+        return np.zeros((3, 2))
+    # Relative to each of them; those differ little among themselves.
+    return np.asarray(exposure_over([comparison for _, comparison in found], vignette) + np.mean([of_other for of_other, _ in found], 0))
 
 
 def compiled_shared(places: _Places, of_b: _Thumbnail, T_ba: Tensor) -> Columns:
