@@ -22,19 +22,25 @@ def unpack(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - OFFSET
 
 
+def distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The different ones of some keys, ascending (M,). `np.unique` hashes them before it sorts, which takes three times as long."""
+    ordered = np.sort(keys, axis=None)
+    return ordered[np.append(True, ordered[1:] != ordered[:-1])[: len(ordered)]]
+
+
 def touched_blocks(views: Sequence[DepthView], edge: float, margin: float, *, stride: int = 4) -> NDArray[np.int64]:
     """Integer coordinates (M, 3), sorted, of the blocks of edge `edge` [m] that come within `margin` [m] (per axis) of a depth reading.
 
     Readings of every `stride`-th row and column are used.
     """
     small = edge / 4  # readings are first reduced to small cells, so that few are dilated
-    cells = [np.unique(pack(_world_points(view, stride) // small)) for view in views]
-    corner = unpack(np.unique(np.concatenate(cells or [np.empty(0, np.int64)]))) * small
+    cells = [distinct(pack(_world_points(view, stride) // small)) for view in views]
+    corner = unpack(distinct(np.concatenate(cells or [np.empty(0, np.int64)]))) * small
     low = np.floor((corner - margin) / edge).astype(np.int64)
     high = np.floor((corner + small + margin) / edge).astype(np.int64)
     reach = range(int(np.ceil((small + 2 * margin) / edge)) + 1)
-    blocks = [np.unique(pack(np.minimum(low + np.array([i, j, k]), high))) for i in reach for j in reach for k in reach]
-    return unpack(np.unique(np.concatenate(blocks)))
+    blocks = [distinct(pack(np.minimum(low + np.array([i, j, k]), high))) for i in reach for j in reach for k in reach]
+    return unpack(distinct(np.concatenate(blocks)))
 
 
 def _world_points(view: DepthView, stride: int) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.compute.backend import pick
+from idfslam.geometry.blocks import distinct
 from idfslam.storage.state import State, Stateful
 
 # [m] Edge of a cell: about the truncation distance. A place is observed if a reading lies within half an edge of it along each axis, and
@@ -48,8 +49,8 @@ class ObservedSpace(Stateful):
 
     def add(self, points: NDArray[np.floating]) -> None:
         """Adds the cells of readings (N, 3) [m] in the world, and for each reading the seven others that are nearest to it."""
-        corners = np.unique(_keys(np.floor(points / _CELL + 0.5)))  # of cells, the nearest to each reading: eight cells meet there
-        keys = np.unique(corners[:, None] - _MEET)
+        corners = distinct(_keys(np.floor(points / _CELL + 0.5)))  # of cells, the nearest to each reading: eight cells meet there
+        keys = distinct(corners[:, None] - _MEET)
         new = keys[~_known(self._cells, keys)]
         if len(new):
             self._cells = np.sort(np.concatenate([self._cells, new]), kind="stable")  # which merges two ascending parts
