@@ -76,6 +76,20 @@ def test_a_correction_is_spread_over_the_frames_before_it() -> None:
     np.testing.assert_allclose(frames.trajectory()[-1, 0, 3], 2.2)  # no keyframe corrects it
 
 
+def test_a_keyframe_that_was_drawn_away_alone_leaves_the_frames_before_it() -> None:
+    """Something that moves drew its frame, but neither those before it nor the one after it, by 0.2 m."""
+    frames = wall_frames(places=(0.0,))
+    for i in range(1, 10):
+        frames.append(i / 30, at(0.18 * i), Status.OK)
+    frames.append(10 / 30, at(2.0), Status.OK)
+    refined = keyframe(10, 1.8)
+    assert frames.graph.insert(refined)
+    frames.attach_last(refined)
+    frames.append(11 / 30, at(1.98), Status.OK)
+    frames.spread_corrections()
+    np.testing.assert_allclose(frames.trajectory()[:, 0, 3], 0.18 * np.arange(12), atol=1e-3)
+
+
 def test_a_turn_is_spread_without_a_shift() -> None:
     frames = corrected_walk({})
     turned = at(1.8)

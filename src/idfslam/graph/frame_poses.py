@@ -14,6 +14,7 @@ from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.graph.shared_correction import shared, usual_unevenness
 from idfslam.storage.state import State, Stateful
 
 _LATEST = 10  # frames that `correct_latest` moves at most. More: slower, and frames of which nothing is left to correct. Chosen by hand
@@ -135,11 +136,13 @@ class FramePoses(Stateful):
         """Moves the frames before each refined one by shares of its correction that grow with time, from none at the refined one before.
 
         A keyframe is corrected by registration and adjustments. The frames before it, which nothing corrects, were tracked like it, in the
-        same map, and share its error the more, the nearer they are.
+        same map, and share its error the more, the nearer they are. Where it was drawn away alone, the motion of the camera tells so.
         """
+        poses = np.stack([self.T_wc(i).numpy() for i in range(len(self))]) if len(self) else np.zeros((0, 4, 4))
+        usual = usual_unevenness(poses, np.array([frame.timestamp for frame in self._frames]))
         for start, end in itertools.pairwise(self._refined()):
-            if self._is_unbroken(start, end):
-                self._spread(start, end)
+            if end > start + 1 and self._is_unbroken(start, end):
+                self._spread(start, end, usual)
 
     def _is_unbroken(self, start: int, end: int) -> bool:
         """Whether all frames from `start` to `end` were tracked without a gap, and are of one submap."""
@@ -147,12 +150,21 @@ class FramePoses(Stateful):
         frames = range(start, end + 1)
         return all(self._frames[i].status.measured and self.submap(i) == tracked_in for i in frames)
 
-    def _spread(self, start: int, end: int) -> None:
-        """Turns each frame between `start` and `end` about itself, and shifts it, by its share of what `end` was corrected by."""
+    def _spread(self, start: int, end: int, usual: float) -> None:
+        """Turns each frame between `start` and `end` about itself, and shifts it, by its share of what `end` was corrected by.
+
+        usual: by how much the motion is uneven as a rule [m].
+        """
         host, T_kc = self._tracked(end)
+        T_was, T_is = self.graph.keyframes[host].T_wk @ T_kc, self.T_wc(end)
         begun, span = self._frames[start].timestamp, self._frames[end].timestamp - self._frames[start].timestamp
         shares = [(frame.timestamp - begun) / span if span > 0 else 0.5 for frame in self._frames[start + 1 : end]]
-        self._correct(range(start + 1, end), shares, self.graph.keyframes[host].T_wk @ T_kc, self.T_wc(end))
+        goes_on = end + 1 < len(self) and self._frames[end + 1].status.measured and self.submap(end + 1) == self.submap(end)
+        beside = range(end - 2, end + 1 + goes_on)
+        poses, stamps = np.stack([self.T_wc(i).numpy() for i in beside]), np.array([self._frames[i].timestamp for i in beside])
+        moved = np.array([0.0, *shares][-2:] + [0.0] * (1 + goes_on))
+        factor = shared(poses, stamps, moved, T_was.numpy(), T_is.numpy(), usual)
+        self._correct(range(start + 1, end), [factor * share for share in shares], T_was, T_is)
 
     def correct_latest(self, T_was: Tensor, T_is: Tensor, share: float) -> None:
         """Moves the latest frames, back to the last refined one, each by `share` of what the frame after it is moved by.
