@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from idfslam.datasets.generated.faults import Faults
 from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room
-from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement, rectified
+from idfslam.geometry import se3
+from idfslam.sensing.rectification import Rectification, RowTimes, along_camera, along_world, displacement, motions, rectified
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,13 @@ def fastest(recording: HandheldRecording) -> int:
 def times_of(recording: HandheldRecording, i: int) -> RowTimes:
     timing, frame = recording.true_timing, recording[i]
     return RowTimes(timing.readout or 0.0, timing.depth_readout or 0.0, frame.depth_lag + (timing.depth_delay or 0.0))
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 3.0])
+def test_the_motion_of_a_row_is_the_exponential_of_its_time(turn: float) -> None:
+    velocity, times = np.array([0.5, -0.2, 0.3, 0.6 * turn, -0.8 * turn, 0.0]), np.linspace(-0.02, 0.02, 5)
+    exact = np.stack([se3.exp(torch.from_numpy(s * velocity)).numpy()[:3] for s in times])
+    np.testing.assert_allclose(motions(velocity, times), exact, rtol=0, atol=2e-6)
 
 
 def depth_error(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> float:

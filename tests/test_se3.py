@@ -124,6 +124,11 @@ def test_small_angle_gradients_keep_their_digits_in_float32(angle: float) -> Non
     assert close(J32.double(), J64, 2e-5)
 
 
+def test_the_inverse_of_one_is_that_of_many() -> None:
+    T = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.3], dtype=torch.float64))
+    torch.testing.assert_close(se3.inverse(T), se3.inverse(T[None])[0], rtol=0, atol=1e-15)
+
+
 def test_transform_and_inverse() -> None:
     generator = torch.Generator().manual_seed(1)
     T, p = (

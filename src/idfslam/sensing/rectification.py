@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from idfslam.frame import Frame
@@ -27,6 +26,7 @@ _EDGE = 0.03
 _LANDING = 1.0
 _LANDED = 0.05  # [px] distance at which the search ends. More: faster, and readings farther off
 _STEPS = 3  # of the search for the raw pixel of a rectified one. More: nothing; each divides the error by more than ten
+_SLOWEST = 1e-12  # [rad/s] below which a turn has no axis. More: nothing, up to what moves a pixel within a frame
 _SPARSE = 8  # [px] stride of the readings whose median is the scene's distance. More: faster and noisier
 _LEAST_DISTANCE = 0.1  # [m] of the scene, by which a shift is turned into pixels. More: shifts close to a surface count less
 
@@ -77,9 +77,9 @@ def rectified(frame: Frame, rectification: Rectification) -> Frame:
         return frame
     rows = (np.arange(c.height) + 0.5) / c.height - 0.5
     intrinsics = np.array([c.fx, c.fy, c.cx, c.cy], np.float32)
-    depth = _rectified_depth(frame.depth, intrinsics, _motions(velocity, times.depth_delay + times.depth_readout * rows))
+    depth = _rectified_depth(frame.depth, intrinsics, motions(velocity, times.depth_delay + times.depth_readout * rows))
     farthest = float(depth.max()) or 1.0
-    colour = _rectified_colour(frame.colour, depth, farthest, intrinsics, _motions(velocity, -times.readout * rows))
+    colour = _rectified_colour(frame.colour, depth, farthest, intrinsics, motions(velocity, -times.readout * rows))
     return replace(frame, colour=colour, depth=depth, depth_timestamp=frame.timestamp, timing=SYNCHRONISED)
 
 
@@ -109,10 +109,12 @@ def turned(R: Array, covariance: Array) -> Array:
     return np.asarray(both @ covariance @ both.T)
 
 
-def _motions(velocity: Array, times: Array) -> NDArray[np.float32]:
+def motions(velocity: Array, times: Array) -> NDArray[np.float32]:
     """(N, 3, 4) exp(s velocity) for each of the times s (N,) [s], the shift along the arc to second order."""
-    turn = Rotation.from_rotvec(times[:, None] * velocity[3:]).as_matrix()
-    half = Rotation.from_rotvec(times[:, None] * velocity[3:] / 2).as_matrix()
+    x, y, z = velocity[3:] / max(float(np.linalg.norm(velocity[3:])), _SLOWEST)
+    W = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = times * np.linalg.norm(velocity[3:])
+    turn, half = (np.eye(3) + np.sin(a)[:, None, None] * W + (1 - np.cos(a))[:, None, None] * (W @ W) for a in (angle, angle / 2))
     return np.concatenate([turn, half @ (times[:, None] * velocity[:3])[..., None]], 2).astype(np.float32)
 
 
