@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment import image_rotation
-from idfslam.alignment.image_rotation import ImageRotation
-from idfslam.alignment.sighting import Appearance
+from idfslam.alignment.image_rotation import ImageRotation, compiled_turned_on_level, plain_turned_on_level
+from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.small_image import pixels_of, small_image
 from test_displacement import EYE, appearance, turned, wall
 
@@ -48,6 +48,15 @@ def test_the_predicted_shift_is_kept_and_a_change_of_exposure_does_not_matter() 
     T = after(wall(EYE)).correct(wall(T_true, gain=0.7, offset=0.05), predicted, EYE)
     assert torch.equal(T[:3, 3], predicted[:3, 3])
     assert degrees_off(T, T_true) < 0.1
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_the_compiled_steps_are_the_plain_ones(level: int) -> None:
+    sighting = Sighting(small_image(wall(turned(1.5))), pixels_of(small_image(wall(EYE))), EYE, EYE, level)
+    found, plain = compiled_turned_on_level(sighting), plain_turned_on_level(sighting)
+    torch.testing.assert_close(found, plain, rtol=0, atol=2e-5)
+    assert degrees_off(found, EYE) > 1
+    assert torch.equal(sighting.T_wc, EYE)
 
 
 def test_a_frame_without_depth_is_turned_too() -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.alignment.motion import Information, MotionModel, change_between, moved
+from idfslam.alignment.motion import Information, MotionModel, change_between, moved, plain_change_between, plain_moved
 from idfslam.geometry import se3
 
 EYE = torch.eye(4, dtype=torch.float64)
@@ -42,6 +42,15 @@ def test_no_information_at_all_holds_and_stays_finite() -> None:
 def test_change_and_move_are_inverse() -> None:
     T, other = WALK, se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.3], dtype=torch.float64))
     torch.testing.assert_close(moved(T, change_between(T, other)), other)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-7, 1e-3, 0.5, 2.0, 3.1])
+def test_the_compiled_changes_are_the_plain_ones(turn: float) -> None:
+    change = torch.tensor([0.3, -0.2, 0.1, 0.6 * turn, -0.8 * turn, 0.0], dtype=torch.float64)
+    other = plain_moved(WALK, change)
+    torch.testing.assert_close(moved(WALK, change), other, rtol=0, atol=1e-14)
+    torch.testing.assert_close(change_between(WALK, other), plain_change_between(WALK, other), rtol=0, atol=1e-14)
+    torch.testing.assert_close(change_between(WALK, other), change, rtol=0, atol=1e-12)
 
 
 def drive(model: MotionModel, T: Tensor, steps: int, information: Information | None = None) -> Tensor:

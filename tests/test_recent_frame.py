@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from idfslam.config import AlignmentConfig
 from idfslam.frame import Frame, Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
-from idfslam.slam.front_end.recent_frame import RecentFrame
+from idfslam.slam.front_end.recent_frame import RecentFrame, compiled_within, plain_within
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from test_displacement import CAMERA, EYE, appearance, turned, wall
 
@@ -55,6 +56,12 @@ def test_a_recent_frame_is_used_only_where_keyframes_show_little() -> None:
     reference = recents.accept(turned(1), 0.6)
     assert reference is not None and torch.equal(reference[1], turned(1))
     assert recents.accept(turned(2), 0.8) is None
+
+
+def test_the_compiled_count_is_the_plain_one() -> None:
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
+    normals, offsets = CAMERA.frustum() @ turned(10)[:3, :3].numpy(), np.full(len(CAMERA.frustum()), 0.3)
+    assert compiled_within(points, normals, offsets) == plain_within(points, normals, offsets) > 20
 
 
 def test_landmarks_that_somebody_hides_need_no_recent_frame() -> None:

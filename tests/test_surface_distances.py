@@ -8,7 +8,8 @@ from torch import Tensor
 from helpers.three_walls import CORNER, EYE, aligner, taught, view
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.motion import moved
-from idfslam.alignment.surface_distances import SurfaceDistances, carried_distance, placed, plain_carried_distance, plain_placed
+from idfslam.alignment.surface_distances import SurfaceDistances
+from idfslam.compute.backend import plain_torch
 from idfslam.mapping.mapper import Mapper
 from idfslam.sensing.rectification import RowTimes
 
@@ -37,17 +38,22 @@ def test_the_map_is_asked_again_beyond_two_millimetres() -> None:
     assert asked[0] == 2
 
 
-def test_the_compiled_forms_are_the_plain_ones() -> None:
+def test_the_compiled_form_is_the_plain_one() -> None:
     seen, of_map = view(CORNER, EYE), aligner(taught(CORNER))
-    surface, T = of_map.surface(seen.images, seen.camera), moved(EYE, torch.tensor([0.1, -0.2, 0.3, 0.1, 0.2, -0.3], dtype=torch.float64))
-    for motion in (None, FrameMotion(RowTimes(0.03, 0.02, 0.01), np.array([0.4, -0.3, 0.2, 1.0, 2.0, -1.5]))):
-        for found, plain in zip(placed(surface, T, motion), plain_placed(surface, T, motion)):
-            torch.testing.assert_close(found, plain, rtol=0, atol=2e-6)
-    generator = torch.Generator().manual_seed(0)
-    asked, gradient = (torch.randn(len(surface.points), 3, generator=generator) for _ in range(2))
-    distance = torch.randn(len(asked), generator=generator)
-    (squares, found), (plain_squares, plain) = (
-        form(surface.points, asked, distance, gradient) for form in (carried_distance, plain_carried_distance)
+    surface, T = (
+        of_map.surface(seen.images, seen.camera),
+        moved(EYE, torch.tensor([0.02, -0.01, 0.01, 0.01, 0.02, -0.01], dtype=torch.float64)),
     )
-    assert squares == pytest.approx(plain_squares, rel=1e-5)
-    torch.testing.assert_close(found, plain, rtol=0, atol=1e-5)
+    still, motion = None, FrameMotion(RowTimes(0.03, 0.02, 0.01), np.array([0.4, -0.3, 0.2, 0.1, 0.2, -0.15]))
+    nearby = moved(T, torch.tensor([0.001, 0, 0, 0, 0, 0], dtype=torch.float64))
+    for within, poses in ((still, (T, nearby)), (motion, (T, nearby))):  # the map is asked at the first pose
+        compiled, plain = (SurfaceDistances(surface, of_map.query, of_map.truncation, 4.0) for _ in range(2))
+        for pose in poses:
+            found = compiled.term(pose, 0.01, within)
+            with plain_torch():
+                expected = plain.term(pose, 0.01, within)
+            largest = np.abs(expected.sums.H).max()
+            np.testing.assert_allclose(found.sums.H, expected.sums.H, rtol=0, atol=1e-4 * largest)
+            np.testing.assert_allclose(found.sums.b, expected.sums.b, rtol=0, atol=1e-4 * np.abs(expected.sums.b).max())
+            assert found.rmse == pytest.approx(expected.rmse, rel=1e-4)
+            assert found.overlap == pytest.approx(expected.overlap, abs=1e-3)

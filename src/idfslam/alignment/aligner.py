@@ -20,10 +20,11 @@ from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, JointSolver, PoseSolver, Solver
-from idfslam.alignment.image_term import ImageTerm, Posed, image_term
+from idfslam.alignment.image_term import ImageTerm, image_term
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.photometric import photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
+from idfslam.alignment.posed_landmarks import Posed, PosedLandmarks
 from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.alignment.shading import Shading
 from idfslam.alignment.sighting import Appearance, Sighting
@@ -131,8 +132,9 @@ class MapAligner(Stateful):
         solver = self._solver(view, T, motion, prior_information)
         coarse_steps = (self.config.image_levels - 1) * self.config.steps_a_level
         first = min(self._first_step(0.0 if registered else max_guess_error_px), self.config.iterations - 1)
-        posed = self._posed(references)
-        coarse, fine = (self._against_map(part) for part in (surface.every(_COARSE_STRIDE), surface))
+        posed = self._posed(references, recent)
+        fine = self._against_map(surface)
+        coarse = self._against_map(surface.every(_COARSE_STRIDE)) if has_depth and first < coarse_steps else fine
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
         shading: Shading | None = None
@@ -142,7 +144,7 @@ class MapAligner(Stateful):
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(T, self._robust(step), solver.motion)
-            of_images = image_term(appearance, posed, T, level, solver.motion, self.config, recent)
+            of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
             if not asked and not is_coarse:
                 asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
@@ -283,9 +285,9 @@ class MapAligner(Stateful):
         """[m] the scale of the robust weights of distances. It narrows over the first steps."""
         return self.config.robust * max(1.0, _FIRST_SCALE * 0.5**step)
 
-    def _posed(self, references: Sequence[Keyframe]) -> list[Posed]:
-        """The landmarks of each reference, and its pose (4, 4)."""
-        return [(self.appearances.landmarks(reference), reference.T_wk) for reference in references]
+    def _posed(self, references: Sequence[Keyframe], recent: Posed | None = None) -> PosedLandmarks:
+        """The landmarks of the references and of a recent frame."""
+        return PosedLandmarks([(self.appearances.landmarks(reference), reference.T_wk) for reference in references], recent)
 
     def photometric_comparison(self, view: Keyframe, reference: Keyframe, T_wc: Tensor) -> tuple[float, float]:
         """The share of a reference's landmarks that a view at `T_wc` (4, 4) sees, and the scale of their brightness differences."""

@@ -38,3 +38,7 @@ DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its m
 # Information of a pose by direction (`motion.Information`)
 LEAST_RADIUS = 0.1  # [m] least distance of the points by which a turn is compared with a shift. More: turns close to a surface count less
 LEAST_VALUE = 0.1  # [1] least information of a direction, as a share of `prior_information`. Less: a stronger prior in an open direction
+
+# Changes of poses (`motion.moved`)
+TINY = 1e-9  # [rad] angle below which sin x = x to the last bit. More: less exact
+OPPOSITE = -0.9  # [1] cosine of a turn of 154 degrees, beyond which scipy finds its axis. More: slower

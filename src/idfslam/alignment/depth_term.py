@@ -1,5 +1,6 @@
 """The normal equations of a pose from the distances of a frame's points to the surface of the map, along the map's normals."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -64,9 +65,14 @@ def compiled_depth_term(
     out = RowMoments.zeros(moments=rows is not None)
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma, sigma if rows is None else rows)]
     sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, out.H, out.b)  # type: ignore[call-arg]
-    weight, squares, robustly, count, radius = sums
-    rmse, noise = ((total / max(weight, 1e-9)) ** 0.5 for total in (squares, robustly))
-    return DepthTerm(out, weight, count / len(distance), rmse, noise, radius)
+    return of_sums(out, sums, len(distance))
+
+
+def of_sums(equations: RowMoments, sums: tuple[float, float, float, int, float], count: int) -> DepthTerm:
+    """The term of `count` points, by what `numba_alignment.depth_system` returns of them."""
+    weight, squares, robustly, known, radius = sums
+    per_weight = 1 / max(weight, 1e-9)
+    return DepthTerm(equations, weight, known / count, math.sqrt(squares * per_weight), math.sqrt(robustly * per_weight), radius)
 
 
 def plain_depth_term(

@@ -5,6 +5,8 @@ blur and fine texture are gone there, and a turn of two degrees moves them by a 
 keyframe-based SLAM", ECCV 2008). The alignment starts nearer to the pose, so it takes fewer steps and finds fewer wrong minima.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -15,6 +17,7 @@ from idfslam.alignment.motion import moved
 from idfslam.alignment.photometric import Term, photometric_term
 from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.small_image import pixels_of, small_image
+from idfslam.compute.backend import pick
 from idfslam.storage.state import State, Stateful
 
 # All of these were chosen by hand on generated hand-held recordings; redkitchen and fr1/rpy confirm them.
@@ -71,16 +74,31 @@ def turned(small: Appearance, seen: Landmarks, T_wc: Tensor, T_seen: Tensor) -> 
     """
     T = T_wc
     for level in reversed(range(len(small.levels))):
-        T = _turned_on(small, seen, T, T_seen, level)
-    before, after = _term(small, seen, T_wc, T_seen, 0), _term(small, seen, T, T_seen, 0)
+        T = turned_on_level(Sighting(small, seen, T_seen, T, level))
+    before, after = _term(Sighting(small, seen, T_seen, T_wc, 0)), _term(Sighting(small, seen, T_seen, T, 0))
     return T if after.seen >= _LEAST_SEEN and after.noise < before.noise else T_wc
 
 
-def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Tensor:
-    """The pose after Gauss-Newton steps of its turn on one level."""
-    prior, change = np.eye(3) / _TURN**2, np.zeros(6)
+def turned_on_level(sighting: Sighting) -> Tensor:
+    """The frame's pose after Gauss-Newton steps of its turn on one level."""
+    return pick(sighting.T_wc, compiled=compiled_turned_on_level, plain=plain_turned_on_level)(sighting)
+
+
+def compiled_turned_on_level(sighting: Sighting) -> Tensor:
+    """`turned_on_level` by Numba, on the CPU."""
+    from idfslam.alignment.kernels.numba_alignment import turn_on_level
+
+    T, marks, at = sighting.T_wc.clone(), sighting.marks, sighting.level
+    landmarks, limits = (marks.points.numpy(), marks.luminance[at].numpy()), (_STEPS, _CONVERGED)
+    turn_on_level(*landmarks, sighting.T_wk.numpy(), T.numpy(), *sighting.frame.numbers[at], _NOISE, _ROBUST, INDEPENDENT, _TURN, *limits)  # type: ignore[call-arg]
+    return T
+
+
+def plain_turned_on_level(sighting: Sighting) -> Tensor:
+    """`turned_on_level` in torch, on any device."""
+    T, prior, change = sighting.T_wc, np.eye(3) / _TURN**2, np.zeros(6)
     for _ in range(_STEPS):
-        sums = _term(small, seen, T, T_seen, level).sums
+        sums = _term(replace(sighting, T_wc=T)).sums
         change[3:] = np.linalg.solve(INDEPENDENT * sums.H[0, 3:, 3:] + prior, INDEPENDENT * sums.b[0, 3:])
         T = moved(T, torch.from_numpy(change))
         if np.abs(change).max() < _CONVERGED:
@@ -88,5 +106,5 @@ def _turned_on(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, le
     return T
 
 
-def _term(small: Appearance, seen: Landmarks, T: Tensor, T_seen: Tensor, level: int) -> Term:
-    return photometric_term(Sighting(small, seen, T_seen, T, level), floor=_NOISE, widest=_ROBUST, even=True)
+def _term(sighting: Sighting) -> Term:
+    return photometric_term(sighting, floor=_NOISE, widest=_ROBUST, even=True)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from idfslam.alignment.image_pyramid import Level, with_slopes
 from idfslam.compute.backend import pick
+from idfslam.geometry.camera import Camera
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 from idfslam.sensing.image_noise import noise_of
 
@@ -44,7 +45,7 @@ def landmarks(levels: list[Level], depth: Tensor, *, count: int, least: float = 
     u, v = steepest(fine, depth, cell, least)
     if len(u) < _FEW * count and float(fine.luminance.mean()) < _DARK:
         u, v = steepest(fine, depth, cell, min(least, max(_ABOVE_NOISE * noise_of(fine.luminance), _WEAKEST * least)))
-    row, column = pixels_in_depth(fine, depth)
+    row, column = pixels_in_depth(fine.camera, depth)
     points = fine.camera.rays(torch.stack([u, v], -1).to(depth.dtype)) * depth[row[v], column[u]][:, None]
     seen = [level.at(level.camera.project(points)[0]) for level in levels]
     return Landmarks(points, [values[0].contiguous() for values in seen], [values[1:].contiguous() for values in seen])
@@ -54,7 +55,7 @@ def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple
     """u (M,) and v (M,) of the pixel with the largest gradient of each cell, in torch, on any device."""
     h, w = fine.camera.height // cell * cell, fine.camera.width // cell * cell
     slope = with_slopes(fine.luminance)[1:].norm(dim=0)
-    row, column = pixels_in_depth(fine, depth)
+    row, column = pixels_in_depth(fine.camera, depth)
     z = depth[row[:, None], column[None]]
     nearest, farthest = -F.max_pool2d(-z[None], 3, 1, 1)[0], F.max_pool2d(z[None], 3, 1, 1)[0]
     slope = slope * ((nearest > 0) & (farthest - nearest < EDGE + EDGE_SHARE * nearest))
@@ -76,8 +77,8 @@ def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tu
     return u[:count], v[:count]
 
 
-def pixels_in_depth(fine: Level, depth: Tensor) -> tuple[Tensor, Tensor]:
-    """The row of a depth image (H, W) in which each row of a level lies, and the column for each of its columns."""
-    row = ((torch.arange(fine.camera.height, device=depth.device) + 0.5) * depth.shape[0] / fine.camera.height).long()
-    column = ((torch.arange(fine.camera.width, device=depth.device) + 0.5) * depth.shape[1] / fine.camera.width).long()
+def pixels_in_depth(camera: Camera, depth: Tensor) -> tuple[Tensor, Tensor]:
+    """The row of a depth image (H, W) in which each row of a level of this camera lies, and the column for each of its columns."""
+    row = ((torch.arange(camera.height, device=depth.device) + 0.5) * depth.shape[0] / camera.height).long()
+    column = ((torch.arange(camera.width, device=depth.device) + 0.5) * depth.shape[1] / camera.width).long()
     return row, column

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE
+from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE, OPPOSITE, TINY
+from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful
 
@@ -26,8 +27,6 @@ _VELOCITY_INFORMATION = 4.0
 # [1] Share of an unmeasured turn that is kept from frame to frame: a hand-held camera sways, so its turns end sooner than its walks.
 # More: turns go on longer on bare walls. Chosen by hand.
 _TURN_KEPT = 0.9
-_TINY = 1e-9  # [rad] angle below which sin x = x to the last bit. More: less exact
-_OPPOSITE = -0.9  # [1] cosine of a turn of 154 degrees, beyond which scipy finds its axis. More: slower
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,10 @@ class Information:
     @classmethod
     def of(cls, H: Tensor, weight: float, radius: float) -> "Information":
         """The information in normal equations H (6, 6) of points at a mean distance of `radius` [m] whose weights sum to `weight`."""
-        unit = torch.tensor([1.0] * 3 + [1 / max(radius, LEAST_RADIUS)] * 3, dtype=torch.float64)
-        values, directions = torch.linalg.eigh(H * unit[:, None] * unit / max(weight, 1e-9))
-        return cls(values, directions, unit, max(weight, 1e-9))
+        unit = np.array([1.0] * 3 + [1 / max(radius, LEAST_RADIUS)] * 3)
+        found = np.linalg.eigh(H.numpy() * unit[:, None] * unit / max(weight, 1e-9))  # torch takes ten times as long
+        values, directions = (torch.from_numpy(part) for part in found)
+        return cls(values, directions, torch.from_numpy(unit), max(weight, 1e-9))
 
     def prior(self, prior_information: float) -> Tensor:
         """The prior (6, 6) at the guess. It dominates directions with far less than `prior_information`, and vanishes with far more."""
@@ -59,10 +59,24 @@ class Information:
 
 def moved(T: Tensor, change: Tensor) -> Tensor:
     """The pose (4, 4) after a change (6,), both float64 on the host."""
+    return pick(T, compiled=compiled_moved, plain=plain_moved)(T, change)
+
+
+def compiled_moved(T: Tensor, change: Tensor) -> Tensor:
+    """`moved` by Numba."""
+    from idfslam.alignment.kernels import numba_motion
+
+    out = np.empty((4, 4))
+    numba_motion.move(np.ascontiguousarray(T.numpy()), np.ascontiguousarray(change.numpy()), out)
+    return torch.from_numpy(out)
+
+
+def plain_moved(T: Tensor, change: Tensor) -> Tensor:
+    """`moved` in numbers of Python."""
     out = T.numpy().copy()
     *shift, x, y, z = change.tolist()  # numbers of Python: numpy takes longer for each operation on three of them
     angle = math.sqrt(x * x + y * y + z * z)
-    a, c = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > _TINY else (1.0, 0.5)
+    a, c = (math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2) if angle > TINY else (1.0, 0.5)
     p, q, r = c * x * y, c * x * z, c * y * z
     turn = [
         [-c * (y * y + z * z), p - a * z, q + a * y],
@@ -76,13 +90,27 @@ def moved(T: Tensor, change: Tensor) -> Tensor:
 
 def change_between(T: Tensor, other: Tensor) -> Tensor:
     """The change (6,) from a pose to another one, both (4, 4) float64 on the host: moved(T, change) = other."""
+    return pick(T, compiled=compiled_change_between, plain=plain_change_between)(T, other)
+
+
+def compiled_change_between(T: Tensor, other: Tensor) -> Tensor:
+    """`change_between` by Numba."""
+    from idfslam.alignment.kernels import numba_motion
+
+    change = np.empty(6)
+    cosine = numba_motion.change_to(np.ascontiguousarray(T.numpy()), np.ascontiguousarray(other.numpy()), change)
+    return torch.from_numpy(change) if cosine > OPPOSITE else plain_change_between(T, other)
+
+
+def plain_change_between(T: Tensor, other: Tensor) -> Tensor:
+    """`change_between` in numbers of Python."""
     of_T, of_other = T.numpy(), other.numpy()
     R = of_other[:3, :3] @ of_T[:3, :3].T
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     x, y, z, cosine = (h - f) / 2, (c - g) / 2, (d - b) / 2, (a + e + i - 1) / 2
     sine = math.sqrt(x * x + y * y + z * z)  # x, y and z are the axis times the sine of the angle; near 180 degrees they vanish
-    scale = math.atan2(sine, cosine) / sine if sine > _TINY else 1.0
-    turn = [scale * x, scale * y, scale * z] if cosine > _OPPOSITE else Rotation.from_matrix(R).as_rotvec().tolist()
+    scale = math.atan2(sine, cosine) / sine if sine > TINY else 1.0
+    turn = [scale * x, scale * y, scale * z] if cosine > OPPOSITE else Rotation.from_matrix(R).as_rotvec().tolist()
     return torch.from_numpy(np.array([*(of_other[:3, 3] - of_T[:3, 3]).tolist(), *turn]))  # torch takes longer to make one of a list
 
 

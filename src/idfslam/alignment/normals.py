@@ -3,9 +3,12 @@
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.compute.backend import pick
+
+Floats = NDArray[np.float32]
 
 # [1] Least cosine between normals that are averaged (25 degrees). More: less smoothing, sharper edges. Chosen by hand.
 _SIMILAR = 0.906
@@ -28,11 +31,17 @@ def smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple
 
 def compiled_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
     """`smoothed_normals` by Numba, on the CPU."""
+    normal, slope = fill_smoothed_normals(points.numpy(), gradient.numpy(), patches.numpy())
+    return torch.from_numpy(normal), torch.from_numpy(slope)
+
+
+def fill_smoothed_normals(points: Floats, gradient: Floats, patches: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """The same of arrays."""
     from idfslam.alignment.kernels import numba_alignment
 
-    normal, slope = torch.empty_like(gradient), torch.empty(len(gradient))
-    inputs, outputs = [t.numpy() for t in (points, gradient, patches)], (normal.numpy(), slope.numpy())
-    numba_alignment.smoothed_normals(*inputs, _REACH, np.float32(_SIMILAR), np.float32(_COPLANAR), *outputs)  # type: ignore[call-arg]
+    normal, slope = np.empty_like(gradient), np.empty(len(gradient), np.float32)
+    limits = _REACH, np.float32(_SIMILAR), np.float32(_COPLANAR)
+    numba_alignment.smoothed_normals(points, gradient, patches, *limits, normal, slope)  # type: ignore[call-arg]
     return normal, slope
 
 

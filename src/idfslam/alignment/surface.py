@@ -59,9 +59,10 @@ def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) 
     """`surface_points` by Numba, on the CPU."""
     from idfslam.alignment.kernels import numba_alignment
 
-    points, z, row_of = torch.empty(jitter[0].numel(), 3), torch.empty(jitter[0].numel()), torch.empty(jitter[0].numel())
-    patches = torch.empty(jitter.shape[1:], dtype=torch.int32)
+    rows, columns = jitter.shape[1:]
+    points, sigma, row_of = (np.empty(shape, np.float32) for shape in ((rows * columns, 3), rows * columns, rows * columns))
+    patches = np.empty((rows, columns), np.int32)
     intrinsics = [np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
-    outputs = points.numpy(), z.numpy(), row_of.numpy(), patches.numpy()
+    outputs = points, sigma, row_of, patches
     count = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
-    return Surface(points[:count], noise_ratio(z[:count]), row_of[:count], patches)
+    return Surface(*(torch.from_numpy(values) for values in (points[:count], sigma[:count], row_of[:count], patches)))

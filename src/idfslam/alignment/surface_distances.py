@@ -6,15 +6,21 @@ farther than that. In between, distances are carried along their gradients.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from idfslam.alignment.depth_term import DepthTerm, depth_term
+from idfslam.alignment.depth_term import DepthTerm, of_sums, plain_depth_term
 from idfslam.alignment.frame_motion import FrameMotion, numbers_of
-from idfslam.alignment.normals import smoothed_normals
+from idfslam.alignment.normals import fill_smoothed_normals, plain_smoothed_normals
+from idfslam.alignment.row_moments import RowMoments
 from idfslam.alignment.surface import Surface
 from idfslam.compute.backend import pick
+
+Floats = NDArray[np.float32]
 
 # [m] Root mean square of the points' motion since the map was asked, up to which distances are linear. More: the map is asked less often,
 # and distances near edges are less exact. Chosen by hand.
@@ -34,6 +40,21 @@ class _Asked:
     normal: Tensor  # (N, 3) smoothed
     slope: Tensor  # (N,) length of the gradient
 
+    @cached_property
+    def arrays(self) -> tuple[Floats, ...]:
+        """All of it, sharing memory."""
+        return tuple(values.numpy() for values in (self.points, self.distance, self.gradient, self.normal, self.slope))
+
+
+class _Arrays:
+    """The points of a surface as arrays, and room for what each step fills. They are laid out once."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.points, self.sigma, self.rows = (values.numpy() for values in (surface.points, surface.sigma, surface.rows))
+        self.patches: NDArray[np.int32] = surface.patches.numpy()
+        self.turned: Floats = np.empty_like(self.points)
+        self.distance: Floats = np.empty_like(self.sigma)
+
 
 class SurfaceDistances:
     """The points of a frame, whose distances to the map give normal equations of its pose."""
@@ -45,43 +66,45 @@ class SurfaceDistances:
 
     def term(self, T: Tensor, robust: float, motion: FrameMotion | None) -> DepthTerm:
         """The equations at a pose T (4, 4). robust [m]: scale of the robust kernel. motion: within the frame; with it, with moments."""
-        turned, points = placed(self.surface, T, motion)
-        asked, distance = self._distance(points, turned)
-        rows = None if motion is None else self.surface.rows
-        sigma = self.surface.sigma
-        return depth_term(turned, distance, asked.normal, asked.slope, sigma, self.truncation, robust, self.widest, rows)
+        return pick(self.surface.points, compiled=self._compiled_term, plain=self._plain_term)(T, robust, motion)
 
-    def _distance(self, points: Tensor, turned: Tensor) -> tuple[_Asked, Tensor]:
-        """What the map has said near points (N, 3) of the world, and their distances (N,). turned: the same from the camera's centre."""
-        if self._asked is not None:
-            squares, distance = carried_distance(points, self._asked.points, self._asked.distance, self._asked.gradient)
-            if squares < _LINEAR**2 * len(points):
-                return self._asked, distance
-        distance, gradient = self.query(points)
-        self._asked = _Asked(points, distance, gradient, *smoothed_normals(turned, gradient, self.surface.patches))
-        return self._asked, distance
+    def _plain_term(self, T: Tensor, robust: float, motion: FrameMotion | None) -> DepthTerm:
+        """`term` in torch, on any device."""
+        turned, points = _placed(self.surface, T, motion)
+        asked, distance = self._asked, None if self._asked is None else _carried_distance(points, self._asked)
+        if asked is None or distance is None:
+            distance, gradient = self.query(points)
+            asked = self._asked = _Asked(points, distance, gradient, *plain_smoothed_normals(turned, gradient, self.surface.patches))
+        of_points = turned, distance, asked.normal, asked.slope, self.surface.sigma
+        return plain_depth_term(*of_points, self.truncation, robust, self.widest, None if motion is None else self.surface.rows)
+
+    def _compiled_term(self, T: Tensor, robust: float, motion: FrameMotion | None) -> DepthTerm:
+        """`term` by Numba, on the CPU."""
+        from idfslam.alignment.kernels import numba_alignment
+
+        a, points = self._arrays, np.empty_like(self._arrays.points)
+        numba_alignment.place(a.points, a.rows, T.numpy(), *numbers_of(motion), a.turned, points)  # type: ignore[call-arg]
+        asked = self._asked
+        if asked is None or numba_alignment.carry_distance(points, *asked.arrays[:3], a.distance) >= _LINEAR**2 * len(points):  # type: ignore[call-arg]
+            distance, gradient = self.query(torch.from_numpy(points))
+            normal, slope = fill_smoothed_normals(a.turned, gradient.numpy(), a.patches)
+            asked = self._asked = _Asked(torch.from_numpy(points), distance, gradient, torch.from_numpy(normal), torch.from_numpy(slope))
+            a.distance[:] = asked.arrays[1]
+        sums = RowMoments.zeros(moments=motion is not None)
+        limits = self.truncation, robust, self.widest
+        found = numba_alignment.depth_system(a.turned, a.distance, *asked.arrays[3:], a.sigma, a.rows, *limits, sums.H, sums.b)  # type: ignore[call-arg]
+        return of_sums(sums, found, len(points))
+
+    @cached_property
+    def _arrays(self) -> _Arrays:
+        return _Arrays(self.surface)
 
 
-def placed(surface: Surface, T: Tensor, motion: FrameMotion | None) -> tuple[Tensor, Tensor]:
+def _placed(surface: Surface, T: Tensor, motion: FrameMotion | None) -> tuple[Tensor, Tensor]:
     """The points (N, 3) of a frame at a pose T (4, 4), from the camera's centre and in the world; both along world axes.
 
     motion: within the frame; with it, they are as at the frame's time stamp.
     """
-    return pick(surface.points, compiled=compiled_placed, plain=plain_placed)(surface, T, motion)
-
-
-def compiled_placed(surface: Surface, T: Tensor, motion: FrameMotion | None) -> tuple[Tensor, Tensor]:
-    """`placed` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    turned, points = torch.empty_like(surface.points), torch.empty_like(surface.points)
-    inputs = surface.points.numpy(), surface.rows.numpy(), T.numpy(), *numbers_of(motion)
-    numba_alignment.place(*inputs, turned.numpy(), points.numpy())  # type: ignore[call-arg]
-    return turned, points
-
-
-def plain_placed(surface: Surface, T: Tensor, motion: FrameMotion | None) -> tuple[Tensor, Tensor]:
-    """`placed` in torch, on any device."""
     T = T.to(surface.points)
     turned = surface.points @ T[:3, :3].T
     if motion is not None:
@@ -89,24 +112,7 @@ def plain_placed(surface: Surface, T: Tensor, motion: FrameMotion | None) -> tup
     return turned, turned + T[:3, 3]
 
 
-def carried_distance(points: Tensor, asked: Tensor, distance: Tensor, gradient: Tensor) -> tuple[float, Tensor]:
-    """The sum [m^2] of the squares of the ways from `asked` (N, 3), where the map was asked, to points (N, 3), and their distances (N,).
-
-    distance (N,) [m], gradient (N, 3): what the map has said there.
-    """
-    return pick(points, compiled=compiled_carried_distance, plain=plain_carried_distance)(points, asked, distance, gradient)
-
-
-def compiled_carried_distance(points: Tensor, asked: Tensor, distance: Tensor, gradient: Tensor) -> tuple[float, Tensor]:
-    """`carried_distance` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
-
-    out = torch.empty_like(distance)
-    arrays = points.numpy(), asked.numpy(), distance.numpy(), gradient.numpy()
-    return numba_alignment.carry_distance(*arrays, out.numpy()), out  # type: ignore[call-arg]
-
-
-def plain_carried_distance(points: Tensor, asked: Tensor, distance: Tensor, gradient: Tensor) -> tuple[float, Tensor]:
-    """`carried_distance` in torch, on any device."""
-    way = points - asked
-    return float(way.square().sum()), distance + (way * gradient).sum(-1)
+def _carried_distance(points: Tensor, asked: _Asked) -> Tensor | None:
+    """The distances (N,) of points (N, 3) that have moved since the map was asked; None if they have moved too far."""
+    way = points - asked.points
+    return None if float(way.square().sum()) >= _LINEAR**2 * len(points) else asked.distance + (way * asked.gradient).sum(-1)

@@ -22,12 +22,15 @@ from idfslam.alignment.constants import (
     SLOPE_FLOOR,
 )
 from idfslam.alignment.kernels.light import expected_brightness, relit
+from idfslam.alignment.kernels.numba_motion import move
 from idfslam.geometry.cholesky import solved
+from idfslam.sensing import depth_noise
 from idfslam.sensing.depth_edges import EDGE, EDGE_SHARE
 
 Floats = NDArray[np.float32]
 
 _EDGE, _EDGE_SHARE, _MASKED = np.float32(EDGE), np.float32(EDGE_SHARE), np.float32(MASKED)
+_NEAREST_READING, _GROWTH = np.float32(depth_noise.NEAREST), np.float32(depth_noise.GROWTH)
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 _compiled = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy")
 _inlined = njit(cache=True, nogil=True, fastmath=_FASTMATH, error_model="numpy", forceinline=True)  # why: numba_grid
@@ -140,8 +143,8 @@ def depth_system(turned, distance, normal, slope, sigma, rows, truncation, robus
 
 
 @_compiled
-def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, row_of, patches) -> int:  # type: ignore[no-untyped-def]
-    """Fills points (N, 3) [m], z (N,), row_of (N,) and patches (rows, columns) with one pixel of each patch, if it has depth; returns N.
+def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, sigma, row_of, patches) -> int:  # type: ignore[no-untyped-def]
+    """Fills points (N, 3) [m], sigma (N,), row_of (N,) and patches (rows, columns) with a pixel of each patch, if it has depth; returns N.
 
     jitter (2, rows, columns): row and column of the pixel within its patch.
     """
@@ -153,13 +156,27 @@ def patch_points(depth, jitter, patch, fx, fy, cx, cy, points, z, row_of, patche
             d = depth[v, u]
             if d > 0:
                 points[found, 0], points[found, 1], points[found, 2] = (np.float32(u) - cx) / fx * d, (np.float32(v) - cy) / fy * d, d
-                z[found] = d
+                beyond = max(d - _NEAREST_READING, np.float32(0))
+                sigma[found] = np.float32(1) + _GROWTH * beyond * beyond
                 row_of[found] = (np.float32(v) + np.float32(0.5)) / np.float32(len(depth)) - np.float32(0.5)
                 patches[i, j] = found
                 found += 1
             else:
                 patches[i, j] = -1
     return found
+
+
+@_compiled
+def count_within(points, normals, offsets) -> int:  # type: ignore[no-untyped-def]
+    """The number of points (N, 3) before all planes with normals (K, 3) and offsets (K,): `recent_frame.plain_within`."""
+    count = 0
+    for n in range(len(points)):
+        within = True
+        for k in range(len(normals)):
+            distance = points[n, 0] * normals[k, 0] + points[n, 1] * normals[k, 1] + points[n, 2] * normals[k, 2] + offsets[k]
+            within &= distance > 0
+        count += within
+    return count
 
 
 @_compiled
@@ -413,6 +430,49 @@ def photometric_system(  # type: ignore[no-untyped-def]
 
 
 @_compiled
+def photometric_systems(  # type: ignore[no-untyped-def]
+    points, target, starts, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, factor, H, b
+):
+    """Fills H (N, K, 6, 6), b (N, K', 6) with the equations of N keyframes at T_wk (N, 4, 4), times a factor: `image_term.plain_terms`.
+
+    Returns the numbers of landmarks in view (N,) and the scales of the differences (N,). starts (N + 1,): where the landmarks of each
+    keyframe begin in points (M, 3) and target (M,). All else is as for `photometric_system`.
+    """
+    seen, noise = np.empty(len(T_wk), np.int64), np.empty(len(T_wk))
+    for k in range(len(T_wk)):
+        marks = slice(starts[k], starts[k + 1])
+        H[k], b[k] = 0.0, 0.0
+        seen[k], noise[k] = photometric_system(
+            points[marks], target[marks], T_wk[k], T_wc, times, velocity,
+            image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, False, H[k], b[k],
+        )  # fmt: skip
+        H[k] *= factor
+        b[k] *= factor
+    return seen, noise
+
+
+@_compiled
+def turn_on_level(  # type: ignore[no-untyped-def]
+    points, target, T_wk, T_wc, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, share, deviation, steps, converged
+) -> None:
+    """Turns a pose T_wc (4, 4) in place by Gauss-Newton steps: `image_rotation.plain_turned_on_level`.
+
+    share [1]: of the landmarks that err independently. deviation [rad]: of the prior at each step's pose. All else is as for
+    `photometric_system`.
+    """
+    H, b, change, still = np.empty((1, 6, 6)), np.empty((1, 6)), np.zeros(6), np.zeros(6)
+    for _ in range(steps):
+        H[:], b[:] = 0.0, 0.0
+        photometric_system(
+            points, target, T_wk, T_wc, still[:3], still, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, True, H, b
+        )
+        change[3:] = solved(share * H[0, 3:, 3:] + np.eye(3) / deviation**2, share * b[0, 3:])
+        move(T_wc, change, T_wc)
+        if np.abs(change).max() < converged:
+            break
+
+
+@_compiled
 def median_displacement(  # type: ignore[no-untyped-def]
     points, target, slopes, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v
 ):
@@ -513,23 +573,5 @@ def damped_step(H, b, weight, radius, prior_information, change, T) -> float:  #
             right[i] -= prior * change[j]
     delta = solved(left, right)
     change += delta
-    _move(T, delta)
+    move(T, delta, T)
     return np.abs(delta).max()
-
-
-@_inlined
-def _move(T, delta) -> None:  # type: ignore[no-untyped-def]
-    """Moves a pose by a shift and a turn about its own centre, both along world axes, in place."""
-    x, y, z = delta[3], delta[4], delta[5]
-    angle = np.sqrt(x * x + y * y + z * z)
-    a = np.sin(angle) / angle if angle > 1e-6 else 1.0 - angle * angle / 6
-    half = np.sin(angle / 2) / angle if angle > 1e-6 else 0.5
-    c = 2 * half * half
-    turn = np.array([[c * x * x, c * x * y, c * x * z], [c * x * y, c * y * y, c * y * z], [c * x * z, c * y * z, c * z * z]])
-    cosine = 1 - c * angle * angle
-    turn += np.array([[cosine, -a * z, a * y], [a * z, cosine, -a * x], [-a * y, a * x, cosine]])
-    R = T[:3, :3].copy()
-    for i in range(3):
-        for j in range(3):
-            T[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
-        T[i, 3] += delta[i]

@@ -7,15 +7,20 @@ frame, and drifts little until the next keyframe.
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.landmarks import Landmarks
+from idfslam.compute.backend import pick
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
+
+Array = NDArray[np.float64]
 
 # Both were chosen by hand on generated hand-held recordings and on fr1/rpy.
 # [1] Share of the keyframes' landmarks within the view from which these are enough. More: a recent frame is used more often, and costs
@@ -59,19 +64,32 @@ class RecentFrame(Stateful):
     def _within(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> float:
         """The share of the keyframes' landmarks that lie within a view at this pose (4, 4). Somebody may stand before them."""
         marks = [(self.aligner.appearances.landmarks(reference).points, reference.T_wk) for reference in references]
-        inside = [_inside(view, T_wc, points, T_wk) for points, T_wk in marks]
-        return float(torch.cat(inside).float().mean()) if inside else 0.0
+        inside = sum(_inside(view, T_wc, points, T_wk) for points, T_wk in marks)
+        return inside / max(sum(len(points) for points, _ in marks), 1)
 
     def _shared(self, view: Keyframe, T_wc: Tensor) -> float:
         """The same of the recent frame's landmarks; 0 without any."""
-        if (reference := self.reference()) is None or not len(reference[0].points):
+        if (reference := self.reference()) is None:
             return 0.0
-        return float(_inside(view, T_wc, reference[0].points, reference[1]).float().mean())
+        (marks, T_wk), count = reference, len(reference[0].points)
+        return _inside(view, T_wc, marks.points, T_wk) / max(count, 1)
 
 
-def _inside(view: Keyframe, T_wc: Tensor, points: Tensor, T_wk: Tensor) -> Tensor:
-    """Whether points (N, 3) along the axes of a camera at T_wk (4, 4) lie within a view at T_wc, (N,)."""
+def _inside(view: Keyframe, T_wc: Tensor, points: Tensor, T_wk: Tensor) -> int:
+    """How many points (N, 3) along the axes of a camera at T_wk (4, 4) lie within a view at T_wc."""
     of_world = view.camera.frustum() @ T_wc[:3, :3].numpy().T
     normals, offsets = of_world @ T_wk[:3, :3].numpy(), of_world @ (T_wk - T_wc)[:3, 3].numpy()
+    return pick(points, compiled=compiled_within, plain=plain_within)(points, normals, offsets)
+
+
+def plain_within(points: Tensor, normals: Array, offsets: Array) -> int:
+    """How many points (N, 3) lie before all planes with normals (K, 3) and offsets (K,): in torch, on any device."""
     distances = points @ torch.from_numpy(normals.T).to(points) + torch.from_numpy(offsets).to(points)
-    return (distances > 0).all(-1)
+    return int((distances > 0).all(-1).sum())
+
+
+def compiled_within(points: Tensor, normals: Array, offsets: Array) -> int:
+    """`plain_within` by Numba, on the CPU."""
+    from idfslam.alignment.kernels.numba_alignment import count_within
+
+    return int(count_within(points.numpy(), normals.astype(np.float32), offsets.astype(np.float32)))
