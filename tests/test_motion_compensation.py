@@ -84,7 +84,7 @@ def test_keyframes_are_rectified_again_where_a_time_has_changed_by_much(
     assert told == [True, False, sigma < 0.003]
     assert keyframe.rectification is not None
     assert keyframe.rectification.times.depth_delay == pytest.approx(frame.depth_lag - (0.014 if again else 0.008))
-    assert len(keyframe.earlier_times) == again
+    assert len(keyframe.earlier_rectifications) == again
 
 
 def test_a_synchronised_recording_passes_unchanged() -> None:

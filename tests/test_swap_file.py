@@ -102,18 +102,18 @@ def test_stored_images_are_carried_on_when_the_times_are_known_better() -> None:
     stored.rectify(Rectification(RowTimes(0.0, 0.0, -0.008), velocity))
     stored.keep_in(SwapFile(2), 0)
     early = stored.depth.clone()
-    stored.rectify_further(latest)
+    stored.rectify_further(Rectification(latest, velocity))
     at_once.rectify(Rectification(latest, velocity))
     further, once, before = (depth[4:-4, 8:-8] for depth in (stored.depth, at_once.depth, early))  # at the border there are no readings
     assert bool((further > 0).all() and (once > 0).all())
     assert float((further - once).abs().max()) < 2e-3
     assert float((before - once).abs().mean()) > 0.02
     assert stored.rectification is not None and stored.rectification.times == latest
-    assert stored.earlier_times == (RowTimes(0.0, 0.0, -0.008),)
+    assert [done.times for done in stored.earlier_rectifications] == [RowTimes(0.0, 0.0, -0.008)]
     again = slope()
     again.rectify_again(stored.state())
     assert torch.equal(again.depth, stored.depth) and torch.equal(again.colour, stored.colour)
-    assert again.earlier_times == stored.earlier_times
+    assert [done.times for done in again.earlier_rectifications] == [done.times for done in stored.earlier_rectifications]
 
 
 @pytest.mark.parametrize(("rows", "columns", "enough"), [(48, 64, True), (10, 13, True), (10, 6, False), (1, 5, False)])

@@ -188,8 +188,10 @@ class AlignmentToMap(FrontEnd):
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
-        if self.compensation.accept(view, tracked, self._references()):
-            self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
+        known_better = self.compensation.accept(view, tracked, self._references())
+        stored = self.graph.keyframes if known_better else self.compensation.improved
+        if changed := [keyframe for keyframe in stored if self.compensation.rectify_stored(keyframe)]:
+            self._relearn(changed)
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self._references()).photometric_error
@@ -235,18 +237,18 @@ class AlignmentToMap(FrontEnd):
         best: Alignment | None = None
         registered: RegisteredPose | None = None
         for guess, max_guess_error_px in self._guesses():
-            T_guess = view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)
+            T_guess, prior = (view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)), motion
             if guess is _Guess.REGISTERED:
                 registered = self.registration.register(view)
                 if registered is None:
                     continue
-                T_guess = registered.T_wc
+                T_guess, prior = registered.T_wc, None if motion is None else registered.prior(motion)
             if guess is _Guess.TURNED:
                 if best is None or not self.aligner.contradicts_images(best):
                     break
                 T_guess = self._turned(view, best.T_wc)
-            aligned = self._align(view, T_guess, max_guess_error_px, motion)
-            if best is None or self._is_better(view, aligned, best, registered):
+            aligned = self._align(view, T_guess, max_guess_error_px, prior)
+            if best is None or self._is_better(view, aligned, best, registered, has_patches=prior is not motion):
                 best = aligned
             if guess is _Guess.PREDICTED and (self._in_doubt or self.aligner.is_far(aligned, T_guess)):
                 continue  # the tracker is asked in any case
@@ -286,10 +288,15 @@ class AlignmentToMap(FrontEnd):
     def _last_pose(self, view: Keyframe) -> Tensor:
         return self.frames.T_wc(-1) if len(self.frames) else view.T_wk
 
-    def _is_better(self, view: Keyframe, aligned: Alignment, best: Alignment, registered: RegisteredPose | None) -> bool:
-        """Whether an alignment beats the best so far: by its score, or in a wide step because the registration refutes only that one."""
+    def _is_better(
+        self, view: Keyframe, aligned: Alignment, best: Alignment, registered: RegisteredPose | None, *, has_patches: bool
+    ) -> bool:
+        """Whether an alignment beats the best so far: by its score, or in a wide step because the registration refutes only that one.
+
+        has_patches: it weighs the registration's patches as well as depth and brightness. Where the scores say neither, it is the better.
+        """
         if registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE:
             refuted = registered.refutes(aligned), registered.refutes(best)
             if refuted[0] != refuted[1]:
                 return refuted[1]
-        return aligned.score > _BETTER * best.score
+        return aligned.score > (1 / _BETTER if has_patches else _BETTER) * best.score

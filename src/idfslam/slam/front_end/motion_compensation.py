@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 
 # All of these were chosen by hand.
 # [px] Least displacement in `_TYPICAL` of the difference of a frame's velocity to its references', for the frame to tell about the sensor's
-# times, or of a change of these, for a keyframe to be rectified again. More: fewer frames are used, and slow recordings take less time.
+# times, or by other times or another velocity, for a keyframe to be rectified again. More: fewer frames are used, and slow recordings take
+# less time.
 _TELLING = 1.0
 _TYPICAL = 0.01  # [s] half of a usual read-out time. More: slower motion tells about the times
 # [s] Change of an estimated time since stored keyframes were last rectified, from which they are rectified again. More: depth of the first
@@ -57,6 +58,7 @@ class MotionCompensation(Stateful):
         self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
         self._rectified_with: dict[str, float] = {}  # estimates [s] when stored keyframes were last rectified
+        self.improved: list[Keyframe] = []  # the stored keyframe whose velocity the last frame has improved, if there is one
 
     def state(self) -> State:
         """The times that the last frame stated, what it tells of those that it does not, and those that stored keyframes have."""
@@ -119,6 +121,7 @@ class MotionCompensation(Stateful):
 
         Returns whether one of these is known now, or known so much better that stored keyframes have to be rectified.
         """
+        self.improved = []
         if self._raw is not None and self._prior is not None:
             self._accept(view, tracked, references, self._prior)
         self._raw, self._prior, self._reference_covariance = None, None, None
@@ -149,6 +152,8 @@ class MotionCompensation(Stateful):
             smoothed = self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
         self.smoother.add(view.index, self.motion.filtered(tracked.T_wc, passage))
         self._learn_from_before(smoothed, references)
+        if tracked.status is Status.DOUBTFUL:
+            self.improved = []
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
@@ -168,19 +173,20 @@ class MotionCompensation(Stateful):
         return self.rectify_stored(first)
 
     def rectify_stored(self, keyframe: Keyframe) -> bool:
-        """Rectifies a keyframe of the time before the sensor's times were known as they are now. Returns whether its images have changed.
+        """Rectifies a keyframe by the sensor's times and its velocity as they are known now. Returns whether its images have changed.
 
         Then the map has to learn it again.
         """
         times = self.times(keyframe)
         if keyframe.velocity is None or times.synchronised:
             return False
-        if (done := keyframe.rectification) is None:
-            keyframe.rectify(Rectification(times, keyframe.velocity))
-        elif displacement(keyframe.frame, done.velocity, float(np.abs(times.array - done.times.array).max())) < _TELLING:
+        known, done = Rectification(times, keyframe.velocity), keyframe.rectification
+        if done is None:
+            keyframe.rectify(known)
+        elif known.difference(keyframe.frame, done) < _TELLING:
             return False
         else:
-            keyframe.rectify_further(times)
+            keyframe.rectify_further(known)
         self.aligner.appearances.forget(keyframe)
         return True
 
@@ -204,12 +210,12 @@ class MotionCompensation(Stateful):
     def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> None:
         """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
         told, self._told = self._told, None
+        self.improved = [keyframe for keyframe in references if keyframe.index == self._before and smoothed is not None]
         if smoothed is None or self._before is None:
             return
         velocity, covariance = smoothed
-        for keyframe in references:
-            if keyframe.index == self._before:
-                _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
+        for keyframe in self.improved:
+            _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
         if told is not None:
             self.timing.add(told, velocity, covariance, self._stated)
 

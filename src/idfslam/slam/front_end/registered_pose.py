@@ -1,12 +1,14 @@
 """The pose of a view that the tracker registered with a keyframe, as evidence beside that of the map."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from idfslam.alignment.alignment import Alignment, expected_error
+from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.geometry import se3
@@ -49,6 +51,18 @@ class RegisteredPose:
         J[:3, 3:] = -se3.hat(torch.from_numpy(self.result.T_kc[:3, 3]))
         to_world = torch.block_diag(R, R) @ J
         return to_world @ torch.from_numpy(self.result.covariance) @ to_world.T
+
+    def prior(self, motion: MotionPrior) -> MotionPrior:
+        """The prior of a frame's motion with this pose instead of the predicted one, as sure as it is. That of the velocity stays.
+
+        The tracker is asked where the prediction, or the pose before, may be wrong: neither holds the pose then.
+        """
+        if (covariance := self.covariance) is None:
+            return motion
+        information = np.zeros((12, 12))
+        information[:6, :6] = np.linalg.inv(covariance.numpy())
+        information[6:, 6:] = np.linalg.inv(np.linalg.inv(motion.information)[6:, 6:])
+        return replace(motion, T_wc=self.T_wc, information=information)
 
     def confirms(self, aligned: Alignment, *, wide: bool = False) -> bool:
         """Whether many patches confirm this pose, which they fix in every direction, and that of an alignment as well.
