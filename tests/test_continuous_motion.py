@@ -70,6 +70,7 @@ def test_photographs_have_no_velocity() -> None:
     restored = ContinuousMotion()
     restored.restore(motion.state())
     assert not motion.is_continuous and not restored.is_continuous
+    assert not motion.is_of_a_hand and not restored.is_of_a_hand
 
 
 def test_a_missing_frame_takes_two_intervals() -> None:

@@ -31,6 +31,7 @@ from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.small_image import small_image
 from idfslam.alignment.surface import Surface, surface_points
 from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
+from idfslam.alignment.unknown_delay import DisplacedDepth
 from idfslam.alignment.usual_error import UsualError
 from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
@@ -110,6 +111,7 @@ class MapAligner(Stateful):
         registered: bool = False,
         motion: MotionPrior | None = None,
         recent: Posed | None = None,
+        displaced_by: Array | None = None,
     ) -> Alignment:
         """Aligns a view to the map and to the images of `references`, starting at `T_guess` (4, 4).
 
@@ -119,7 +121,8 @@ class MapAligner(Stateful):
         out. None: unknown. registered: the guess comes from the neural tracker and is as exact as the result. It gets a stronger prior in
         the directions that map and images constrain weakly. motion: of a view with a rectification, the images as they were taken are
         used, each row at its own time, and the velocity is estimated too, with this prior for pose and velocity. recent: landmarks of a
-        frame shortly before, and its pose (4, 4). They draw the pose as those of references do, and are no evidence for it.
+        frame shortly before, and its pose (4, 4). They draw the pose as those of references do, and are no evidence for it. displaced_by:
+        covariance (6, 6) of where the camera was when it took the depth of a view whose rows have one time; None: at the view's pose.
         """
         moves = motion is not None and view.rectification is not None
         images = view.taken if moves else view.images
@@ -137,25 +140,28 @@ class MapAligner(Stateful):
         coarse = self._against_map(surface.every(_COARSE_STRIDE)) if has_depth and first < coarse_steps else fine
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
+        displaced = None if displaced_by is None or moves else DisplacedDepth(displaced_by, INDEPENDENT / self.config.depth_noise**2)
         shading: Shading | None = None
         asked, of_shading = registered or not has_depth, PoseEquations(RowMoments.zeros(moments=moves))
         step, steps = first, 0
         while step < self.config.iterations:
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
-                depth = (coarse if is_coarse else fine).term(T, self._robust(step), solver.motion)
+                T_depth = T if displaced is None else displaced.pose(T)
+                depth = (coarse if is_coarse else fine).term(T_depth, self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
             if not asked and not is_coarse:
                 asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
                 of_shading = self._in_units_of_depth(shading.term(T, moments=moves))
-            change, steps = solver.step(depth, PoseEquations(of_images.sums + of_shading.sums)), steps + 1
+            freed = depth if displaced is None else displaced.freed(depth)
+            change, steps = solver.step(freed, PoseEquations(of_images.sums + of_shading.sums)), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, PoseEquations(of_images.sums + of_shading.sums))
-        displaced = self._displacement(appearance, T, references, solver.motion)
-        return self._judged(T, change, displaced, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
+        of_image = self._displacement(appearance, T, references, solver.motion)
+        return self._judged(T, change, of_image, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""

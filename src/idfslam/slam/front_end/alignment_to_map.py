@@ -260,8 +260,9 @@ class AlignmentToMap(FrontEnd):
     def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
         recent = None if view.moving is not None else self.recent.reference()  # it may show what moves, too
         with self.timer.stage("align"):
+            bound, displaced_by = max_guess_error_px, self.compensation.depth_displacement(view, self._references())
             return self.aligner.align(
-                view, T_guess, self._references(), max_guess_error_px=max_guess_error_px, motion=motion, recent=recent
+                view, T_guess, self._references(), max_guess_error_px=bound, motion=motion, recent=recent, displaced_by=displaced_by
             )
 
     def _guesses(self) -> list[tuple[_Guess, float | None]]:

@@ -99,6 +99,19 @@ class MotionCompensation(Stateful):
         self._rectify(view, times, self._prior.velocity, view.T_wk)
         return self._prior
 
+    def depth_displacement(self, view: Keyframe, references: Sequence[Keyframe]) -> Array | None:
+        """(6, 6) second moments, along world axes, of the camera's displacement when it took a view's depth, by a delay that is not known.
+
+        None: the delay is stated, or one of the times is in use, or frames are as far apart as photographs.
+        """
+        known = view.timing.depth_delay is not None or not self.times(view).synchronised
+        if self._prior is None or known or not self.motion.is_of_a_hand:
+            return None
+        of_references, covariance = _mean_velocity(references), np.linalg.inv(self._prior.information)[6:, 6:]
+        velocity = self._prior.velocity - (0.0 if of_references is None else of_references)
+        mean, sigma = self.timing.estimates(view.timing)["depth_delay"]
+        return np.asarray((mean**2 + sigma**2) * (np.outer(velocity, velocity) + covariance + self._prior.reference_covariance))
+
     def _timing_error(self, velocity: Array, times: RowTimes, references: Sequence[Keyframe]) -> Array:
         """(6, 6) second moments, along world axes, of an error of velocity that distorts a frame as the error of the sensor's times does.
 
@@ -150,6 +163,8 @@ class MotionCompensation(Stateful):
             smoothed = self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
         else:
             smoothed = self.motion.accept_pose(view.timestamp, tracked.T_wc, prior)
+        if self._before is None:
+            self._start(view, tracked.T_wc, references)
         self.smoother.add(view.index, self.motion.filtered(tracked.T_wc, passage))
         self._learn_from_before(smoothed, references)
         if tracked.status is Status.DOUBTFUL:
@@ -159,6 +174,13 @@ class MotionCompensation(Stateful):
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
         if tells and None in vars(self._raw.timing).values():
             self._told = self._told_by(view, tracked.T_wc, references)
+
+    def _start(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
+        """Gives the keyframe just before a view at `T_wc` (4, 4) the velocity of the motion between the two, if it has none."""
+        for keyframe in references:
+            if keyframe.velocity is None and keyframe.index == view.index - 1 and view.timestamp > keyframe.timestamp:
+                self.motion.start(keyframe.T_wk, T_wc, view.timestamp - keyframe.timestamp)
+                self._keep_velocity(keyframe, keyframe.T_wk)
 
     def rectify_first(self, first: Keyframe, view: Keyframe, T_wc: Tensor) -> bool:
         """Rectifies the first keyframe by the motion to the second frame, `view`, which was registered with it at `T_wc` (4, 4).
