@@ -87,6 +87,24 @@ def test_keyframes_are_rectified_again_where_a_time_has_changed_by_much(
     assert len(keyframe.earlier_rectifications) == again
 
 
+@pytest.mark.parametrize(("faster", "again"), [(1.0, True), (0.02, False)])
+def test_a_fast_keyframe_is_rectified_again_by_its_better_velocity(shaken: HandheldRecording, faster: float, again: bool) -> None:
+    """faster [rad/s]: what the next frame adds to 2. At 160 px and 12 ms 1 rad/s is 1.7 px, 0.02 nothing."""
+    front_end, frame = Slam(CONFIG).front_end, shaken[0]
+    assert isinstance(front_end, AlignmentToMap)
+    compensation = front_end.compensation
+    compensation.timing.timing = lambda stated: (0.0, 0.0, -0.012 - frame.depth_lag)  # type: ignore[method-assign]
+    keyframe = Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
+    keyframe.velocity = np.array([0, 0, 0, 0, 2.0, 0])
+    assert compensation.rectify_stored(keyframe)
+    compensation._before = frame.index
+    compensation._learn_from_before((np.array([0, 0, 0, 0, 2.0 + faster, 0]), np.eye(6)), [keyframe])
+    assert compensation.improved == [keyframe]
+    assert compensation.rectify_stored(keyframe) is again
+    assert keyframe.rectification is not None
+    assert keyframe.rectification.velocity[4] == pytest.approx(3.0 if again else 2.0)
+
+
 def test_a_synchronised_recording_passes_unchanged() -> None:
     ideal = handheld_room(Faults.named("ideal"), seed=1, frames=4, width=160, height=120)
     slam = Slam(CONFIG)

@@ -8,6 +8,7 @@ import torch
 
 from helpers.flat_wall import PAPER, at, keyframe, wall_frames
 from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.config import FAST
 from idfslam.datasets import Selection
 from idfslam.datasets.generated.room import SyntheticRoom
@@ -52,6 +53,20 @@ def test_the_image_decides_between_map_and_tracker() -> None:
     assert registered().refutes(aligned(0.02))
     assert not registered().confirms(aligned(0.02))
     assert registered().refutes(aligned(0.0, Status.LOST))
+
+
+def test_a_registered_pose_is_the_prior_of_the_alignment_from_it() -> None:
+    """Its pose, as sure as it is, in place of the predicted one, 4 cm away; that of the velocity stays. An unsure one changes nothing."""
+    information = np.eye(12) * 100.0
+    information[:6, 6:] = information[6:, :6] = 50.0 * np.eye(6)  # of the velocity alone 75
+    motion = MotionPrior(aligned(0.04).T_wc, np.arange(6.0), information)
+    prior = registered().prior(motion)
+    assert torch.equal(prior.T_wc, registered().T_wc) and np.array_equal(prior.velocity, motion.velocity)
+    assert registered().covariance is not None
+    assert np.allclose(np.linalg.inv(prior.information[:6, :6]), registered().covariance)
+    assert np.allclose(prior.information[6:, 6:], 75.0 * np.eye(6))
+    assert not prior.information[:6, 6:].any()
+    assert registered(covariance=None).prior(motion) is motion
 
 
 def test_poses_by_map_and_tracker_are_apart_from_five_centimetres_on() -> None:

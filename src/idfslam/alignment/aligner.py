@@ -31,7 +31,7 @@ from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.small_image import small_image
 from idfslam.alignment.surface import Surface, surface_points
 from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
-from idfslam.alignment.unknown_delay import DisplacedDepth
+from idfslam.alignment.unknown_delay import DepthAtPose, DisplacedDepth
 from idfslam.alignment.usual_error import UsualError
 from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
@@ -61,9 +61,9 @@ _FIRST_SCALE = 4.0
 # [1] An alignment that moves by more than this many times the expected error of its guess has left the reach of its images.
 # More: fewer second tries.
 _OVERSHOOT = 2.0
-# [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost. More: wrong poses at the end of the
-# sensor's range are accepted. Right ones have about 1 there.
-_NOISE_MARGIN = 1.5
+# [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost: 1.5 times that of two readings, since a
+# map of one view has the same noise. More: wrong poses at the end of the sensor's range are accepted. Right ones have 1 to 1.6 there.
+_NOISE_MARGIN = 1.5 * 2**0.5
 # [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
 _CONFIRMED = 0.3
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
@@ -140,22 +140,22 @@ class MapAligner(Stateful):
         coarse = self._against_map(surface.every(_COARSE_STRIDE)) if has_depth and first < coarse_steps else fine
         if not has_depth:
             depth = self._absent_depth(references, moments=moves)
-        displaced = None if displaced_by is None or moves else DisplacedDepth(displaced_by, INDEPENDENT / self.config.depth_noise**2)
+        taken = DepthAtPose()
+        if displaced_by is not None and not moves:
+            taken = DisplacedDepth(displaced_by, INDEPENDENT / self.config.depth_noise**2)
         shading: Shading | None = None
         asked, of_shading = registered or not has_depth, PoseEquations(RowMoments.zeros(moments=moves))
         step, steps = first, 0
         while step < self.config.iterations:
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
-                T_depth = T if displaced is None else displaced.pose(T)
-                depth = (coarse if is_coarse else fine).term(T_depth, self._robust(step), solver.motion)
+                depth = (coarse if is_coarse else fine).term(taken.pose(T), self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
             if not asked and not is_coarse:
                 asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
                 of_shading = self._in_units_of_depth(shading.term(T, moments=moves))
-            freed = depth if displaced is None else displaced.freed(depth)
-            change, steps = solver.step(freed, PoseEquations(of_images.sums + of_shading.sums)), steps + 1
+            change, steps = solver.step(taken.freed(depth), PoseEquations(of_images.sums + of_shading.sums)), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1

@@ -17,7 +17,19 @@ from idfslam.alignment.motion import moved
 from idfslam.alignment.row_moments import Array, RowMoments
 
 
-class DisplacedDepth:
+class DepthAtPose:
+    """The depth of a frame that was taken where its colour was."""
+
+    def pose(self, T_wc: Tensor) -> Tensor:
+        """(4, 4) where the camera was when it took the depth of a frame at this pose (4, 4)."""
+        return T_wc
+
+    def freed(self, depth: DepthTerm) -> DepthTerm:
+        """The equations of depth at `pose(T_wc)`, as equations of the frame's pose alone."""
+        return depth
+
+
+class DisplacedDepth(DepthAtPose):
     """The depth of one frame while it is aligned, with the displacement (6,) of the camera that fits it so far."""
 
     def __init__(self, covariance: Array, scale: float) -> None:
@@ -25,11 +37,10 @@ class DisplacedDepth:
         self.displacement, self._information = np.zeros(6), np.linalg.inv(scale * covariance)
 
     def pose(self, T_wc: Tensor) -> Tensor:
-        """(4, 4) where the camera was when it took the depth of a frame at this pose (4, 4)."""
         return moved(T_wc, torch.from_numpy(self.displacement))
 
     def freed(self, depth: DepthTerm) -> DepthTerm:
-        """The equations of depth at `pose(T_wc)`, as equations of the frame's pose alone. The displacement moves to where depth fits."""
+        """As above. The displacement moves to where depth fits."""
         H, b = depth.sums.H[0], depth.sums.b[0]
         both = np.column_stack([H, b - self._information @ self.displacement])
         gain = np.linalg.solve(H + self._information, both)
