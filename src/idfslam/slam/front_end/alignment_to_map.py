@@ -188,10 +188,8 @@ class AlignmentToMap(FrontEnd):
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
-        known_better = self.compensation.accept(view, tracked, self._references())
-        stored = self.graph.keyframes if known_better else self.compensation.improved
-        if changed := [keyframe for keyframe in stored if self.compensation.rectify_stored(keyframe)]:
-            self._relearn(changed)
+        if rectified := self.compensation.accept(view, tracked, self._references(), self.graph.keyframes):
+            self._relearn(rectified)
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self._references()).photometric_error

@@ -58,7 +58,6 @@ class MotionCompensation(Stateful):
         self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
         self._rectified_with: dict[str, float] = {}  # estimates [s] when stored keyframes were last rectified
-        self.improved: list[Keyframe] = []  # the stored keyframe whose velocity the last frame has improved, if there is one
 
     def state(self) -> State:
         """The times that the last frame stated, what it tells of those that it does not, and those that stored keyframes have."""
@@ -129,22 +128,23 @@ class MotionCompensation(Stateful):
         if alignment.joint is not None and view.rectification is not None and alignment.status is not Status.LOST:
             self._rectify(view, view.rectification.times, alignment.joint.velocity, alignment.T_wc)
 
-    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> bool:
-        """Learns from the final result for a view: its velocity, and the sensor's times.
+    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], stored: Sequence[Keyframe]) -> list[Keyframe]:
+        """Learns from the final result for a view: its velocity, that of the frame before, and the sensor's times.
 
-        Returns whether one of these is known now, or known so much better that stored keyframes have to be rectified.
+        Rectifies those of the `stored` keyframes for which something is known now, or known better by a pixel, and returns them. The map
+        has to learn them again.
         """
-        self.improved = []
+        improved = []
         if self._raw is not None and self._prior is not None:
-            self._accept(view, tracked, references, self._prior)
+            improved = self._accept(view, tracked, references, self._prior)
         self._raw, self._prior, self._reference_covariance = None, None, None
         now = self.figures() or {}
         if not self._are_news(now):
-            return False
+            return [keyframe for keyframe in improved if self.rectify_stored(keyframe)]
         self._rectified_with = now
         found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in now.items())
         log.info("frame %d: the sensor's times are estimated: %s", view.index, found)
-        return True
+        return [keyframe for keyframe in stored if self.rectify_stored(keyframe)]
 
     def _are_news(self, now: Mapping[str, float]) -> bool:
         """Whether an estimate [s] is used, and stored keyframes were rectified without it or with quite another one."""
@@ -152,12 +152,13 @@ class MotionCompensation(Stateful):
         least = {name: max(_CHANGED, _SURELY * deviations.get(name, 0.0)) for name in now}
         return any(value and (not then.get(name) or abs(value - then[name]) > least[name]) for name, value in now.items())
 
-    def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
+    def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> list[Keyframe]:
+        """Returns the stored keyframe whose velocity is known better by this view, if there is one and the view is not in doubt."""
         assert self._raw is not None
         if tracked.is_lost or not tracked.continues_motion:
             self.motion.stop()
             self._told, self._before = None, None
-            return
+            return []
         joint, passage = None if tracked.alignment is None else tracked.alignment.joint, self.motion.passage(view.timestamp)
         if joint is not None:
             smoothed = self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
@@ -166,14 +167,13 @@ class MotionCompensation(Stateful):
         if self._before is None:
             self._start(view, tracked.T_wc, references)
         self.smoother.add(view.index, self.motion.filtered(tracked.T_wc, passage))
-        self._learn_from_before(smoothed, references)
-        if tracked.status is Status.DOUBTFUL:
-            self.improved = []
+        improved = self._learn_from_before(smoothed, references)
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
         if tells and None in vars(self._raw.timing).values():
             self._told = self._told_by(view, tracked.T_wc, references)
+        return improved if tracked.status is not Status.DOUBTFUL else []
 
     def _start(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
         """Gives the keyframe just before a view at `T_wc` (4, 4) the velocity of the motion between the two, if it has none."""
@@ -229,17 +229,18 @@ class MotionCompensation(Stateful):
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
-    def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> None:
-        """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
+    def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> list[Keyframe]:
+        """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe, which is returned."""
         told, self._told = self._told, None
-        self.improved = [keyframe for keyframe in references if keyframe.index == self._before and smoothed is not None]
         if smoothed is None or self._before is None:
-            return
+            return []
         velocity, covariance = smoothed
-        for keyframe in self.improved:
+        improved = [keyframe for keyframe in references if keyframe.index == self._before]
+        for keyframe in improved:
             _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
         if told is not None:
             self.timing.add(told, velocity, covariance, self._stated)
+        return improved
 
     def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
         """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
