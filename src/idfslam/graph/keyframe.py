@@ -5,6 +5,8 @@ Each frame that is processed is an object of this class. It is called a view unt
 What other parts compute from a keyframe (image pyramids, landmarks, pixel groups, descriptors) belongs to those parts.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -55,7 +57,7 @@ class Keyframe(KeyframeImages):
             "velocity_covariance": None if self.velocity_covariance is None else torch.from_numpy(self.velocity_covariance),
             "registered": self.registered,
             "moving": None if self.moving is None else torch.from_numpy(np.packbits(self.moving)),
-            "rectifications": [_state_of(done) for done in (*self.earlier_rectifications, self.rectification) if done is not None],
+            "rectification": _state_of(self.rectification, self.earlier_times),
         }
 
     def restore(self, state: State) -> None:
@@ -74,14 +76,16 @@ class Keyframe(KeyframeImages):
 
     def rectify_again(self, state: State) -> None:
         """Rectifies the images, which are as they were taken, as those of the keyframe of `state` were."""
-        for kept in state["rectifications"]:
-            rectification = Rectification(RowTimes(*kept["times"]), kept["velocity"].numpy().copy())
-            if self.rectification is None:
-                self.rectify(rectification)
-            else:
-                self.rectify_further(rectification)
+        if (kept := state["rectification"]) is not None:
+            first, *later = [RowTimes(*times) for times in kept["times"]]
+            self.rectify(Rectification(first, kept["velocity"].numpy().copy()))
+            for times in later:
+                self.rectify_further(times)
 
 
-def _state_of(rectification: Rectification) -> State:
-    """Its times and its velocity."""
-    return {"times": rectification.times.array.tolist(), "velocity": torch.from_numpy(rectification.velocity)}
+def _state_of(rectification: Rectification | None, earlier: Sequence[RowTimes]) -> State | None:
+    """The velocity, and all times that the images were rectified with one after the other."""
+    if rectification is None:
+        return None
+    times = [[t.readout, t.depth_readout, t.depth_delay] for t in (*earlier, rectification.times)]
+    return {"times": times, "velocity": torch.from_numpy(rectification.velocity)}

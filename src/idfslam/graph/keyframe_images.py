@@ -14,7 +14,7 @@ from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.graph.swap_file import Stored, SwapFile
 from idfslam.sensing.clipping import is_clipped
-from idfslam.sensing.rectification import Rectification, rectified
+from idfslam.sensing.rectification import Rectification, RowTimes, rectified
 
 # [1] Share of the cells of a grid over the image with a reading, from which the image has depth. More: an object without its background,
 # and a place that is mostly out of the sensor's range, are not mapped. A fifth of the image's width and height is enough.
@@ -60,7 +60,7 @@ class KeyframeImages:
         self._times = frame.depth_timestamp, frame.timing
         self.is_clipped = is_clipped(frame.colour)  # whether the colour image is black or white, and shows nothing
         self.rectification: Rectification | None = None  # what the images are rectified with; None: they are as they were taken
-        self.earlier_rectifications: tuple[Rectification, ...] = ()  # before more was known of sensor and motion, in their order
+        self.earlier_times: tuple[RowTimes, ...] = ()  # that they were rectified with before more was known of the sensor, in their order
         self.moving: NDArray[np.bool_] | None = None  # (H, W) pixels that are hidden since they show what moves; None: none
         self._shown: dict[str, tuple[Images, Images]] = {}  # the images, and what is left of them without these pixels
         self._device = depth.device
@@ -133,21 +133,23 @@ class KeyframeImages:
     def rectify(self, rectification: Rectification) -> None:
         """Rectifies the images as they were taken, when they are next asked for. What was computed from others is forgotten."""
         self._taken, self._images, self.rectification = self.taken_unmasked, None, rectification
-        self.earlier_rectifications = ()
+        self.earlier_times = ()
         self._forget_derived()
         self._images_at = self._checksum = None
         if self._swap is not None:
             self._keep_rectified()
 
-    def rectify_further(self, rectification: Rectification) -> None:
-        """Carries rectified images to what this rectification makes of them. Those as they were taken need not be there any more."""
-        done, earlier = self.rectification, self.earlier_rectifications
+    def rectify_further(self, times: RowTimes) -> None:
+        """Carries rectified images to what these times make of them, with the same velocity.
+
+        Those as they were taken need not be there any more: what is left to carry is the difference to the times that were in use.
+        """
+        done, earlier = self.rectification, self.earlier_times
         assert done is not None
         self._keep_rectified()
-        for step in rectification.since(done):
-            self.rectify(step)
-            self._keep_rectified()
-        self.rectification, self.earlier_rectifications = rectification, (*earlier, done)
+        self.rectify(Rectification(RowTimes(*map(float, times.array - done.times.array)), done.velocity))
+        self._keep_rectified()
+        self.rectification, self.earlier_times = Rectification(times, done.velocity), (*earlier, done.times)
 
     def _forget_derived(self) -> None:
         """Forgets what was computed from images that have changed."""

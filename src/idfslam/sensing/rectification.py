@@ -65,17 +65,6 @@ class Rectification:
     times: RowTimes
     velocity: Array  # (6,) shift [m/s] and turn [rad/s] along the camera's axes, constant within the frame
 
-    def since(self, earlier: "Rectification") -> list["Rectification"]:
-        """What is left to do with images that `earlier` has rectified: the other times, then the other velocity. To first order."""
-        times = RowTimes(*map(float, self.times.array - earlier.times.array))
-        left = Rectification(times, earlier.velocity), Rectification(self.times, self.velocity - earlier.velocity)
-        return [step for step in left if step.times.array.any() and step.velocity.any()]
-
-    def difference(self, frame: Frame, earlier: "Rectification") -> float:
-        """About how far the image moves [px] where it is rectified with this instead of with `earlier`."""
-        by_times = displacement(frame, earlier.velocity, float(np.abs(self.times.array - earlier.times.array).max()))
-        return by_times + displacement(frame, self.velocity - earlier.velocity, self.times.longest)
-
 
 def rectified(frame: Frame, rectification: Rectification) -> Frame:
     """The frame as a synchronised global shutter would have taken it at `frame.timestamp`: T_wc(t + s) = T_wc(t) exp(s velocity).

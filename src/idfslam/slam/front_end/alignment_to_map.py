@@ -188,8 +188,8 @@ class AlignmentToMap(FrontEnd):
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
-        if rectified := self.compensation.accept(view, tracked, self._references(), self.graph.keyframes):
-            self._relearn(rectified)
+        if self.compensation.accept(view, tracked, self._references()):
+            self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self._references()).photometric_error

@@ -30,8 +30,7 @@ Array = NDArray[np.float64]
 
 # All of these were chosen by hand.
 # [px] Least displacement in `_TYPICAL` of the difference of a frame's velocity to its references', for the frame to tell about the sensor's
-# times, or by other times or another velocity, for a keyframe to be rectified again. More: fewer frames are used, and slow recordings take
-# less time.
+# times, or of a change of these, for a keyframe to be rectified again. More: fewer frames are used, and slow recordings take less time.
 _TELLING = 1.0
 _TYPICAL = 0.01  # [s] half of a usual read-out time. More: slower motion tells about the times
 # [s] Change of an estimated time since stored keyframes were last rectified, from which they are rectified again. More: depth of the first
@@ -128,23 +127,21 @@ class MotionCompensation(Stateful):
         if alignment.joint is not None and view.rectification is not None and alignment.status is not Status.LOST:
             self._rectify(view, view.rectification.times, alignment.joint.velocity, alignment.T_wc)
 
-    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], stored: Sequence[Keyframe]) -> list[Keyframe]:
-        """Learns from the final result for a view: its velocity, that of the frame before, and the sensor's times.
+    def accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe]) -> bool:
+        """Learns from the final result for a view: its velocity, and the sensor's times.
 
-        Rectifies those of the `stored` keyframes for which something is known now, or known better by a pixel, and returns them. The map
-        has to learn them again.
+        Returns whether one of these is known now, or known so much better that stored keyframes have to be rectified.
         """
-        improved = []
         if self._raw is not None and self._prior is not None:
-            improved = self._accept(view, tracked, references, self._prior)
+            self._accept(view, tracked, references, self._prior)
         self._raw, self._prior, self._reference_covariance = None, None, None
         now = self.figures() or {}
         if not self._are_news(now):
-            return [keyframe for keyframe in improved if self.rectify_stored(keyframe)]
+            return False
         self._rectified_with = now
         found = ", ".join(f"{name} {1000 * value:.0f} ms" for name, value in now.items())
         log.info("frame %d: the sensor's times are estimated: %s", view.index, found)
-        return [keyframe for keyframe in stored if self.rectify_stored(keyframe)]
+        return True
 
     def _are_news(self, now: Mapping[str, float]) -> bool:
         """Whether an estimate [s] is used, and stored keyframes were rectified without it or with quite another one."""
@@ -152,13 +149,12 @@ class MotionCompensation(Stateful):
         least = {name: max(_CHANGED, _SURELY * deviations.get(name, 0.0)) for name in now}
         return any(value and (not then.get(name) or abs(value - then[name]) > least[name]) for name, value in now.items())
 
-    def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> list[Keyframe]:
-        """Returns the stored keyframe whose velocity is known better by this view, if there is one and the view is not in doubt."""
+    def _accept(self, view: Keyframe, tracked: Tracked, references: Sequence[Keyframe], prior: MotionPrior) -> None:
         assert self._raw is not None
         if tracked.is_lost or not tracked.continues_motion:
             self.motion.stop()
             self._told, self._before = None, None
-            return []
+            return
         joint, passage = None if tracked.alignment is None else tracked.alignment.joint, self.motion.passage(view.timestamp)
         if joint is not None:
             smoothed = self.motion.accept(view.timestamp, tracked.T_wc, joint.velocity, joint.covariance, prior)
@@ -167,13 +163,12 @@ class MotionCompensation(Stateful):
         if self._before is None:
             self._start(view, tracked.T_wc, references)
         self.smoother.add(view.index, self.motion.filtered(tracked.T_wc, passage))
-        improved = self._learn_from_before(smoothed, references)
+        self._learn_from_before(smoothed, references)
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
         if tells and None in vars(self._raw.timing).values():
             self._told = self._told_by(view, tracked.T_wc, references)
-        return improved if tracked.status is not Status.DOUBTFUL else []
 
     def _start(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
         """Gives the keyframe just before a view at `T_wc` (4, 4) the velocity of the motion between the two, if it has none."""
@@ -195,20 +190,19 @@ class MotionCompensation(Stateful):
         return self.rectify_stored(first)
 
     def rectify_stored(self, keyframe: Keyframe) -> bool:
-        """Rectifies a keyframe by the sensor's times and its velocity as they are known now. Returns whether its images have changed.
+        """Rectifies a keyframe of the time before the sensor's times were known as they are now. Returns whether its images have changed.
 
         Then the map has to learn it again.
         """
         times = self.times(keyframe)
         if keyframe.velocity is None or times.synchronised:
             return False
-        known, done = Rectification(times, keyframe.velocity), keyframe.rectification
-        if done is None:
-            keyframe.rectify(known)
-        elif known.difference(keyframe.frame, done) < _TELLING:
+        if (done := keyframe.rectification) is None:
+            keyframe.rectify(Rectification(times, keyframe.velocity))
+        elif displacement(keyframe.frame, done.velocity, float(np.abs(times.array - done.times.array).max())) < _TELLING:
             return False
         else:
-            keyframe.rectify_further(known)
+            keyframe.rectify_further(times)
         self.aligner.appearances.forget(keyframe)
         return True
 
@@ -229,18 +223,17 @@ class MotionCompensation(Stateful):
     def _rectify(view: Keyframe, times: RowTimes, velocity: Array, T_wc: Tensor) -> None:
         view.rectify(Rectification(times, along_camera(T_wc, velocity)))
 
-    def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> list[Keyframe]:
-        """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe, which is returned."""
+    def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> None:
+        """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
         told, self._told = self._told, None
         if smoothed is None or self._before is None:
-            return []
+            return
         velocity, covariance = smoothed
-        improved = [keyframe for keyframe in references if keyframe.index == self._before]
-        for keyframe in improved:
-            _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
+        for keyframe in references:
+            if keyframe.index == self._before:
+                _give_velocity(keyframe, keyframe.T_wk, velocity, covariance)
         if told is not None:
             self.timing.add(told, velocity, covariance, self._stated)
-        return improved
 
     def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
         """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
