@@ -312,7 +312,7 @@ def place(points, rows, T, times, velocity, turned, world) -> None:  # type: ign
 
 @_compiled
 def carry_distance(points, asked, distance, gradient, out) -> float:  # type: ignore[no-untyped-def]
-    """Fills out (N,) with distances carried along their gradients, and returns the sum of squares: `surface_distances.carried_distance`."""
+    """Fills out (N,) with distances carried along gradients, and returns the sum of squares: `surface_distances._carried_distance`."""
     squares = 0.0
     for n in range(len(points)):
         x, y, z = points[n, 0] - asked[n, 0], points[n, 1] - asked[n, 1], points[n, 2] - asked[n, 2]
@@ -375,7 +375,7 @@ def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
     return measured > 0 and measured <= _MASKED
 
 
-@_compiled
+@_inlined
 def photometric_system(  # type: ignore[no-untyped-def]
     points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, even, H, b
 ):
