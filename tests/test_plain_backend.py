@@ -30,6 +30,7 @@ SMALL = replace(
     refinement=replace(small().refinement, updates=1),
     finetune=replace(FAST.finetune, every=1, keyframes=2),
     fusion=replace(FAST.fusion, voxel=0.05),
+    keyframes=replace(small().keyframes, translation=0.045),  # the camera moves by 50 mm in three frames: rounding would decide there
 )
 FRAMES, BLANK = 8, 5  # the camera is lost at the blank frame and found again at the next
 CELL = 0.1  # [m] of the mesh
