@@ -1,5 +1,6 @@
 """The pinhole camera: projection round trips, resizing, borders."""
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -101,3 +102,11 @@ def test_the_camera_of_every_third_pixel() -> None:
     small = camera.every(3)
     assert (small.width, small.height) == (213, 160)
     torch.testing.assert_close(small.rays(torch.tensor([1.0, 2.0])), camera.rays(torch.tensor([4.0, 7.0])))
+
+
+def test_numbers_of_numpy_become_pythons_own() -> None:
+    """A camera from the entries of a matrix compared as `np.bool` in the check of the camera, which ended the run with a TypeError."""
+    K = np.array([[10.0, 0, 3.2], [0, 12.0, 2.7], [0, 0, 1]])
+    camera = Camera(np.int64(8), np.int32(6), K[0, 0], np.float32(12), K[0, 2], K[1, 2])
+    assert camera == CAMERA
+    assert [type(value) for value in vars(camera).values()] == [int, int, float, float, float, float]

@@ -30,6 +30,9 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.generic):  # as an entry of a matrix is; the same number of Python's own is what files and texts expect
+                object.__setattr__(self, name, value.item())
         for name in ("width", "height"):
             if not (isinstance(value := getattr(self, name), int | np.integer) and not isinstance(value, bool) and value > 0):
                 raise ConfigError(f"camera: {name} is {value!r}, expected pixels, an integer above 0")
