@@ -10,7 +10,7 @@ from idfslam.alignment import image_rotation
 from idfslam.alignment.image_rotation import ImageRotation, compiled_turned_on_level, plain_turned_on_level
 from idfslam.alignment.sighting import Appearance, Sighting
 from idfslam.alignment.small_image import pixels_of, small_image
-from test_displacement import EYE, appearance, turned, wall
+from test_displacement import CAMERA, EYE, appearance, turned, wall
 
 
 def after(first: Appearance) -> ImageRotation:
@@ -50,10 +50,11 @@ def test_the_predicted_shift_is_kept_and_a_change_of_exposure_does_not_matter() 
     assert degrees_off(T, T_true) < 0.1
 
 
+@pytest.mark.parametrize("even", [True, False])
 @pytest.mark.parametrize("level", [0, 1])
-def test_the_compiled_steps_are_the_plain_ones(level: int) -> None:
+def test_the_compiled_steps_are_the_plain_ones(level: int, *, even: bool) -> None:
     sighting = Sighting(small_image(wall(turned(1.5))), pixels_of(small_image(wall(EYE))), EYE, EYE, level)
-    found, plain = compiled_turned_on_level(sighting), plain_turned_on_level(sighting)
+    found, plain = (form(sighting, even=even) for form in (compiled_turned_on_level, plain_turned_on_level))
     torch.testing.assert_close(found, plain, rtol=0, atol=2e-5)
     assert degrees_off(found, EYE) > 1
     assert torch.equal(sighting.T_wc, EYE)
@@ -96,3 +97,20 @@ def test_a_frame_without_an_image_of_its_own_leaves_the_one_before() -> None:
     rotation.accept(1, lost=False)
     assert rotation.index == 0
     assert degrees_off(rotation.correct(wall(turned(3.0)), EYE, EYE), turned(3.0)) < 0.1
+
+
+def in_bands(T_wc: Tensor, phase: float) -> Appearance:
+    """The painted wall under a lamp that flickers: two bands of 0.7 to 1.3 of the light over the rows of a rolling shutter."""
+    rows = torch.arange(CAMERA.height)[:, None, None] / CAMERA.height
+    light = 1 + 0.3 * torch.sin(2 * math.pi * (2 * rows + phase))
+    steady = wall(T_wc)
+    return appearance(steady.levels[0].luminance[..., None].expand(240, 320, 3) * light, steady.depth)
+
+
+@pytest.mark.parametrize("wrong", [0.5, 1.0, 2.0, -2.0])
+def test_bands_of_light_are_no_turn(wrong: float) -> None:
+    """They wander by a third of their distance, as at 30 frames a second. Taken for even, they turn the pose by a degree."""
+    small, seen = small_image(in_bands(turned(0.5), 1 / 3)), pixels_of(small_image(in_bands(EYE, 0)))
+    assert degrees_off(image_rotation.turned(small, seen, turned(0.5 + wrong), EYE), turned(0.5)) < 0.02
+    evenly = compiled_turned_on_level(Sighting(small, seen, EYE, turned(0.5 + wrong), 1), even=True)
+    assert degrees_off(evenly, turned(0.5)) > 1

@@ -79,4 +79,4 @@ def test_the_displacement_of_an_edge_is_no_light() -> None:
 
 def test_no_landmarks_need_no_light() -> None:
     nothing = torch.zeros(0)
-    assert len(plain_relit(nothing, nothing, nothing, nothing, torch.zeros(0, 2)).difference) == 0
+    assert len(plain_relit(nothing, nothing, nothing, nothing, torch.zeros(0, 3)).difference) == 0

@@ -59,7 +59,7 @@ def plain_displacement(sighting: Sighting) -> tuple[int, float]:
         return 0, 0.0
     value, *slopes = image.at(places.uv)
     means = [(of_frame + of_keyframe) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level])]
-    relit = plain_relit(*(x[seen] for x in (marks.luminance[level], value, *means, image.shares(places.uv))))
+    relit = plain_relit(*(x[seen] for x in (marks.luminance[level], value, *means, sighting.shares(places.uv))))
     du, dv = ((of_frame[seen] + relit.gain * of_keyframe[seen]) / 2 for of_frame, of_keyframe in zip(slopes, marks.slopes[level]))
     off = relit.difference.abs() / torch.hypot(du, dv).clamp(min=LEAST_GRADIENT)
     displaced = torch.full_like(value, image.camera.width).masked_scatter(seen, off.clamp(max=image.camera.width))

@@ -27,6 +27,9 @@ _TURN = 0.1  # [rad] Standard deviation of an unforeseen turn. More: images with
 _LEAST_SEEN = 100  # [pixels] A turn is estimated from at least so many that both images show. More: more predictions are kept
 # [1] Least scale of brightness differences, and width of the robust kernel in scales, as in the alignment. More: outliers count more.
 _NOISE, _ROBUST = 0.01, 3.0
+# [1] Differences of brightness that are left without uneven light, over those with it, at the predicted pose, below which light has changed
+# unevenly. More: the turn is estimated together with the light of bands and parts of the image more often, which is slower
+_UNEVEN = 0.5
 
 
 class ImageRotation(Stateful):
@@ -70,35 +73,38 @@ class ImageRotation(Stateful):
 def turned(small: Appearance, seen: Landmarks, T_wc: Tensor, T_seen: Tensor) -> Tensor:
     """A small image's pose, turned as the pixels `seen` by another view at `T_seen` show; its shift is kept. All (4, 4) float64.
 
-    It is kept as a whole if the images do not agree better at the turned pose.
+    It is kept as a whole if the images do not agree better at the turned pose. Where light has changed unevenly, it is estimated with the
+    turn: the bands of a lamp that flickers wander over the rows, and look like a turn up or down.
     """
-    T = T_wc
+    evenly, unevenly = (_term(Sighting(small, seen, T_seen, T_wc, 0), even=even) for even in (True, False))
+    even, T = unevenly.noise > _UNEVEN * evenly.noise, T_wc
     for level in reversed(range(len(small.levels))):
-        T = turned_on_level(Sighting(small, seen, T_seen, T, level))
-    before, after = _term(Sighting(small, seen, T_seen, T_wc, 0)), _term(Sighting(small, seen, T_seen, T, 0))
+        T = turned_on_level(Sighting(small, seen, T_seen, T, level), even=even)
+    before, after = (evenly if even else unevenly), _term(Sighting(small, seen, T_seen, T, 0), even=even)
     return T if after.seen >= _LEAST_SEEN and after.noise < before.noise else T_wc
 
 
-def turned_on_level(sighting: Sighting) -> Tensor:
+def turned_on_level(sighting: Sighting, *, even: bool = True) -> Tensor:
     """The frame's pose after Gauss-Newton steps of its turn on one level."""
-    return pick(sighting.T_wc, compiled=compiled_turned_on_level, plain=plain_turned_on_level)(sighting)
+    return pick(sighting.T_wc, compiled=compiled_turned_on_level, plain=plain_turned_on_level)(sighting, even=even)
 
 
-def compiled_turned_on_level(sighting: Sighting) -> Tensor:
+def compiled_turned_on_level(sighting: Sighting, *, even: bool = True) -> Tensor:
     """`turned_on_level` by Numba, on the CPU."""
     from idfslam.alignment.kernels.numba_alignment import turn_on_level
 
     T, marks, at = sighting.T_wc.clone(), sighting.marks, sighting.level
     landmarks, limits = (marks.points.numpy(), marks.luminance[at].numpy()), (_STEPS, _CONVERGED)
-    turn_on_level(*landmarks, sighting.T_wk.numpy(), T.numpy(), *sighting.frame.numbers[at], _NOISE, _ROBUST, INDEPENDENT, _TURN, *limits)  # type: ignore[call-arg]
+    weights = _NOISE, _ROBUST, even, INDEPENDENT, _TURN
+    turn_on_level(*landmarks, sighting.T_wk.numpy(), T.numpy(), *sighting.frame.numbers[at], *weights, *limits)  # type: ignore[call-arg]
     return T
 
 
-def plain_turned_on_level(sighting: Sighting) -> Tensor:
+def plain_turned_on_level(sighting: Sighting, *, even: bool = True) -> Tensor:
     """`turned_on_level` in torch, on any device."""
     T, prior, change = sighting.T_wc, np.eye(3) / _TURN**2, np.zeros(6)
     for _ in range(_STEPS):
-        sums = _term(replace(sighting, T_wc=T)).sums
+        sums = _term(replace(sighting, T_wc=T), even=even).sums
         change[3:] = np.linalg.solve(INDEPENDENT * sums.H[0, 3:, 3:] + prior, INDEPENDENT * sums.b[0, 3:])
         T = moved(T, torch.from_numpy(change))
         if np.abs(change).max() < _CONVERGED:
@@ -106,5 +112,5 @@ def plain_turned_on_level(sighting: Sighting) -> Tensor:
     return T
 
 
-def _term(sighting: Sighting) -> Term:
-    return photometric_term(sighting, floor=_NOISE, widest=_ROBUST, even=True)
+def _term(sighting: Sighting, *, even: bool) -> Term:
+    return photometric_term(sighting, floor=_NOISE, widest=_ROBUST, even=even)

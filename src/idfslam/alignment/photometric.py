@@ -55,7 +55,7 @@ def plain_photometric_term(sighting: Sighting, *, floor: float, widest: float, e
         gain, offset = exposure(target, value, inside)
         r = value - gain * target - offset
     else:
-        seen = (x[inside] for x in (target, value, slope_u, slope_v, image.shares(uv)))
+        seen = (x[inside] for x in (target, value, slope_u, slope_v, sighting.shares(uv)))
         r = torch.zeros_like(value).masked_scatter(inside, plain_relit(*seen).difference)
     scale = _median(r.abs()[inside]).mul(DEVIATION).clamp(min=floor)
     w = inside / ((1 + (r / (widest * scale)) ** 2) ** 2 * scale**2)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from idfslam.alignment.constants import MASKED, NEAREST, OCCLUSION, OCCLUSION_SHARE, ROW_STEPS
@@ -67,6 +68,11 @@ class Sighting:
     def numbers(self) -> tuple[Any, ...]:
         """All but the landmarks, for compiled loops."""
         return self.T_wk.numpy(), self.T_wc.numpy(), *numbers_of(self.motion), *self.frame.numbers[self.level]
+
+    def shares(self, uv: Tensor) -> Tensor:
+        """(M, 3) column and row of landmarks at pixels (M, 2) of the image, and their row in that of the keyframe, each from 0 to 1."""
+        of_keyframe = self.image.shares(self.image.camera.project(self.marks.points)[0])[:, 1:].clamp(0, 1)
+        return torch.cat([self.image.shares(uv), of_keyframe], -1)
 
     def places(self) -> Places:
         """Where the landmarks are, in torch, on any device."""

@@ -1,13 +1,17 @@
-"""Light that changes, everywhere alike and unevenly, compiled by Numba. The plain forms are `exposure` and `uneven_light.plain_relit`."""
+"""Light that changes, everywhere alike and unevenly, compiled by Numba. The plain forms are `exposure`, `uneven_light.plain_relit` and
+`flicker.plain_flicker`.
+"""
 
 import numpy as np
 from numba import njit
 
 from idfslam.alignment.constants import (
+    BANDS,
     LARGEST_CHANGE,
     LARGEST_GAIN,
     LEAST_CHANGE,
     LEAST_DIFFERENCE,
+    LEAST_EVIDENCE,
     LEAST_GAIN,
     LEAST_MEAN,
     LEAST_SPREAD,
@@ -16,6 +20,7 @@ from idfslam.alignment.constants import (
     OUTLYING,
     SAME_EXPOSURE,
     UNCHANGED,
+    UNLIT,
     UNMOVED,
 )
 
@@ -54,31 +59,74 @@ def expected_brightness(target, value, light, expected) -> float:  # type: ignor
 def relit(target, value, slopes, place, light, difference) -> float:  # type: ignore[no-untyped-def]
     """Fills light (n,) and difference (n,) of landmarks, and returns the gain of the image: `uneven_light.plain_relit`.
 
-    target, value (n,), slopes (2, n), place (2, n): as there.
+    target, value (n,), slopes (2, n), place (3, n): as there.
     """
     n = len(target)
     part, expected, weight = np.empty(n, np.int64), np.empty(n), np.ones(n)
+    light[:] = 1.0
+    expected_brightness(target, value, light, expected)
+    steady, steady_slopes, flicker = value.copy(), slopes.copy(), np.ones(n)
+    if _take_out_flicker(place[1], expected, steady, steady_slopes, part, weight, flicker):
+        _take_out_flicker(place[2], expected, steady, steady_slopes, part, weight, flicker)
     for k in range(n):
         row, column = min(int(place[1, k] * LIGHT_ROWS), LIGHT_ROWS - 1), min(int(place[0, k] * LIGHT_COLUMNS), LIGHT_COLUMNS - 1)
         part[k] = row * LIGHT_COLUMNS + column
-    light[:] = 1.0
-    expected_brightness(target, value, light, expected)
+    weight[:] = 1.0
+    expected_brightness(target, steady, light, expected)
     change = np.empty((3, _PARTS))
-    _solve_parts(part, expected, value, slopes, weight, change)
-    _weigh(part, expected, value, slopes, change, weight)
+    _solve_parts(part, expected, steady, steady_slopes, weight, UNCHANGED, change)
+    _weigh(part, expected, steady, steady_slopes, change, weight)
     _light_at(change[0].reshape(LIGHT_ROWS, LIGHT_COLUMNS), place, light)
-    gain = expected_brightness(target, value, light, expected)
-    _solve_parts(part, expected, value, slopes, weight, change)
+    gain = expected_brightness(target, steady, light, expected)
+    _solve_parts(part, expected, steady, steady_slopes, weight, UNCHANGED, change)
     _light_at(change[0].reshape(LIGHT_ROWS, LIGHT_COLUMNS), place, light)
     for k in range(n):
-        difference[k] = value[k] - expected[k] * light[k]
+        difference[k] = (steady[k] - expected[k] * light[k]) * flicker[k]
+        light[k] *= flicker[k]
     return gain  # type: ignore[no-any-return]
 
 
 @_inlined
-def _solve_parts(part, expected, value, slopes, weight, change) -> None:  # type: ignore[no-untyped-def]
-    """Fills change (3, parts): of the light of each part of the image, and its displacement, which is eliminated."""
-    sums = np.zeros((_PARTS, 10))
+def _take_out_flicker(rows, expected, value, slopes, band, weight, flicker) -> bool:  # type: ignore[no-untyped-def]
+    """Divides value (n,) and slopes (2, n) by the light of bands of rows (n,), multiplies flicker (n,) by it, and returns whether any
+    flickers: `flicker._of_bands`. band, weight (n,) are filled on the way.
+    """
+    n, share, change = len(rows), 0.0, np.empty((3, BANDS))
+    for k in range(n):
+        band[k] = min(int(rows[k] * BANDS), BANDS - 1)
+        weight[k] = 1.0
+    for _ in range(2):
+        _solve_parts(band, expected, value, slopes, weight, UNLIT, change)
+        left, explained = 0.0, 0.0
+        for k in range(n):
+            of_light = expected[k] * change[0, band[k]]
+            displaced = slopes[0, k] * change[1, band[k]] + slopes[1, k] * change[2, band[k]]
+            left += abs(value[k] - expected[k] - of_light - displaced)
+            explained += of_light * of_light
+        left /= n
+        share = max(0.0, 1 - LEAST_EVIDENCE * BANDS * left * left * np.pi / 2 / max(explained, 1e-12))
+        if share == 0.0:
+            return False
+        _weigh(band, expected, value, slopes, change, weight)
+    for k in range(n):
+        at = min(max(rows[k] * BANDS - 0.5, 0.0), BANDS - 1.0)
+        upper = min(int(at), BANDS - 2)
+        a = at - upper
+        light = 1 + share * (change[0, upper] * (1 - a) + change[0, upper + 1] * a)
+        flicker[k] *= light
+        value[k] /= light
+        slopes[0, k] /= light
+        slopes[1, k] /= light
+    return True
+
+
+@_inlined
+def _solve_parts(part, expected, value, slopes, weight, unchanged, change) -> None:  # type: ignore[no-untyped-def]
+    """Fills change (3, parts): of the light of each part of the image, and its displacement, which is eliminated.
+
+    unchanged: as for `parts_of_light.changes`.
+    """
+    sums = np.zeros((change.shape[1], 10))
     for k in range(len(part)):
         s, w, p, u, v = sums[part[k]], weight[k], expected[k], slopes[0, k], slopes[1, k]
         r = value[k] - p
@@ -92,9 +140,9 @@ def _solve_parts(part, expected, value, slopes, weight, change) -> None:  # type
         s[7] += w * u * r
         s[8] += w * v * r
         s[9] += w
-    for i in range(_PARTS):
+    for i in range(change.shape[1]):
         pp, pu, pv, uu, uv, vv, pr, ur, vr, count = sums[i]
-        pp += UNCHANGED * pp / max(count, 1e-9) + 1e-9
+        pp += unchanged * pp / max(count, 1e-9) + 1e-9
         ridge = UNMOVED * (uu + vv) / max(count, 1e-9) + 1e-9
         uu, vv = uu + ridge, vv + ridge
         determinant = uu * vv - uv * uv
@@ -109,7 +157,7 @@ def _solve_parts(part, expected, value, slopes, weight, change) -> None:  # type
 @_inlined
 def _weigh(part, expected, value, slopes, change, weight) -> None:  # type: ignore[no-untyped-def]
     """Fills weight (n,): robust, by what the change of its part does not explain of a landmark's brightness, over the mean of the part."""
-    left, total, count = np.empty(len(part)), np.zeros(_PARTS), np.zeros(_PARTS)
+    left, total, count = np.empty(len(part)), np.zeros(change.shape[1]), np.zeros(change.shape[1])
     for k in range(len(part)):
         i = part[k]
         left[k] = value[k] - expected[k] * (1 + change[0, i]) - slopes[0, k] * change[1, i] - slopes[1, k] * change[2, i]

@@ -390,7 +390,7 @@ def photometric_system(  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     d, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
-    seen, values, shares, n = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((2, len(points))), 0
+    seen, values, shares, n = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((3, len(points))), 0
     for i in range(len(points)):
         x, y, z = camera[0, i], camera[1, i], camera[2, i]
         if z < NEAREST:
@@ -403,6 +403,7 @@ def photometric_system(  # type: ignore[no-untyped-def]
         seen[n] = i
         values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
         shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
+        shares[2, n] = _row(points[i, 1], points[i, 2], fy, cy, height) + 0.5
         n += 1
     if n == 0:
         return 0, 0.0
@@ -453,7 +454,7 @@ def photometric_systems(  # type: ignore[no-untyped-def]
 
 @_compiled
 def turn_on_level(  # type: ignore[no-untyped-def]
-    points, target, T_wk, T_wc, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, share, deviation, steps, converged
+    points, target, T_wk, T_wc, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, even, share, deviation, steps, converged
 ) -> None:
     """Turns a pose T_wc (4, 4) in place by Gauss-Newton steps: `image_rotation.plain_turned_on_level`.
 
@@ -464,7 +465,7 @@ def turn_on_level(  # type: ignore[no-untyped-def]
     for _ in range(steps):
         H[:], b[:] = 0.0, 0.0
         photometric_system(
-            points, target, T_wk, T_wc, still[:3], still, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, True, H, b
+            points, target, T_wk, T_wc, still[:3], still, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, even, H, b
         )
         change[3:] = solved(share * H[0, 3:, 3:] + np.eye(3) / deviation**2, share * b[0, 3:])
         move(T_wc, change, T_wc)
@@ -482,7 +483,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     _, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
-    seen, values, shares = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((2, len(points)))
+    seen, values, shares = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((3, len(points)))
     n, hidden = 0, 0
     for i in range(len(points)):
         x, y, z = camera[0, i], camera[1, i], camera[2, i]
@@ -499,6 +500,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
         seen[n] = i
         values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
         shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
+        shares[2, n] = _row(points[i, 1], points[i, 2], fy, cy, height) + 0.5
         n += 1
     if n + hidden == 0:
         return 0, 0.0
