@@ -22,7 +22,7 @@ from idfslam.export.images import COLOUR, DEPTH, PosedImage, write_images
 from idfslam.export.lost_frames import LOST, remarked, write_lost
 from idfslam.export.masks import write_masks
 from idfslam.export.mesh_files import write_glb, write_obj, write_ply
-from idfslam.export.page import page_of
+from idfslam.export.page import page_mesh, page_of
 from idfslam.export.point_cloud import PointCloud, fuse
 from idfslam.export.run_surface import check_resolution, mesh_of_map, surface_area
 from idfslam.export.run_texture import with_texture
@@ -177,8 +177,8 @@ class Exporter:
         return write_splats(self.out / "splats.ply", turned(self._mesh, self._axes.T_ew), self.resolution)
 
     def _page(self) -> list[Path]:
-        path, T_ew = self.out / result_folder.SCENE, self._axes.gltf.T_ew
-        page = page_of(self.run, self._mesh, T_ew, name=self.run.folder.resolve().name, recording=self._recording)
+        path, T_ew, mesh = self.out / result_folder.SCENE, self._axes.gltf.T_ew, page_mesh(self.run, self._mesh)
+        page = page_of(self.run, mesh, T_ew, name=self.run.folder.resolve().name, recording=self._recording)
         with atomic_files.replacing(path) as part:
             part.write_text(page, encoding="utf-8")
         return [path]

@@ -60,10 +60,10 @@ _STATUSES: dict[Status, tuple[str, str]] = {
 def page_of(run: FinishedRun, mesh: trimesh.Trimesh, T_ew: Floats, *, name: str, recording: Dataset | None = None) -> str:
     """The page of a run as HTML.
 
-    mesh: of the run, in its world. T_ew (4, 4): from there into axes with y up. recording: that of the run; None: pictures come from the
-    archive alone.
+    mesh: of the run, in its world, as `page_mesh` makes it. T_ew (4, 4): from there into axes with y up. recording: that of the run; None:
+    pictures come from the archive alone.
     """
-    shown = turned(_page_mesh(run, mesh), T_ew)
+    shown = turned(mesh, T_ew)
     return _template().render(
         name=name,
         run=_json(_content(run, shown, T_ew, recording)),
@@ -87,8 +87,8 @@ def _json(values: Any) -> Markup:
     return Markup(json.dumps(values, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-def _page_mesh(run: FinishedRun, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh without scraps, in few triangles with a texture, or with vertex colours if the run kept no images."""
+def page_mesh(run: FinishedRun, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh of a run without scraps, in few triangles with a texture, or with vertex colours if the run kept no images."""
     mesh = without_scraps(cleaned(mesh))
     archive = None if run.archive is None else _some(run.archive)
     small = decimated(mesh, _COLOURED_FACES if archive is None else _FACES)

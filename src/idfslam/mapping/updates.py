@@ -121,7 +121,5 @@ def loops_may_overlap() -> bool:
     """Whether two threads may run parallel loops at once. Numba's own threading layer aborts then; those of OpenMP and TBB do not."""
     import numba
 
-    try:
-        return bool(numba.threading_layer() != "workqueue")
-    except ValueError:  # no loop has run yet
-        return True
+    numba.get_num_threads()  # before the first loop there is no layer yet, and this starts one
+    return bool(numba.threading_layer() != "workqueue")

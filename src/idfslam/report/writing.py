@@ -1,6 +1,7 @@
 """Writes report.html, a single file that works without other files and without a network, its pictures to pictures/, and scene.html."""
 
 import logging
+from concurrent.futures import ThreadPoolExecutor, wait
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
@@ -15,8 +16,9 @@ from idfslam.errors import IdfSlamError, ResultError
 from idfslam.evaluation.evaluate import load_mesh
 from idfslam.export.axes import Axes
 from idfslam.export.memory_need import finest_cells
-from idfslam.export.page import page_of
+from idfslam.export.page import page_mesh, page_of
 from idfslam.geometry.level import level
+from idfslam.mapping.updates import loops_may_overlap
 from idfslam.report.cards import cards_of
 from idfslam.report.gallery import Gallery
 from idfslam.report.known_error import KnownError
@@ -57,15 +59,19 @@ def _write(run: FinishedRun, ledger: Ledger, *, recording: Dataset | None, gt: P
     error = KnownError.of(run, recording, gt)
     metrics = read_metrics(folder) if (folder / result_folder.METRICS).is_file() else {}
     upright = level(mesh, run.trajectory.poses)
-    sections = (
-        charts(gallery, run, error, metrics)
-        | room_pictures(gallery, run, error, mesh, upright.R_lw)
-        | compared_frames(gallery, run, recording)
-        | moving_images(gallery, run)
-    )
+    with ThreadPoolExecutor(1, "scene") as pool:  # its loops leave the interpreter to the charts, which are drawn meanwhile
+        shown = None if mesh is None else pool.submit(page_mesh, run, mesh.copy())
+        if shown is not None and not loops_may_overlap():
+            wait([shown])
+        sections = (
+            charts(gallery, run, error, metrics)
+            | room_pictures(gallery, run, error, mesh, upright.R_lw)
+            | compared_frames(gallery, run, recording)
+            | moving_images(gallery, run)
+        )
     name = recording.name if recording is not None else folder.resolve().name
-    if mesh is not None:
-        scene = page_of(run, mesh, Axes.upright(upright).gltf.T_ew, name=name, recording=recording)
+    if shown is not None:
+        scene = page_of(run, shown.result(), Axes.upright(upright).gltf.T_ew, name=name, recording=recording)
         ledger.write_text(result_folder.SCENE, scene)
         gallery.written.append(folder / result_folder.SCENE)
     page = _template().render(
