@@ -18,7 +18,7 @@ def intrinsics_of(camera: Camera) -> Intrinsics:
 def project(T_cw, point, intrinsics):  # type: ignore[no-untyped-def]
     """A world point (3,) [m] -> pixel u, v and depth z [m]; u and v are 0 for a point that is not in front of the camera."""
     fx, fy, cx, cy = intrinsics
-    x, y, z = point
+    x, y, z = point[0], point[1], point[2]  # taken apart in one step, a row of an array costs as much as all of the rest
     z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
     if z_c <= 0:
         return z_c * 0, z_c * 0, z_c

@@ -200,7 +200,7 @@ def _vote(  # type: ignore[no-untyped-def]
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape
     for i in prange(len(vertices)):
-        x, y, z = vertices[i]
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
         z_c = T_cw[2, 0] * x + T_cw[2, 1] * y + T_cw[2, 2] * z + T_cw[2, 3]
         if z_c <= 0:
             continue

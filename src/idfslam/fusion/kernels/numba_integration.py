@@ -114,7 +114,7 @@ def integrate(  # type: ignore[no-untyped-def]
     for m in prange(len(origins)):
         if readings[m] >= ENOUGH * BLOCK**3:
             continue
-        x, y, z = origins[m]
+        x, y, z = origins[m, 0], origins[m, 1], origins[m, 2]
         first = (
             T_cw[0, 0] * x + T_cw[0, 1] * y + T_cw[0, 2] * z + T_cw[0, 3],
             T_cw[1, 0] * x + T_cw[1, 1] * y + T_cw[1, 2] * z + T_cw[1, 3],

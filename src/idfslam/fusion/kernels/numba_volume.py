@@ -61,7 +61,7 @@ def blend_at(x, y, z, otherwise, keys, rows, distance, trust, voxel, step):  # t
 def blend(points, otherwise, keys, rows, distance, trust, voxel, step, blended):  # type: ignore[no-untyped-def]
     """Fills the blended distances (N,) [m] at points (N, 3) [m]."""
     for n in prange(len(points)):
-        x, y, z = points[n]
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
         blended[n] = blend_at(x, y, z, otherwise[n], keys, rows, distance, trust, voxel, step)
 
 

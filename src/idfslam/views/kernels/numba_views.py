@@ -111,15 +111,17 @@ def weight_of_image(depth, off_edge, z, u, v, width, height, unread):  # type: i
     column, row = min(int((u + np.float32(0.5)) * w / width), w - 1), min(int((v + np.float32(0.5)) * h / height), h - 1)
     if depth[row, column] < _ZERO:  # what moves
         return _ZERO
+    fade, within = min(_ONE, (border + _ONE) / _BORDER) * off_edge[row, column], _AGREES + _AGREES_SHARE * z * z
+    if depth[row, column] > _ZERO and abs(depth[row, column] - z) < within:  # so it is mostly: the pixels around need not be looked at
+        return fade
     off = np.float32(np.inf)
     for i in range(max(row - 1, 0), min(row + 2, h)):
         for j in range(max(column - 1, 0), min(column + 2, w)):
             if depth[i, j] > _ZERO:
                 off = min(off, abs(depth[i, j] - z))
-    fade = min(_ONE, (border + _ONE) / _BORDER)
     if off == np.inf:
-        return fade * unread * off_edge[row, column]
-    return fade * off_edge[row, column] if off < _AGREES + _AGREES_SHARE * z * z else _ZERO
+        return fade * unread
+    return fade if off < within else _ZERO
 
 
 @_inlined
@@ -142,7 +144,7 @@ def blend(points, centre, colours, depths, off_edges, intrinsics, T_kw, centres,
     """
     K, height, width = colours.shape[:3]
     for i in prange(len(points)):
-        X, Y, Z = points[i]
+        X, Y, Z = points[i, 0], points[i, 1], points[i, 2]
         weights[i] = _ZERO
         dx, dy, dz = X - centre[0], Y - centre[1], Z - centre[2]
         from_view = np.sqrt(dx * dx + dy * dy + dz * dz)
