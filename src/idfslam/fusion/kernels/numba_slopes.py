@@ -1,7 +1,11 @@
-"""The slopes of inverse depth in a depth image, and the planes that they tell, compiled by Numba. `prepared_depth` has the plain forms."""
+"""The slopes of inverse depth in a depth image, and the planes that they tell, compiled by Numba. `prepared_depth` has the plain forms.
+
+They run in one thread, beside the integration of the image before: not every threading layer of Numba bears parallel loops of two threads
+at once.
+"""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from idfslam.fusion.constants import LEAST_SLANT
 from idfslam.sensing.depth_noise import BEST, GROWTH
@@ -11,7 +15,7 @@ _LEAST_SLANT, _BEST, _GROWTH, _SHARPEST = np.float32(LEAST_SLANT), np.float32(BE
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def slopes(depth, inverse, low, high, whole, reach, edge, edge_share, along_u, along_v, count):  # type: ignore[no-untyped-def]
     """Fills the slopes (H, W) [1/(m px)] and the number of readings (H, W): regressions over windows of `reach` pixels each way.
 
@@ -19,7 +23,7 @@ def slopes(depth, inverse, low, high, whole, reach, edge, edge_share, along_u, a
     rows where all readings of a window count, which they do nearly everywhere.
     """
     height, width = depth.shape
-    for row in prange(height):
+    for row in range(height):
         for column in range(width):
             z = depth[row, column]
             if z <= 0:
@@ -54,7 +58,7 @@ def slopes(depth, inverse, low, high, whole, reach, edge, edge_share, along_u, a
                 count[row, column] = int(n)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def planes(depth, intrinsics, along_u, along_v, count, readings, slope, information):  # type: ignore[no-untyped-def]
     """Fills slope and information (H, W) of readings: `prepared_depth.plain_planes`.
 
@@ -63,7 +67,7 @@ def planes(depth, intrinsics, along_u, along_v, count, readings, slope, informat
     fx, fy, cx, cy = intrinsics
     least, most = readings
     height, width = depth.shape
-    for row in prange(height):
+    for row in range(height):
         ray_y = (np.float32(row) - cy) / fy
         for column in range(width):
             z = depth[row, column]
