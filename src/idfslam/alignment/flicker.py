@@ -38,7 +38,8 @@ def _of_bands(row: Tensor, expected: Tensor, value: Tensor, slope_u: Tensor, slo
     for _ in range(2):
         change = changes(band, columns, difference, weight, BANDS, UNLIT)
         left = difference - (columns * change[band]).sum(-1)
-        share = _share_beyond_chance(expected * change[band, 0], left)
+        shared = change[band, 0].mean()  # what all bands share tells of no flicker: the image is black, or its exposure is off
+        share = _share_beyond_chance(expected * (change[band, 0] - shared), left)
         if share == 0.0:
             return None
         weight = weights(band, left, BANDS)

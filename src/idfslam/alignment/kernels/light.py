@@ -97,12 +97,14 @@ def _take_out_flicker(rows, expected, value, slopes, band, weight, flicker) -> b
         weight[k] = 1.0
     for _ in range(2):
         _solve_parts(band, expected, value, slopes, weight, UNLIT, change)
-        left, explained = 0.0, 0.0
+        shared, left, explained = 0.0, 0.0, 0.0
+        for k in range(n):
+            shared += change[0, band[k]] / n
         for k in range(n):
             of_light = expected[k] * change[0, band[k]]
             displaced = slopes[0, k] * change[1, band[k]] + slopes[1, k] * change[2, band[k]]
             left += abs(value[k] - expected[k] - of_light - displaced)
-            explained += of_light * of_light
+            explained += (expected[k] * (change[0, band[k]] - shared)) ** 2
         left /= n
         share = max(0.0, 1 - LEAST_EVIDENCE * BANDS * left * left * np.pi / 2 / max(explained, 1e-12))
         if share == 0.0:
