@@ -182,6 +182,12 @@ def short_range(reach: float, passage: Passage, i: int, frame: Frame) -> Frame:
     return without_depth(frame, frame.depth > reach)
 
 
+def covered_start(passage: Passage, i: int, frame: Frame) -> Frame:
+    """The lens is covered for 60 frames, and depth sees a strip."""
+    strip = np.arange(HEIGHT)[:, None] >= 0.95 * HEIGHT
+    return without_depth(black(frame), ~strip & np.ones_like(frame.depth, bool)) if i < 60 else frame
+
+
 def film(passage: Passage, i: int, frame: Frame) -> Frame:
     """A screen shows a film: squares of changing colours, in a place of the world that frame 60 shows."""
     at = passage.seen_by(i, 60)
@@ -275,6 +281,7 @@ PASSAGES: dict[str, Callable[[Room], Passage]] = {
     "white": partial(changed, partial(shown, white, 15)),
     "black": partial(changed, partial(shown, black, 30)),
     "lens-covered": partial(changed, partial(shown, lambda frame: without_depth(black(frame)), 30)),
+    "covered-start": partial(changed, covered_start),
     "depth-held": partial(changed, partial(held, "depth", 14)),
     "colour-held": partial(changed, partial(held, "colour", 14)),
     "depth-stripes": partial(changed, striped),

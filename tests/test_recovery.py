@@ -22,11 +22,12 @@ from idfslam.slam.tracked import Evidence, Source, Tracked
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 
 
-def view_at(x: float, index: int) -> Keyframe:
-    """A view of a wall at 5 cm, which shares nothing with one half a metre away."""
+def view_at(x: float, index: int, rows: int = 48) -> Keyframe:
+    """A view of a wall at 5 cm, which shares nothing with one half a metre away. rows: of 48, from the lowest on, that have depth."""
     T = torch.eye(4, dtype=torch.float64)
     T[0, 3] = x
-    frame = Frame(index, index / 30, np.zeros((48, 64, 3), np.float32), np.full((48, 64), 0.05, np.float32), CAMERA)
+    depth = np.full((48, 64), 0.05, np.float32) * (np.arange(48) >= 48 - rows)[:, None].astype(np.float32)
+    frame = Frame(index, index / 30, np.zeros((48, 64, 3), np.float32), depth, CAMERA)
     return Keyframe(frame, T, torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
 
 
@@ -94,3 +95,18 @@ def test_a_camera_in_doubt_where_no_keyframe_tells_begins_a_submap(recovery: Rel
         found = [recovery.recover(view, doubtful) for _ in range(44)]
         assert next((i + 1 for i, tracked in enumerate(found) if tracked.source is Source.NEW_SUBMAP), None) == began
     assert found[-1].status is Status.OK and found[-1].clear and recovery.graph.starts_submap
+
+
+@pytest.mark.parametrize(
+    ("mapped", "rows", "doubted", "begins"), [(4, 48, 0, True), (4, 4, 0, False), (48, 48, 0, False), (4, 48, 14, True)]
+)
+def test_a_map_of_little_depth_does_not_wait(asked: Asked, mapped: int, rows: int, doubted: int, begins: bool) -> None:
+    """It is left for the first view with much depth that it does not find. mapped: rows of its keyframe with depth. doubted: frames."""
+    graph = KeyframeGraph(KeyframeConfig(), verify=True)
+    first, view = view_at(0.0, 0, mapped), view_at(1.0, 1, rows)
+    graph.insert(first)
+    recovery = Relocalisation(LoopConfig(submap_after=30), asked, None, graph, FramePoses(graph), StageTimer())  # type: ignore[arg-type]
+    recovery.frames.append(0.0, first.T_wk, Status.OK)
+    status = Status.DOUBTFUL if doubted else Status.LOST
+    found = [recovery.recover(view, Tracked(view.T_wk, status, Source.ALIGNED)).source for _ in range(doubted + 1)]
+    assert [source is Source.NEW_SUBMAP for source in found] == [False] * doubted + [begins]

@@ -2,7 +2,8 @@
 
 Where only a floor or the edge of a table is within the sensor's reach, a map of that confirms no pose, and the camera is lost at once. So a
 frame with more depth is waited for, as it comes when the camera is raised or goes nearer. It does not come from an object without a
-background, which begins the map after a second.
+background, which begins the map after a second. If it comes later, and the map of little depth does not tell where the camera is, a submap
+begins with it (`recovery.Relocalisation`).
 """
 
 from idfslam.graph.keyframe import Keyframe
@@ -13,6 +14,11 @@ from idfslam.storage.state import State, Stateful
 # mapped later. Less: lost in them. Chosen by hand: a room beyond a Kinect's reach that is tracked well from its first frame on has 0.19.
 _ENOUGH = 0.15
 _PATIENCE = 30  # frames with less depth, after which one of them does it. More: objects without a background are mapped later
+
+
+def may_define_world(view: Keyframe) -> bool:
+    """Whether a view has enough depth for later ones to be aligned to it."""
+    return view.depth_share >= _ENOUGH
 
 
 class WorldOrigin(Stateful):
@@ -31,6 +37,6 @@ class WorldOrigin(Stateful):
 
     def track(self, view: Keyframe) -> Tracked:
         """The result for a view before there is a map: it defines the world, or is lost."""
-        defines = view.depth_share >= _ENOUGH or (view.has_depth and self._waited >= _PATIENCE)
+        defines = may_define_world(view) or (view.has_depth and self._waited >= _PATIENCE)
         self._waited += view.has_depth and not defines
         return Tracked.first(view.T_wk, defines_world=defines)

@@ -16,6 +16,7 @@ from idfslam.slam.place_recognition.relocalisation_check import RelocalisationCh
 from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
+from idfslam.slam.world_origin import may_define_world
 from idfslam.storage.state import State, Stateful
 
 log = logging.getLogger(__name__)
@@ -28,6 +29,9 @@ _STILL_NEAR = 15  # [frames with depth] for which that holds. More: likewise
 # [1] Share of the references' landmarks in view below which a camera that has been in doubt for that long counts as lost: no keyframe will
 # tell whether its pose is right. More: new submaps are started sooner. As a relocalisation needs it.
 _UNSEEN = 0.3
+# Keyframes, all of little depth, up to which a map does not wait for a camera that it cannot find. More: a longer start under a covered
+# lens is left at once, and so is an object without a background. Covered lenses left 1 to 3. Chosen by hand
+_MEAGRE = 4
 EXAMPLES = 16  # keyframes from which the usual photometric error is estimated. More: a surer estimate, at a comparison of images each
 
 
@@ -115,7 +119,8 @@ class Relocalisation(Recovery):
             lost = tracked if self.mode is Mode.TRACKING else tracked.lost(view.T_wk)
             tracked = self._relocalised(view) or lost
         self._searched = self._searched + view.has_depth if tracked.is_lost or self._is_astray(tracked) else 0
-        return self._new_submap(view, tracked) if 0 < self.config.submap_after <= self._searched else tracked
+        begins = self._searched >= self.config.submap_after or self._begins_anew(view, tracked)
+        return self._new_submap(view, tracked) if self.config.submap_after and begins else tracked
 
     def close_gap(self, index: int, mode: Mode) -> None:
         found_again = mode is Mode.LOST and self.mode is Mode.TRACKING
@@ -134,6 +139,16 @@ class Relocalisation(Recovery):
     def _is_astray(self, tracked: Tracked) -> bool:
         """Whether the camera has been in doubt for long, where no keyframe tells whether its pose is right."""
         return self._doubted >= _DOUBTED and tracked.status is Status.DOUBTFUL and tracked.evidence.in_view < _UNSEEN
+
+    def _begins_anew(self, view: Keyframe, tracked: Tracked) -> bool:
+        """Whether a submap begins with a view at once: it has the depth that no keyframe has, and these do not tell where it is.
+
+        So it is where a recording begins under a covered lens, or in a hall beyond the sensor's reach.
+        """
+        untold = tracked.is_lost or (self._doubted >= _DOUBTED and tracked.status is Status.DOUBTFUL)
+        if not untold or len(self.graph.keyframes) > _MEAGRE or not may_define_world(view):
+            return False
+        return not any(may_define_world(keyframe) for keyframe in self.graph.keyframes)
 
     def _relocalised(self, view: Keyframe) -> Tracked | None:
         """Relocalises a view among the keyframes with the most similar descriptors; None if no pose is convincing."""
