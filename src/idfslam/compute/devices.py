@@ -97,3 +97,11 @@ def threads(share: float) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
+
+
+def loops_may_overlap() -> bool:
+    """Whether two threads may run parallel loops at once. Numba's own threading layer aborts then; those of OpenMP and TBB do not."""
+    import numba
+
+    numba.get_num_threads()  # before the first loop there is no layer yet, and this starts one
+    return bool(numba.threading_layer() != "workqueue")

@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.compute.ahead import ahead
 from idfslam.fusion.constants import BLOCK
 from idfslam.fusion.integration import Voxels, integrate
-from idfslam.fusion.prepared_depth import PreparedDepth, prepared
+from idfslam.fusion.prepared_depth import prepared
 from idfslam.fusion.smoothing import denoised
 from idfslam.fusion.tsdf_volume import STEPS, TsdfVolume
 from idfslam.geometry.blocks import touched_blocks
@@ -36,21 +36,9 @@ def fuse(views: Sequence[DepthView], voxel: float, most_blocks: int, readings: I
     """
     voxel, blocks = _allocated(views, voxel, most_blocks)
     voxels = Voxels.empty(voxel, _TRUNCATION * voxel, blocks)
-    for view in _prepared(in_random_order(views) if readings is None else readings):
+    for view in ahead(prepared, in_random_order(views) if readings is None else readings):
         integrate(voxels, view)
     return finished(voxels)
-
-
-def _prepared(views: Iterable[DepthView]) -> Iterator[PreparedDepth]:
-    """The views, each prepared in a thread of its own while the one before it is integrated."""
-    with ThreadPoolExecutor(1, "prepare") as pool:
-        next_one: Future[PreparedDepth] | None = None
-        for view in views:
-            this, next_one = next_one, pool.submit(prepared, view)
-            if this is not None:
-                yield this.result()
-        if next_one is not None:
-            yield next_one.result()
 
 
 def in_random_order(views: Sequence[Item]) -> Iterator[Item]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from time import perf_counter
 
-from idfslam.compute.devices import threads
+from idfslam.compute.devices import loops_may_overlap, threads
 from idfslam.storage.state import State
 
 LossValues = dict[str, float]
@@ -115,11 +115,3 @@ class InBackground(MapUpdates):
             losses = update()
         self._milliseconds.append((perf_counter() - start) * 1e3)
         return losses
-
-
-def loops_may_overlap() -> bool:
-    """Whether two threads may run parallel loops at once. Numba's own threading layer aborts then; those of OpenMP and TBB do not."""
-    import numba
-
-    numba.get_num_threads()  # before the first loop there is no layer yet, and this starts one
-    return bool(numba.threading_layer() != "workqueue")

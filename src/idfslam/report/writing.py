@@ -10,6 +10,7 @@ from typing import Any
 import jinja2
 import trimesh
 
+from idfslam.compute.devices import loops_may_overlap
 from idfslam.config import PRESETS, RUN_SECTIONS, dump, read_yaml
 from idfslam.datasets import Dataset
 from idfslam.errors import IdfSlamError, ResultError
@@ -18,7 +19,6 @@ from idfslam.export.axes import Axes
 from idfslam.export.memory_need import finest_cells
 from idfslam.export.page import page_mesh, page_of
 from idfslam.geometry.level import level
-from idfslam.mapping.updates import loops_may_overlap
 from idfslam.report.cards import cards_of
 from idfslam.report.gallery import Gallery
 from idfslam.report.known_error import KnownError

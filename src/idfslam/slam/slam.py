@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -185,7 +186,10 @@ class Slam:
             raise ConfigError(f"resolution is {resolution}, expected metres above 0, such as {self.config.mesh.resolution}")
         self._check_mapped()
         surface, finer = ImplicitSurface(self.mapper.learnt(), self._volume), self.coverage.finer_views() if self._finished else None
-        mesh, archive = mesh_of(surface, self.coverage.views(), cells, finer=finer), self.archive() if self._finished else None
+        with ThreadPoolExecutor(1, "archive") as pool:  # it compares the exposures of the images meanwhile
+            kept = pool.submit(self.archive) if self._finished else None
+            mesh = mesh_of(surface, self.coverage.views(), cells, finer=finer)
+        archive = None if kept is None else kept.result()
         return mesh if archive is None or not len(mesh.vertices) else recoloured(mesh, archive)
 
     def save_map(self, path: Path) -> None:

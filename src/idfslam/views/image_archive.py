@@ -14,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from idfslam.compute.ahead import ahead
 from idfslam.errors import ConfigError, ResultError
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.depth_view import DepthView, reduced_view
@@ -69,7 +70,7 @@ def archive_of(views: Sequence[EncodedView], camera: Camera, T_wc: NDArray[np.fl
     """The archive of images with poses (V, 4, 4), whose exposures and filled pixels are worked out."""
     lit = LitArea(camera.height, camera.width)
     plain = ImageArchive(views, camera, T_wc, np.zeros((len(views), 3, 2)), lit.pixels())
-    found = solve_exposures(lit.watched(plain.colour(i) for i in range(len(views))), plain.depths)
+    found = solve_exposures(lit.watched(ahead(plain.colour, range(len(views)))), plain.depths)
     return replace(plain, exposures=found, lit=lit.pixels())
 
 

@@ -13,6 +13,7 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
+from idfslam.compute.ahead import ahead
 from idfslam.compute.backend import pick
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
@@ -39,12 +40,15 @@ class PosedColours:
 
 def of_archive(archive: ImageArchive) -> Iterator[PosedColours]:
     """The images of an archive, in the median of their exposures."""
-    median = np.median(archive.exposures, 0)
-    for i, view in enumerate(archive.depths):
+    median, depths = np.median(archive.exposures, 0), archive.depths
+
+    def posed(i: int) -> PosedColours:
         gain = np.exp(median[:, 0] - archive.exposures[i, :, 0])
         offset = np.exp(median[:, 0]) * (median[:, 1] - archive.exposures[i, :, 1])
         shown = gain.astype(np.float32), offset.astype(np.float32)
-        yield PosedColours(archive.colour(i), view.depth, archive.camera, view.T_wc, archive.lit, *shown)
+        return PosedColours(archive.colour(i), depths[i].depth, archive.camera, depths[i].T_wc, archive.lit, *shown)
+
+    return ahead(posed, range(len(depths)))
 
 
 def of_frames(frames: Iterable[tuple[Frame, NDArray[np.float64]]]) -> Iterator[PosedColours]:
