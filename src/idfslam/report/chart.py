@@ -36,12 +36,14 @@ def chart(name: str, height: float, draw: Callable[[Figure], None], *, width: fl
     """Draws a figure of this size [inch]. `name` makes the ids of its SVG elements unique on the page."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(figure)
         draw(figure)
         text, data = io.StringIO(), io.BytesIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
         figure.set_layout_engine("none")  # keep the layout of the first drawing: computing it takes as long as drawing
-        figure.savefig(data, format="png", dpi=140, facecolor="white")
+        figure.set_dpi(140)
+        figure.set_facecolor("white")
+        canvas.print_png(data)  # `savefig` would draw it once more before, for a layout
     return Chart(_for_page(text.getvalue(), name), data.getvalue())
 
 
