@@ -15,7 +15,7 @@ def predict(uv, points, normals, T_oh, camera, distortion, limits, number, start
     nearest, grazing, least, largest = limits
     count = 0
     for n in range(len(uv)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        x, y, z = points[n]
         u, v, w = _moved(T_oh, x, y, z)
         if not w > nearest:
             continue
@@ -25,7 +25,7 @@ def predict(uv, points, normals, T_oh, camera, distortion, limits, number, start
         start_u, start_v = u / w * stretch * fx + cx, v / w * stretch * fy + cy
         if not (-0.5 < start_u < width - 0.5 and -0.5 < start_v < height - 0.5):
             continue
-        nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
+        nx, ny, nz = normals[n]
         to_plane = x * nx + y * ny + z * nz
         ray_u, ray_v = (uv[n, 0] - cx) / fx, (uv[n, 1] - cy) / fy
         a, c = _beside(T_oh, ray_u + 1 / fx, ray_v, nx, ny, nz, to_plane, grazing, fx, fy, cx - flat_u, cy - flat_v)

@@ -145,7 +145,7 @@ def look(means, depth, near, far, camera, T, number, through, seen, free, first,
     """`occupancy_history.plain_look`. camera: fx, fy, cx, cy; T (4, 4) from the world to it."""
     rows, columns = depth.shape
     for i in range(len(means)):
-        x, y, z = means[i, 0], means[i, 1], means[i, 2]
+        x, y, z = means[i]
         r = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
         if r <= NEAREST_SEEN:
             continue
