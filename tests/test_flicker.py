@@ -73,3 +73,10 @@ def test_steady_light_stays_as_it_is(steady: Landmarks, off: float) -> None:
     value, *slopes = sighting.image.at(places.uv)
     light = plain_flicker(*(x[seen] for x in (steady.luminance[2], value, *slopes, sighting.shares(places.uv)[:, 1:])))
     assert len(light) > 500 and bool((light == 1).all())
+
+
+def test_a_black_image_is_no_flicker(steady: Landmarks) -> None:
+    """All of its bands are darker by the same, which is exposure."""
+    black = Appearance(pyramid(torch.zeros(240, 320, 3), CAMERA, height=240, levels=4), wall(EYE).depth, CAMERA)
+    _, off = displacement(black, steady, EYE, EYE)
+    assert math.degrees(off) > 1

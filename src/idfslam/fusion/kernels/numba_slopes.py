@@ -1,7 +1,6 @@
 """The slopes of inverse depth in a depth image, and the planes that they tell, compiled by Numba. `prepared_depth` has the plain forms.
 
-They run in one thread, beside the integration of the image before: not every threading layer of Numba bears parallel loops of two threads
-at once.
+They run in one thread, beside the integration of the image before (`compute/ahead.py`).
 """
 
 import numpy as np
