@@ -18,6 +18,10 @@ _LEAST_USUAL = math.radians(0.2)
 # [1] Probability above which a pose is doubtful. More: fewer frames are doubtful, and more wrong ones are not. Chosen on the same
 # recordings, where one in a hundred right poses is above it.
 _DOUBTFUL = 0.15
+# [rad] Most displacement that counts as usual (0.6 degrees): a pose off by 2 degrees turns each landmark by as much, of which a gradient of
+# any direction shows the cosine, 0.7 in the median. What is usual has to leave that doubtful, or nothing could be told. More: images that
+# contradict their poses throughout are sooner taken for usual. Derived; it is 0.2 to 0.4 degrees in hand-held recordings.
+_MOST_USUAL = math.radians(2) * math.cos(math.pi / 4) / 2.2
 # [1] Least step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951): that of frame n is 1 / n
 # before. More: what is usual follows the last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with
 # 0.02 as many are told apart.
@@ -50,7 +54,7 @@ class PoseDoubt(Stateful):
 
     def ratio(self, displacement: float) -> float:
         """A displacement [rad] over the usual one."""
-        return displacement / max(self._usual, _LEAST_USUAL)
+        return displacement / min(max(self._usual, _LEAST_USUAL), _MOST_USUAL)
 
     def is_doubtful(self, displacement: float) -> bool:
         """Whether a pose with this displacement [rad] is not to be trusted."""

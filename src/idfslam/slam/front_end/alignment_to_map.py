@@ -30,6 +30,7 @@ from idfslam.slam.front_end.motion_compensation import MotionCompensation
 from idfslam.slam.front_end.recent_frame import RecentFrame
 from idfslam.slam.front_end.registered_pose import RegisteredPose, are_apart
 from idfslam.slam.front_end.registration import Registration
+from idfslam.slam.front_end.speed_gate import SpeedGate
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Evidence, Source, Tracked
 from idfslam.storage.state import State
@@ -79,7 +80,7 @@ class AlignmentToMap(FrontEnd):
         """
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
         self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
-        self.rotation, self.recent = ImageRotation(), RecentFrame(aligner, frames)
+        self.rotation, self.recent, self.gate = ImageRotation(), RecentFrame(aligner, frames), SpeedGate(frames)
         self._resect = resect
         self.evidence = Evidence()  # evidence for the last frame's pose
 
@@ -114,7 +115,7 @@ class AlignmentToMap(FrontEnd):
         unmeasured = unseen and not confirmed and aligned.is_unsure
         if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
             return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)
-        undecided |= unmeasured or (unseen and not confirmed and self._in_doubt)
+        undecided |= unmeasured or (unseen and not confirmed and self._in_doubt) or self.gate.is_leap(view.timestamp, aligned.T_wc)
         tracked = self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
         return replace(tracked, alignment=by_map)  # without corners, which are asked again at the end of a run
 
@@ -128,7 +129,7 @@ class AlignmentToMap(FrontEnd):
         if aligned.status is Status.LOST or (not view.is_clipped and self._stands(view, aligned)):
             return None
         self.compensation.follow(view, aligned)
-        doubtful = self._in_doubt or aligned.status is Status.DEGENERATE
+        doubtful = self._in_doubt or aligned.status is Status.DEGENERATE or self.gate.is_leap(view.timestamp, aligned.T_wc)
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=False)
         return replace(tracked, evidence=replace(tracked.evidence, in_view=self.evidence.in_view))  # as of the last new image
 
@@ -141,9 +142,9 @@ class AlignmentToMap(FrontEnd):
 
         confirmed: a registration says that it is right: then landmarks that lie elsewhere have moved. wide: that was in a wide step.
         undecided: one says that it is wrong, and the image says neither, or nothing ends a doubt, or the pose is expected to be far off and
-        nothing in view tells.
+        nothing in view tells, or no hand is so fast.
         """
-        view.registered = confirmed and wide
+        view.registered = confirmed and wide and not undecided
         doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)
         clear = view.registered or self.aligner.is_clear(aligned)
         tracked = Tracked.aligned(aligned, doubtful=doubtful, clear=clear)
@@ -173,18 +174,21 @@ class AlignmentToMap(FrontEnd):
     def _registered(self, view: Keyframe, registered: RegisteredPose, aligned: Alignment, *, wide: bool) -> Tracked:
         """The registered pose outright: the image refutes that by the map, which has learnt too little here, or depth's errors.
 
-        It is in doubt where nothing else confirms it yet, or where it is far from the aligned one and not sure itself.
+        It is in doubt where nothing else confirms it yet, where it is far from the aligned one and not sure itself, or where no hand is so
+        fast.
         """
-        view.registered = wide
+        leaps = self.gate.is_leap(view.timestamp, registered.T_wc)
+        view.registered = wide and not leaps
         found = self.aligner.evidence(view, registered.T_wc, self._references())
         evidence = Evidence(found.in_view, found.overlap, self._step(view, found.T_wc, found.radius))
         unconfirmed = self._in_doubt or (registered.is_apart(aligned) and not registered.is_sure)
-        status = Status.DOUBTFUL if unconfirmed and not wide else Status.OK
+        status = Status.DOUBTFUL if leaps or (unconfirmed and not wide) else Status.OK
         return Tracked(registered.T_wc, status, Source.REGISTERED, evidence, found, covariance=registered.covariance)
 
     def accept(self, view: Keyframe, tracked: Tracked) -> None:
         self.evidence = tracked.evidence
         self.rotation.accept(view.index, lost=tracked.is_lost)
+        self.gate.accept(view.index, view.timestamp, tracked)
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)

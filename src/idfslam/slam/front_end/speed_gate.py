@@ -1,0 +1,73 @@
+"""A gate on speed: a camera that a hand carries does not leap.
+
+Where a pattern repeats, as on a wall or a shelf, the image fits one period beside the true pose, and patches confirm it there. What the
+images cannot tell apart, the motion can: a period of 30 cm from one frame to the next is 10 m/s.
+"""
+
+from collections import deque
+from statistics import median
+
+import torch
+from torch import Tensor
+
+from idfslam.alignment.continuous_motion import HAND_SPEED
+from idfslam.alignment.motion import change_between
+from idfslam.frame import FPS
+from idfslam.graph.frame_poses import FramePoses
+from idfslam.slam.tracked import Tracked
+from idfslam.storage.state import State, Stateful
+
+_INTERVALS = 31  # [frames] whose stamps give the usual interval, by their median. More: changes of the rate are followed more slowly
+# [frames] with poses in a row, none of which was faster than a hand, after which one that is faster is a leap. More: photographs that are
+# stamped as a video's pass for one less often, and leaps at the beginning of a recording are not told. Chosen by hand
+_CARRIED = 10
+
+
+class SpeedGate(Stateful):
+    """Says whether a pose is out of a hand's reach from the last frame that was trusted."""
+
+    def __init__(self, frames: FramePoses) -> None:
+        self._frames = frames
+        self._last: tuple[int, float] | None = None  # number and stamp [s] of the last frame whose pose was trusted; None: there is none
+        self._stamp: float | None = None  # [s] of the frame before
+        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self._carried = 0  # frames in a row to which the motion was a hand's
+
+    def state(self) -> State:
+        """The last trusted frame, the stamps' intervals, and for how long the motion has been a hand's."""
+        last = None if self._last is None else list(self._last)
+        return {"last": last, "stamp": self._stamp, "intervals": list(self._intervals), "carried": self._carried}
+
+    def restore(self, state: State) -> None:
+        """Takes over `state`."""
+        self._last = None if state["last"] is None else (state["last"][0], state["last"][1])
+        self._stamp, self._carried = state["stamp"], state["carried"]
+        self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
+
+    def is_leap(self, timestamp: float, T_wc: Tensor) -> bool:
+        """Whether a camera that was carried by a hand until the last trusted frame cannot be at this pose (4, 4) at this time [s]."""
+        return self._carried >= _CARRIED and not self._is_of_a_hand(timestamp, T_wc)
+
+    def accept(self, index: int, timestamp: float, tracked: Tracked) -> None:
+        """Takes over the result for the frame of this number and time [s].
+
+        Doubtful frames are passed over. After a lost one the camera may be anywhere.
+        """
+        if self._stamp is not None and timestamp > self._stamp:
+            self._intervals.append(timestamp - self._stamp)
+        self._stamp = timestamp
+        if tracked.is_lost or not tracked.continues_motion:
+            self._last, self._carried = None, 0
+        elif tracked.status.trusted:
+            self._carried = self._carried + 1 if self._is_of_a_hand(timestamp, tracked.T_wc) else 0
+            self._last = index, timestamp
+
+    def _is_of_a_hand(self, timestamp: float, T_wc: Tensor) -> bool:
+        """Whether the motion from the last trusted frame is no faster than a hand's, in whole frames: the stamps jitter."""
+        if self._last is None:
+            return True
+        index, stamp = self._last
+        interval = median(self._intervals) if self._intervals else 1 / FPS
+        elapsed = max(round((timestamp - stamp) / interval), 1) * interval
+        speed = change_between(self._frames.T_wc(index), T_wc).reshape(2, 3).norm(dim=1) / elapsed
+        return bool((speed <= torch.tensor(HAND_SPEED, dtype=speed.dtype)).all())
