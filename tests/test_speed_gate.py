@@ -41,15 +41,18 @@ def carried(frames: int, step: float = 0.03, interval: float = 1 / 30) -> tuple[
     return gate, poses
 
 
-@pytest.mark.parametrize(("metres", "degrees", "leap"), [(0.06, 11, False), (0.34, 0, True), (0.07, 0, True), (0.0, 12, True)])
+@pytest.mark.parametrize(
+    ("metres", "degrees", "leap"),
+    [(0.06, 11, False), (0.34, 0, True), (0.08, 0, True), (0.07, 0, False), (-0.07, 0, True), (0.01, 12, True)],
+)
 def test_a_step_of_a_frame(metres: float, degrees: float, leap: bool) -> None:
-    """2 m/s are 6.7 cm a frame, and 6 rad/s 11.5 degrees."""
-    gate, poses = carried(20)
+    """2 m/s are 6.7 cm a frame, and 6 rad/s 11.5 degrees. The camera goes on by 1 cm a frame."""
+    gate, poses = carried(20, step=0.01)
     assert gate.is_leap(20 / 30, poses.poses[-1] @ at(metres, degrees)) == leap
 
 
 def test_a_leap_is_told_until_a_hand_could_be_there() -> None:
-    gate, poses = carried(20)
+    gate, poses = carried(20, step=0.0)
     there = poses.poses[-1] @ at(0.34)
     for i in range(20, 30):
         told = gate.is_leap(i / 30, there)
@@ -69,6 +72,15 @@ def test_photographs_do_not_leap() -> None:
     """They are stamped as a video's, 15 cm apart."""
     gate, poses = carried(20, step=0.15)
     assert not gate.is_leap(20 / 30, poses.poses[-1] @ at(0.3))
+
+
+def test_a_vehicle_that_becomes_fast_does_not_leap() -> None:
+    """It gains 0.3 m/s in each frame, up to 5 m/s."""
+    gate, poses = carried(20, step=0.01)
+    for i in range(20, 37):
+        poses.poses.append(poses.poses[-1] @ at(0.01 * (i - 19)))
+        assert not gate.is_leap(i / 30, poses.poses[-1])
+        gate.accept(i, i / 30, tracked(poses.poses[-1]))
 
 
 def test_it_takes_ten_frames_to_know_a_hand() -> None:

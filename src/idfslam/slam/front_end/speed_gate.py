@@ -1,7 +1,8 @@
 """A gate on speed: a camera that a hand carries does not leap.
 
 Where a pattern repeats, as on a wall or a shelf, the image fits one period beside the true pose, and patches confirm it there. What the
-images cannot tell apart, the motion can: a period of 30 cm from one frame to the next is 10 m/s.
+images cannot tell apart, the motion can: a period of 30 cm from one frame to the next is 10 m/s. A camera that a vehicle carries becomes as
+fast, but from frame to frame its velocity changes little.
 """
 
 from collections import deque
@@ -31,22 +32,30 @@ class SpeedGate(Stateful):
         self._last: tuple[int, float] | None = None  # number and stamp [s] of the last frame whose pose was trusted; None: there is none
         self._stamp: float | None = None  # [s] of the frame before
         self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self._velocity = torch.zeros(6, dtype=torch.float64)  # [m/s], [rad/s] with which it got there
         self._carried = 0  # frames in a row to which the motion was a hand's
 
     def state(self) -> State:
-        """The last trusted frame, the stamps' intervals, and for how long the motion has been a hand's."""
-        last = None if self._last is None else list(self._last)
-        return {"last": last, "stamp": self._stamp, "intervals": list(self._intervals), "carried": self._carried}
+        """The last trusted frame and its velocity, the stamps' intervals, and for how long the motion has been a hand's."""
+        last, known = None if self._last is None else list(self._last), {"stamp": self._stamp, "carried": self._carried}
+        return {"last": last, "velocity": self._velocity.tolist(), "intervals": list(self._intervals), **known}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._last = None if state["last"] is None else (state["last"][0], state["last"][1])
         self._stamp, self._carried = state["stamp"], state["carried"]
+        self._velocity = torch.tensor(state["velocity"], dtype=torch.float64)
         self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
 
     def is_leap(self, timestamp: float, T_wc: Tensor) -> bool:
-        """Whether a camera that was carried by a hand until the last trusted frame cannot be at this pose (4, 4) at this time [s]."""
-        return self._carried >= _CARRIED and not self._is_of_a_hand(timestamp, T_wc)
+        """Whether a camera that was carried by a hand until the last trusted frame cannot be at this pose (4, 4) at this time [s].
+
+        Neither its velocity since then nor the change of its velocity is a hand's.
+        """
+        if self._carried < _CARRIED:
+            return False
+        velocity = self._velocity_to(timestamp, T_wc)
+        return not (_is_of_a_hand(velocity) or _is_of_a_hand(velocity - self._velocity))
 
     def accept(self, index: int, timestamp: float, tracked: Tracked) -> None:
         """Takes over the result for the frame of this number and time [s].
@@ -59,15 +68,20 @@ class SpeedGate(Stateful):
         if tracked.is_lost or not tracked.continues_motion:
             self._last, self._carried = None, 0
         elif tracked.status.trusted:
-            self._carried = self._carried + 1 if self._is_of_a_hand(timestamp, tracked.T_wc) else 0
+            self._velocity = self._velocity_to(timestamp, tracked.T_wc)
+            self._carried = self._carried + 1 if _is_of_a_hand(self._velocity) else 0
             self._last = index, timestamp
 
-    def _is_of_a_hand(self, timestamp: float, T_wc: Tensor) -> bool:
-        """Whether the motion from the last trusted frame is no faster than a hand's, in whole frames: the stamps jitter."""
+    def _velocity_to(self, timestamp: float, T_wc: Tensor) -> Tensor:
+        """The mean velocity (6,) [m/s], [rad/s] since the last trusted frame; 0 without one. It counts whole frames: the stamps jitter."""
         if self._last is None:
-            return True
+            return torch.zeros(6, dtype=torch.float64)
         index, stamp = self._last
         interval = median(self._intervals) if self._intervals else 1 / FPS
         elapsed = max(round((timestamp - stamp) / interval), 1) * interval
-        speed = change_between(self._frames.T_wc(index), T_wc).reshape(2, 3).norm(dim=1) / elapsed
-        return bool((speed <= torch.tensor(HAND_SPEED, dtype=speed.dtype)).all())
+        return change_between(self._frames.T_wc(index), T_wc) / elapsed
+
+
+def _is_of_a_hand(velocity: Tensor) -> bool:
+    """Whether a velocity (6,) [m/s], [rad/s] is no faster than a hand's."""
+    return bool((velocity.reshape(2, 3).norm(dim=1) <= torch.tensor(HAND_SPEED, dtype=velocity.dtype)).all())
