@@ -21,8 +21,6 @@ import idfslam
 import numpy as np
 from idfslam.compute.cache_folder import prepare_caches
 from idfslam.geometry.projection import project
-import torch
-torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))])
 print(prepare_caches().folder, project.stats.cache_path if project._cache.cache_path else None, os.environ.get("MPLCONFIGDIR"))
 """
 
