@@ -37,9 +37,9 @@ LEAST_DIFFERENCE = 1e-4  # [1] added to that width, of brightness. More: nothing
 # 20 to 32 displacements at right and wrong poses are the same to 10 %
 BANDS = 24
 UNLIT = 1.0  # [landmarks] that say that a band has the light of the image. More: bands of few landmarks are lit less
-# [1] F statistic of the gains of all bands from which they count, and near which they count less. More: weaker bands stay in the image. In
-# steady light it was at most 9 at right poses and 19 at poses 2 degrees off; with bands of 10 % its median was 446 and more. Hand-held
-# rooms with vignetting and automatic exposure reach 63: with 20 bands counted there, and room 2 had 1.16 instead of 0.67 cm
+# [1] F statistic of the gains of all bands from which they count; from twice as much on they count fully. More: weaker bands stay in the
+# image. In steady light it was at most 9 at right poses and 19 at poses 2 degrees off; with bands of 10 % its median was 446 and more.
+# Hand-held rooms with vignetting and automatic exposure reach 63: with 20 bands counted there, and room 2 had 1.16 instead of 0.67 cm
 LEAST_EVIDENCE = 100.0
 LEAST_GRADIENT = 1e-3  # [1/px] least gradient by which a difference of brightness is divided. More: bare places seem displaced less
 DEVIATION = 1.4826  # [1] standard deviation of a normal distribution over its median absolute deviation: a fact, not a choice

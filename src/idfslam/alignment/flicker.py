@@ -55,4 +55,4 @@ def _share_beyond_chance(explained: Tensor, left: Tensor) -> float:
     The noise is that of a normal distribution with this mean of absolute values, which outliers draw less than its squares.
     """
     noise = float(left.abs().mean()) ** 2 * math.pi / 2
-    return max(0.0, 1 - LEAST_EVIDENCE * BANDS * noise / max(float((explained**2).sum()), 1e-12))
+    return min(max(float((explained**2).sum()) / max(LEAST_EVIDENCE * BANDS * noise, 1e-12) - 1, 0.0), 1.0)

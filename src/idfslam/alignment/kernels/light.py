@@ -107,7 +107,7 @@ def _take_out_flicker(rows, expected, value, slopes, band, weight, flicker) -> b
             left += abs(value[k] - expected[k] - of_light - displaced)
             explained += (expected[k] * (change[0, band[k]] - shared)) ** 2
         left /= n
-        share = max(0.0, 1 - LEAST_EVIDENCE * BANDS * left * left * np.pi / 2 / max(explained, 1e-12))
+        share = min(max(explained / max(LEAST_EVIDENCE * BANDS * left * left * np.pi / 2, 1e-12) - 1, 0.0), 1.0)
         if share == 0.0:
             return False
         _weigh(band, expected, value, slopes, change, weight)
