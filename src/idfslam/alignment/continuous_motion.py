@@ -47,8 +47,6 @@ _SPEED = 0.5, 1.5
 # [standard deviations] Largest speed that is a hand's: 6 rad/s, where a hand was seen to turn by 3.7. Photographs stamped as a video's have
 # 9. More: photographs pass for a video. Chosen by hand.
 _FASTEST = 4.0
-# [m/s], [rad/s] That speed. More: as above
-HAND_SPEED = tuple(_FASTEST * speed for speed in _SPEED)
 # [m/s], [rad/s] Least standard deviation of the velocities with which the references were rectified. It stands for what no constant
 # velocity describes. A frame's distortion is measured against theirs. More: the velocity follows the change of the pose more, and the
 # distortion less. At ten times as much, velocities in shaken passages were three times less exact (docs/findings.md).
@@ -133,6 +131,11 @@ def transition(elapsed: float) -> Array:
     F = np.eye(12)
     F[_POSE, _VELOCITY] = elapsed
     return F
+
+
+def is_of_a_hand(velocity: Array) -> bool:
+    """Whether a velocity (6,) [m/s], [rad/s] is no faster than a hand's."""
+    return bool((np.linalg.norm(velocity.reshape(2, 3), axis=1) <= _FASTEST * np.array(_SPEED)).all())
 
 
 def process_noise(deviation: Array, elapsed: float) -> Array:
@@ -261,8 +264,7 @@ class ContinuousMotion(Stateful):
     @property
     def is_of_a_hand(self) -> bool:
         """Whether the motion to the last frame was no faster than a hand's, as that between photographs is."""
-        speed = np.linalg.norm(self._motion.reshape(2, 3), axis=1)
-        return bool((speed <= np.array(HAND_SPEED)).all())
+        return is_of_a_hand(self._motion)
 
     @property
     def velocity_covariance(self) -> Array:

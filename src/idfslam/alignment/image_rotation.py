@@ -27,8 +27,9 @@ _TURN = 0.1  # [rad] Standard deviation of an unforeseen turn. More: images with
 _LEAST_SEEN = 100  # [pixels] A turn is estimated from at least so many that both images show. More: more predictions are kept
 # [1] Least scale of brightness differences, and width of the robust kernel in scales, as in the alignment. More: outliers count more.
 _NOISE, _ROBUST = 0.01, 3.0
-# [1] Differences of brightness that are left without uneven light, over those with it, at the predicted pose, below which light has changed
-# unevenly. More: the turn is estimated together with the light of bands and parts of the image more often, which is slower
+# [1] Differences of brightness at the predicted pose, with the light of bands and parts of the image taken out over those with one gain for
+# the image, below which light has changed unevenly. More: the turn is estimated together with the light more often, which is slower. Chosen
+# by hand
 _UNEVEN = 0.5
 
 

@@ -19,9 +19,10 @@ _LEAST_USUAL = math.radians(0.2)
 # recordings, where one in a hundred right poses is above it.
 _DOUBTFUL = 0.15
 # [rad] Most displacement that counts as usual (0.6 degrees): a pose off by 2 degrees turns each landmark by as much, of which a gradient of
-# any direction shows the cosine, 0.7 in the median. What is usual has to leave that doubtful, or nothing could be told. More: images that
-# contradict their poses throughout are sooner taken for usual. Derived; it is 0.2 to 0.4 degrees in hand-held recordings.
-_MOST_USUAL = math.radians(2) * math.cos(math.pi / 4) / 2.2
+# any direction shows the cosine, 0.7 in the median. What is usual has to leave that doubtful, or nothing could be told: it is less by the
+# ratio that has the probability `_DOUBTFUL`, 2.2. More: images that contradict their poses throughout are sooner taken for usual. Derived;
+# it is 0.2 to 0.4 degrees in hand-held recordings.
+_MOST_USUAL = math.radians(2) * math.cos(math.pi / 4) / math.exp((math.log(_DOUBTFUL / (1 - _DOUBTFUL)) - _OFFSET) / _SLOPE)
 # [1] Least step a frame of the running median of displacements (stochastic approximation, Robbins and Monro 1951): that of frame n is 1 / n
 # before. More: what is usual follows the last frames faster, and a passage of wrong poses is sooner taken for usual. Chosen by hand; with
 # 0.02 as many are told apart.

@@ -12,11 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from idfslam.alignment.constants import (
-    LIGHT_COLUMNS,
-    LIGHT_ROWS,
-    UNCHANGED,
-)
+from idfslam.alignment.constants import LIGHT_COLUMNS, LIGHT_ROWS, UNCHANGED
 from idfslam.alignment.exposure import exposure
 from idfslam.alignment.flicker import plain_flicker
 from idfslam.alignment.parts_of_light import changes, weights

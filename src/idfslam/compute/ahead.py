@@ -4,8 +4,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
-from idfslam.compute.devices import loops_may_overlap
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -14,11 +12,8 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
     """`map`, in a thread of its own, which works on one item while the result of the one before it is used.
 
     It pays where the function and its user release the interpreter, as decoders and compiled loops do. The thread ends with the iteration.
-    Where parallel loops of two threads may not overlap there is none.
+    The function runs no parallel loops of Numba: where its own threading layer is the only one, those of two threads may not overlap.
     """
-    if not loops_may_overlap():
-        yield from map(function, items)
-        return
     with ThreadPoolExecutor(1, "ahead") as pool:
         following: Future[Result] | None = None
         for item in items:

@@ -66,14 +66,17 @@ def relit(target, value, slopes, place, light, difference) -> float:  # type: ig
     light[:] = 1.0
     expected_brightness(target, value, light, expected)
     steady, steady_slopes, flicker = value.copy(), slopes.copy(), np.ones(n)
+    flickers = False
     for rows in (1, 2):  # of the frame, then of the keyframe
         if not _take_out_flicker(place[rows], expected, steady, steady_slopes, part, weight, flicker):
             break
+        flickers = True
     for k in range(n):
         row, column = min(int(place[1, k] * LIGHT_ROWS), LIGHT_ROWS - 1), min(int(place[0, k] * LIGHT_COLUMNS), LIGHT_COLUMNS - 1)
         part[k] = row * LIGHT_COLUMNS + column
     weight[:] = 1.0
-    expected_brightness(target, steady, light, expected)
+    if flickers:
+        expected_brightness(target, steady, light, expected)
     change = np.empty((3, _PARTS))
     _solve_parts(part, expected, steady, steady_slopes, weight, UNCHANGED, change)
     _weigh(part, expected, steady, steady_slopes, change, weight)

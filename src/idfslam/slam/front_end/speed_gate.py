@@ -11,7 +11,7 @@ from statistics import median
 import torch
 from torch import Tensor
 
-from idfslam.alignment.continuous_motion import HAND_SPEED
+from idfslam.alignment.continuous_motion import is_of_a_hand
 from idfslam.alignment.motion import change_between
 from idfslam.frame import FPS
 from idfslam.graph.frame_poses import FramePoses
@@ -55,7 +55,7 @@ class SpeedGate(Stateful):
         if self._carried < _CARRIED:
             return False
         velocity = self._velocity_to(timestamp, T_wc)
-        return not (_is_of_a_hand(velocity) or _is_of_a_hand(velocity - self._velocity))
+        return not (is_of_a_hand(velocity.numpy()) or is_of_a_hand((velocity - self._velocity).numpy()))
 
     def accept(self, index: int, timestamp: float, tracked: Tracked) -> None:
         """Takes over the result for the frame of this number and time [s].
@@ -69,7 +69,7 @@ class SpeedGate(Stateful):
             self._last, self._carried = None, 0
         elif tracked.status.trusted:
             self._velocity = self._velocity_to(timestamp, tracked.T_wc)
-            self._carried = self._carried + 1 if _is_of_a_hand(self._velocity) else 0
+            self._carried = self._carried + 1 if is_of_a_hand(self._velocity.numpy()) else 0
             self._last = index, timestamp
 
     def _velocity_to(self, timestamp: float, T_wc: Tensor) -> Tensor:
@@ -80,8 +80,3 @@ class SpeedGate(Stateful):
         interval = median(self._intervals) if self._intervals else 1 / FPS
         elapsed = max(round((timestamp - stamp) / interval), 1) * interval
         return change_between(self._frames.T_wc(index), T_wc) / elapsed
-
-
-def _is_of_a_hand(velocity: Tensor) -> bool:
-    """Whether a velocity (6,) [m/s], [rad/s] is no faster than a hand's."""
-    return bool((velocity.reshape(2, 3).norm(dim=1) <= torch.tensor(HAND_SPEED, dtype=velocity.dtype)).all())
