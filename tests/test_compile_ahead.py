@@ -28,3 +28,45 @@ def test_kernels_are_compiled_beside(tmp_path: Path) -> None:
     assert told == ["False", "ready", "True", "None"]
     names = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
     assert names >= {"numba_field.learn", "numba_alignment.photometric_system", "meshing._vote", "point_triangle.nearest_triangle"}
+
+
+REACHED = """
+import gc
+import io
+import sys
+
+import yaml
+from numba.core.dispatcher import Dispatcher
+
+from idfslam.config import FAST, dump
+from idfslam.datasets import open_recording
+from idfslam.runs import compile_ahead
+from idfslam.slam import Slam
+
+
+def compiled():
+    # Of the package's own kernels but those that draw generated recordings: names with the types of their arguments.
+    of = [(d.py_func.__module__, d) for d in gc.get_objects() if isinstance(d, Dispatcher)]
+    own = [(name, d) for name, d in of if name.startswith("idfslam.") and not name.startswith("idfslam.scenes.")]
+    return {f"{name}.{d.py_func.__name__}{types}" for name, d in own for types in d.overloads}
+
+
+sys.stdin = io.StringIO(yaml.safe_dump(dump(FAST)))
+compile_ahead.main()
+ahead = compiled()
+slam = Slam(FAST)
+for frame in open_recording("synthetic:0:people:handheld-shutter+time", frames=25):
+    slam.process(frame)
+slam.finish()
+slam.mesh(0.1)
+print(len(ahead), sorted(compiled() - ahead))
+"""
+
+
+def test_a_run_compiles_nothing_more() -> None:
+    """A process that compiles would run other code than the next one, and wait for it between two frames."""
+    told = subprocess.run([sys.executable, "-c", REACHED], check=True, capture_output=True, text=True).stdout.splitlines()
+    assert told[0] == "ready"
+    number, more = told[1].split(" ", 1)
+    assert int(number) > 50
+    assert more == "[]"

@@ -1,11 +1,6 @@
 """The small network's kernels against torch's autograd: learning, distance with gradient, and the T-SDF alone."""
 
-import hashlib
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -210,21 +205,3 @@ def test_other_networks_take_the_plain_path(changes: dict[str, int | str]) -> No
     assert not compiled_field.compilable(other)
     where = points(7)
     assert torch.equal(compiled_field.distance_query(other)(where)[0], other.distance(where)[0])
-
-
-def fingerprint() -> str:
-    """Of all numbers that a step of learning gives, and of the map after several steps."""
-    losses, by_name = learnt_compiled(3 * BLOCK + 1)
-    numbers = [losses.total.detach(), *(by_name[name] for name in sorted(by_name))]
-    numbers += in_steps(3 * BLOCK + 1, 3, compiled=True)[1].field.state_dict().values()
-    return hashlib.sha256(b"".join(tensor.numpy().tobytes() for tensor in numbers)).hexdigest()
-
-
-@pytest.mark.slow
-def test_code_fresh_from_the_compiler_gives_what_cached_code_gives(tmp_path: Path) -> None:
-    """To the bit, or a run that is resumed in another process would end elsewhere."""
-    command = [sys.executable, "-c", "import test_compiled_field; print(test_compiled_field.fingerprint())"]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
-    compiled, cached = (subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout for _ in range(2))
-    assert any(tmp_path.rglob("*.nbc"))
-    assert compiled == cached

@@ -50,16 +50,12 @@ def compiling_ahead(config: Config) -> Iterator[Callable[[], object]]:
 
 def main() -> None:
     """The second process. It reads a config from stdin, and prints a line once a frame can be processed without compiling."""
-    import numpy as np
-
     from idfslam.evaluation.mesh_error import mesh_error
     from idfslam.mapping.saved_map import SavedMap
-    from idfslam.sensing.rectification import Rectification, RowTimes, rectified
-    from idfslam.slam.warm_up import made_up, warm_up
+    from idfslam.slam.warm_up import warm_up
     from idfslam.views.image_based_rendering import MapViews
 
     slam = warm_up(update(FAST, yaml.safe_load(sys.stdin), "the values of the run"))
-    rectified(made_up(0), Rectification(RowTimes(0.03, 0.03, 0.0), np.full(6, 0.5)))
     print("ready", flush=True)
     slam.finish()
     mesh, poses, camera = slam.mesh(_COARSE), slam.trajectory(), slam.graph.keyframes[0].camera

@@ -10,11 +10,17 @@ from idfslam.compute.devices import resolve_device
 from idfslam.config import Config
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
+from idfslam.geometry.sensor_timing import SYNCHRONISED, SensorTiming
 from idfslam.slam import Slam
 
-_CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 COMPILING = "compiling kernels, once: about a minute"
-_FRAMES = 4  # made-up frames; more: nothing new is compiled
+
+_CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+_BOX = np.array([1.5, 1.1, 1.8])  # [m] half the sides of the made-up room
+_SQUARE = 0.17  # [m] squares of its walls; smaller: they are lost in small images
+_FRAMES = 12  # made-up frames, of which three are keyframes; more: nothing new is compiled
+_ROLLING = 6  # the first frame of a rolling shutter: both kinds of alignment are compiled
+_BESIDE = 4  # the first frame with something that moves: three were seen without it
 
 
 def will_compile(config: Config) -> bool:
@@ -24,19 +30,32 @@ def will_compile(config: Config) -> bool:
 
 
 def warm_up(config: Config, make_slam: Callable[[Config], Slam] = Slam) -> Slam:
-    """Runs a Slam on a few synthetic frames: it maps, aligns, and with a doubtful frame uses the tracker. The result is discarded."""
+    """Runs a Slam on the made-up frames: it maps, aligns, masks, and with a doubtful frame uses the tracker. The result is discarded."""
     slam = make_slam(config)
-    for i in range(_FRAMES):
-        slam.process(made_up(i))
+    for frame in made_up_frames():
+        slam.process(frame)
     return slam
 
 
+def made_up_frames() -> list[Frame]:
+    """A camera moves in a box with random squares, and something passes before it. The last frame is of another box, so it is doubtful."""
+    return [made_up(i) for i in range(_FRAMES)]
+
+
 def made_up(i: int) -> Frame:
-    """Frame i: the corner of a room with random squares. The last frame has other squares and another shape, so it is doubtful."""
-    rng = np.random.default_rng(i == _FRAMES - 1)
-    squares = rng.random((_CAMERA.height // 8, _CAMERA.width // 8, 3), np.float32)
-    colour = squares.repeat(8, 0).repeat(8, 1)
-    v, u = np.mgrid[-1:1:120j, -1:1:160j].astype(np.float32)
-    slopes = rng.uniform(0.5, 1.0, 3)
-    depth = np.float32(2.5) - np.maximum(np.maximum(u * slopes[0], -u * slopes[1]), v * slopes[2]).astype(np.float32)
-    return Frame(i, i / 30, colour, depth, _CAMERA)
+    """Frame i of them. Each ray leaves the box at the wall that it meets first."""
+    other = i == _FRAMES - 1
+    half = _BOX * (1.3 if other else 1.0)
+    turn = np.deg2rad(30.0 + 2.0 * i)
+    R_wc = np.array([[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]])
+    centre = np.array([0.04 * i - 0.3, 0.02 * np.sin(i), 0.0])
+    rays = _CAMERA.rays(_CAMERA.pixels().double()).numpy() @ R_wc.T
+    to_walls = (np.sign(rays) * half - centre) / rays
+    depth, wall = to_walls.min(-1), to_walls.argmin(-1)
+    cell = np.floor((centre + rays * depth[..., None]) / _SQUARE).astype(int) % 32
+    colour = np.random.default_rng(other).random((3, 32, 32, 32, 3), np.float32)[wall, cell[..., 0], cell[..., 1], cell[..., 2]]
+    if i >= _BESIDE and not other:
+        columns = slice(9 * i, 9 * i + 30)
+        depth[40:100, columns], colour[40:100, columns] = 0.9, 0.5
+    timing = SensorTiming(0.02, 0.02) if i >= _ROLLING else SYNCHRONISED
+    return Frame(i, i / 30, np.ascontiguousarray(colour), depth.astype(np.float32), _CAMERA, timing=timing)
