@@ -1,6 +1,5 @@
 """Hand-held recordings with a sensor's faults: each part of an image against one of the ideal twin, taken at the true time of that part."""
 
-from collections.abc import Iterator
 from functools import cache
 
 import cv2
@@ -9,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 
 from idfslam.datasets import generated
-from idfslam.datasets.generated import handheld
 from idfslam.datasets.generated.capture_times import DepthClock, kept_shots
 from idfslam.datasets.generated.colour_camera import AutomaticColourCamera, developed, radiance
 from idfslam.datasets.generated.corridor import SyntheticCorridor
@@ -28,18 +26,9 @@ from idfslam.errors import ConfigError, FrameError
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.sensor_timing import SensorTiming
-from idfslam.scenes.corridor import build_corridor, draw_corridor
-from idfslam.scenes.room import build_room
+from idfslam.scenes.corridor import draw_corridor
 
 SIZE = {"width": 160, "height": 120}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _scenes_built_once() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(handheld, "build_room", cache(build_room))
-        patch.setattr(handheld, "build_corridor", cache(build_corridor))
-        yield
 
 
 @cache

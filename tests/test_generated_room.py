@@ -14,7 +14,7 @@ from idfslam.geometry.camera import Camera
 from idfslam.scenes import ray_casting
 from idfslam.scenes.furniture import SceneBuilder, place, tilt
 from idfslam.scenes.ray_casting import BOX, ELLIPSOID, FRUSTUM, build_hierarchy, cast, chart_size, hit_shape, point_on, prune, surface_at
-from idfslam.scenes.room import BARE_WALL, wall_frame
+from idfslam.scenes.room import BARE_WALL, build_room, wall_frame
 
 
 @cache
@@ -216,7 +216,9 @@ def test_images_have_texture_and_no_bad_values() -> None:
 
 
 def test_frames_repeat_and_seeds_differ(room: SyntheticRoom) -> None:
+    build_room.cache_clear()
     again, other = SyntheticRoom(0, width=160, height=120), numbered(1)
+    assert again.room is not room.room
     np.testing.assert_array_equal(room[7].colour, again[7].colour)
     np.testing.assert_array_equal(room[7].depth, again[7].depth)
     assert np.abs(room[7].depth - other[7].depth).mean() > 0.1

@@ -16,6 +16,7 @@ from idfslam.scenes.shading import Rendering, render, render_depth
 
 Array = NDArray[np.float64]
 
+KEPT = 8  # [1] finished rooms, and corridors, that stay in memory, at 2 and 5 MB each; raised, fewer are built twice. Chosen by hand
 _CHORD = 4e-4  # [m] largest distance between a round surface and its triangles; raised, the true mesh has fewer triangles. Chosen by hand
 
 

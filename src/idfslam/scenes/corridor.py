@@ -5,6 +5,7 @@ plants, radiators and signs distinguish them. The origin is the middle of the bl
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.random import Generator
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from idfslam.scenes import corridor_fittings as fittings
 from idfslam.scenes import furniture
 from idfslam.scenes import procedural_textures as pattern
-from idfslam.scenes.baked_scene import BakedScene, bake
+from idfslam.scenes.baked_scene import KEPT, BakedScene, bake
 from idfslam.scenes.furniture import Rgb, SceneBuilder, place
 from idfslam.scenes.room import wall_frame
 
@@ -71,8 +72,9 @@ class Building:
         self.inner.append(inner)
 
 
+@lru_cache(KEPT)
 def build_corridor(seed: int) -> Corridor:
-    """The corridor of this seed: 25.6 to 30.8 m around along its middle, 1.7 to 2.1 m wide."""
+    """The corridor of this seed, not to be changed: 25.6 to 30.8 m around along its middle, 1.7 to 2.1 m wide."""
     building = draw_corridor(seed)
     return Corridor(**vars(bake(building.scene, building.inner)), plan=building.plan)
 

@@ -1,13 +1,14 @@
 """A random furnished room: floor, walls, ceiling, and a different set of furniture at every wall."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idfslam.scenes import furniture
 from idfslam.scenes import procedural_textures as pattern
-from idfslam.scenes.baked_scene import BakedScene, bake
+from idfslam.scenes.baked_scene import KEPT, BakedScene, bake
 from idfslam.scenes.furniture import Rgb, SceneBuilder, place
 
 Array = NDArray[np.float64]
@@ -26,8 +27,9 @@ class Room(BakedScene):
     """Height of the ceiling [m]."""
 
 
+@lru_cache(KEPT)
 def build_room(seed: int, *, bare_wall: bool = False) -> Room:
-    """The room of this seed; with `bare_wall` the middle of one wall is empty and has a single plain colour."""
+    """The room of this seed, not to be changed; with `bare_wall` the middle of one wall is empty and has a single plain colour."""
     rng = np.random.default_rng([seed, 7])
     half, height = (float(rng.uniform(2.45, 3.0)), float(rng.uniform(2.1, 2.5))), float(rng.uniform(2.45, 2.8))
     scene = SceneBuilder(rng)

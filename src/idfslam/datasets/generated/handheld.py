@@ -146,7 +146,7 @@ def handheld_room(
     if seed < 0 or frames < 1 or width < 8 or height < 8:
         found = f"handheld room {seed} of {frames} frames, {width}x{height} px"
         raise ConfigError(f"{found}; expected a seed >= 0 and at least 1 frame of 8x8 px")
-    room = build_room(seed)
+    room = build_room(seed, bare_wall=False)
 
     def walk(t: Array) -> Array:
         return tour_at(t * FPS, seed, room.half)
