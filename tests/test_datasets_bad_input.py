@@ -61,6 +61,11 @@ def absurd_size(path: Path) -> None:
     path.write_bytes(data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:])
 
 
+def absurd_end(path: Path) -> None:
+    """A PNG whose last chunk, which is empty, states a length of 3.5 GB."""
+    path.write_bytes(path.read_bytes()[:-12] + struct.pack(">I", 3_500_000_000) + b"IEND\xaeB`\x82")
+
+
 def cut_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
 
@@ -72,6 +77,7 @@ DAMAGE: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "depth cut off": ("depth", cut_off, "cut off"),
     "colour no image": ("rgb", lambda path: path.write_bytes(b"not an image"), "not a readable image"),
     "colour absurd": ("rgb", absurd_size, r"\d+x\d+ pixels"),
+    "colour's end absurd": ("rgb", absurd_end, "cut off"),
     "depth 8-bit": (
         "depth",
         lambda path: write_depth(path, np.full((HEIGHT, WIDTH), 9, np.uint8)),

@@ -31,7 +31,7 @@ def is_whole_png(data: bytes) -> bool:
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         if data[at + 4 : at + 8] == b"IEND":
-            return True
+            return length == 0
         at += 12 + length
     return False
 
