@@ -12,7 +12,8 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
     """`map`, in a thread of its own, which works on one item while the result of the one before it is used.
 
     It pays where the function and its user release the interpreter, as decoders and compiled loops do. The thread ends with the iteration.
-    The function runs no parallel loops of Numba: where its own threading layer is the only one, those of two threads may not overlap.
+    Only one of the function and its user runs parallel loops of Numba: where its own threading layer is the only one, those of two threads
+    may not overlap.
     """
     with ThreadPoolExecutor(1, "ahead") as pool:
         following: Future[Result] | None = None

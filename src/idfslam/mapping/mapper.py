@@ -24,7 +24,7 @@ from idfslam.mapping.optimiser import MapOptimiser
 from idfslam.mapping.rays import Rays, cast, join
 from idfslam.mapping.training_view import PosedFrame, TrainingView
 from idfslam.mapping.tsdf_rendering import RayMarch, render, world_rays
-from idfslam.mapping.updates import MapUpdates
+from idfslam.mapping.updates import BESIDE_FRAMES, MapUpdates
 from idfslam.sensing.light import Light
 from idfslam.storage.frame_memory import FrameMemory
 from idfslam.storage.state import State
@@ -96,12 +96,18 @@ class Mapper(Map):
         return losses
 
     def start_update(
-        self, frames: Sequence[PosedFrame], iterations: int, *, anneal: float = 1.0, double_tables: bool = False
+        self,
+        frames: Sequence[PosedFrame],
+        iterations: int,
+        *,
+        anneal: float = 1.0,
+        double_tables: bool = False,
+        cores: float = BESIDE_FRAMES,
     ) -> dict[str, float]:
         """`optimise_map`, in the background if `updates` does so; returns the losses of the last published update.
 
         The frames' present poses and images are used. Each call publishes the update before it, so results do not depend on how long an
-        update takes. anneal: factor on the learning rates.
+        update takes. anneal: factor on the learning rates. cores: share of them [1] for an update in the background.
         """
         self.updates.wait()
         views = self._views(frames)
@@ -110,7 +116,7 @@ class Mapper(Map):
             self.optimiser.anneal = anneal
             return self._learn(views, iterations, double_tables=double_tables)
 
-        return self.updates.run(learn, self._publish)
+        return self.updates.run(learn, self._publish, cores)
 
     def finish(self) -> dict[str, float]:
         """Waits for the last update, publishes it and returns its losses. Resets the learning rates."""

@@ -7,6 +7,7 @@ between the points of the lattice of whole cells, and what is flat is put togeth
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 from torch import Tensor
 
+from idfslam.compute.ahead import ahead
 from idfslam.geometry.blocks import pack, touched_blocks
 from idfslam.geometry.depth_view import DepthView
 from idfslam.mapping.vertex_clustering import clustered
@@ -64,8 +66,9 @@ def extract_mesh(
     cells = resolution if refine is None else resolution / 2
     tolerance = _CELLS_OFF * cells + _TRUNCATIONS_OFF * truncation
     blocks = touched_blocks(views, CELLS * cells, _SLANT * tolerance, stride=stride)
-    lattices = _lattices(sdf, blocks, cells, device) if refine is None else _refined(sdf, refine, blocks, cells, device)
-    vertices, faces, keys = _concatenate(_march(lattices, cells))
+    lattice = partial(_lattice, sdf, cells, device) if refine is None else partial(_refined, sdf, refine, cells, device)
+    batches = (blocks[first : first + _BATCH] * CELLS for first in range(0, len(blocks), _BATCH))
+    vertices, faces, keys = _concatenate(_march(ahead(lattice, batches), cells))
     faces = weld(faces, keys)
     if refine is not None:
         vertices, faces = clustered(vertices, faces, resolution)
@@ -92,25 +95,21 @@ class _Piece:
     keys: NDArray[np.int64]  # (N,) key of the lattice edge of a vertex on the block's faces; -1 for all others
 
 
-def _lattices(sdf: Callable[[Tensor], Tensor], blocks: NDArray[np.int64], cells: float, device: torch.device | str) -> Iterator[_Lattice]:
-    """The first points (B, 3) [cells] of some blocks at a time, and `sdf` (B, CELLS + 1, CELLS + 1, CELLS + 1) in them."""
-    for first in range(0, len(blocks), _BATCH):
-        origins = blocks[first : first + _BATCH] * CELLS
-        values = _evaluate(sdf, _points(origins, CELLS + 1, 1) * cells, device)
-        yield origins, values.reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
+def _lattice(sdf: Callable[[Tensor], Tensor], cells: float, device: torch.device | str, origins: NDArray[np.int64]) -> _Lattice:
+    """The first points (B, 3) [cells] of some blocks, and `sdf` (B, CELLS + 1, CELLS + 1, CELLS + 1) in them."""
+    values = _evaluate(sdf, _points(origins, CELLS + 1, 1) * cells, device)
+    return origins, values.reshape(-1, CELLS + 1, CELLS + 1, CELLS + 1)
 
 
 def _refined(
-    sdf: Callable[[Tensor], Tensor], refine: Refinement, blocks: NDArray[np.int64], cells: float, device: torch.device | str
-) -> Iterator[_Lattice]:
-    """`_lattices` with `sdf` at every second point, interpolated between these, and refined."""
+    sdf: Callable[[Tensor], Tensor], refine: Refinement, cells: float, device: torch.device | str, origins: NDArray[np.int64]
+) -> _Lattice:
+    """`_lattice` with `sdf` at every second point, interpolated between these, and refined."""
     side = CELLS // 2 + 1
-    for first in range(0, len(blocks), _BATCH):
-        origins = blocks[first : first + _BATCH] * CELLS
-        values = _evaluate(sdf, _points(origins, side, 2) * cells, device).reshape(-1, side, side, side)
-        for axis in (1, 2, 3):
-            values = _halved(values, axis)
-        yield origins, refine(origins, cells, values)
+    values = _evaluate(sdf, _points(origins, side, 2) * cells, device).reshape(-1, side, side, side)
+    for axis in (1, 2, 3):
+        values = _halved(values, axis)
+    return origins, refine(origins, cells, values)
 
 
 def _points(origins: NDArray[np.int64], side: int, step: int) -> NDArray[np.int64]:

@@ -64,5 +64,5 @@ class Polish(Polishing):
             keyframes = self.replay.sample(c.keyframes)
             refinement.refine(keyframes[:refined])
             self.relearn.trained(keyframes)
-            self.mapper.start_update(keyframes, self.steps, anneal=1 - done)
+            self.mapper.start_update(keyframes, self.steps, anneal=1 - done, cores=1.0)  # no frame waits for them
         self.mapper.finish()
