@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.slam import Slam
+from idfslam.storage.state import State
 
 CONFIG = replace(FAST, loops=replace(FAST.loops, submap_after=2))
 FIRST, BACK = range(8), range(75, 1, -1)  # of the room's frames: a corner of it, and from the other side back to that corner
@@ -41,10 +42,10 @@ def shown(room: Selection, slam: Slam, order: Sequence[int], first: int = 0) -> 
     return [slam.process(frame(room, i, j)) for i, j in enumerate(order, start=first)]
 
 
-def copied(slam: Slam, room: Selection) -> Slam:
-    """Another Slam in the same state, which a test may change."""
+def restored(state: State, room: Selection) -> Slam:
+    """Another Slam in that state of the walk, which a test may change."""
     again = Slam(CONFIG)
-    again.restore(copy.deepcopy(slam.state()), lambda index: frame(room, index, ORDER[index]))
+    again.restore(copy.deepcopy(state), lambda index: frame(room, index, ORDER[index]))
     return again
 
 
@@ -54,16 +55,31 @@ def truth(room: Selection, order: Sequence[int]) -> np.ndarray:
     return (np.linalg.inv(room.ground_truth[0]) @ room.ground_truth)[order]
 
 
+@dataclass(frozen=True)
+class Walk:
+    """The walk through the room, and what it was on the way; not to be changed."""
+
+    slam: Slam
+    results: list[FrameResult]
+    state_at_30: State
+    trajectory_at_60: np.ndarray
+    figures_at_60: dict[str, float]
+
+
 @pytest.fixture(scope="module")
-def walked(room: Selection) -> tuple[Slam, list[FrameResult]]:
-    """After the walk; not to be changed."""
+def walked(room: Selection) -> Walk:
     slam = Slam(CONFIG)
-    return slam, shown(room, slam, ORDER)
+    results = shown(room, slam, ORDER[:30])
+    state = copy.deepcopy(slam.state())
+    results += shown(room, slam, ORDER[30:60], 30)
+    trajectory, figures = slam.trajectory(), slam.figures()
+    results += shown(room, slam, ORDER[60:], 60)
+    return Walk(slam, results, state, trajectory, figures)
 
 
 @pytest.mark.slow
-def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
-    slam, results = walked
+def test_submaps_are_merged_where_they_meet(walked: Walk, room: Selection) -> None:
+    slam, results = walked.slam, walked.results
     assert slam.figures()["submaps_merged"] == 1
     assert slam.figures()["submaps"] == 1
     met = max(r.index for r in results if r.status is Status.LOST)
@@ -82,9 +98,9 @@ def test_submaps_are_merged_where_they_meet(walked: tuple[Slam, list[FrameResult
 
 
 @pytest.mark.slow
-def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection) -> None:
+def test_the_map_follows(walked: Walk, room: Selection) -> None:
     """Surfaces of the second submap lie on the room's walls, in the first one's world."""
-    slam = copied(walked[0], room)
+    slam = restored(walked.slam.state(), room)
     views = slam.coverage.views()
     assert len(views) > 10
     assert max(np.abs(view.T_wc[:3, 3]).max() for view in views) < 10
@@ -98,8 +114,8 @@ def test_the_map_follows(walked: tuple[Slam, list[FrameResult]], room: Selection
 
 
 @pytest.mark.slow
-def test_meanwhile_the_reported_pose_is_the_last_one(walked: tuple[Slam, list[FrameResult]]) -> None:
-    _, results = walked
+def test_meanwhile_the_reported_pose_is_the_last_one(walked: Walk) -> None:
+    results = walked.results
     last, *apart = (r.T_wc for r in results if r.status is Status.LOST)
     assert np.linalg.norm((last - results[DARK[0] - 1].T_wc)[:3, 3]) < 0.05  # one step of the last motion
     for T_wc in apart:
@@ -131,15 +147,12 @@ def test_without_submaps_it_stays_lost(room: Selection) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_goes_on_from_a_state_merges_alike(room: Selection) -> None:
-    half = 30  # within the second submap
-    before = Slam(CONFIG)
-    shown(room, before, ORDER[:half])
-    again = copied(before, room)
-    shown(room, again, ORDER[half:60], half)
-    shown(room, before, ORDER[half:60], half)
-    np.testing.assert_array_equal(again.trajectory(), before.trajectory())
-    assert again.figures() == before.figures()
+def test_a_run_that_goes_on_from_a_state_merges_alike(walked: Walk, room: Selection) -> None:
+    """The state is one within the second submap."""
+    again = restored(walked.state_at_30, room)
+    shown(room, again, ORDER[30:60], 30)
+    np.testing.assert_array_equal(again.trajectory(), walked.trajectory_at_60)
+    assert again.figures() == walked.figures_at_60
 
 
 def keyframe(x: float, submap: int, host: int) -> Keyframe:
