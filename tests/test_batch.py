@@ -22,7 +22,10 @@ from idfslam.compute.host import cores, default_threads
 from idfslam.config import FAST
 from idfslam.errors import ConfigError, RecordingError, ResultError
 
-QUICK = ("--frames", "4", "--mapper.first-iterations", "5", "--refinement.updates", "1", "--mesh.resolution", "0.1", "--device", "cpu")
+QUICK = (
+    *("--frames", "4", "--mapper.first-iterations", "5", "--refinement.updates", "1", "--mesh.resolution", "0.1"),
+    *("--device", "cpu", "--no-report"),
+)
 
 
 def items(recording: Path, count: int = 3) -> list[BatchJob]:

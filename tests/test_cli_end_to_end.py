@@ -42,14 +42,15 @@ def test_run(finished: Path) -> None:
 
 
 def test_two_runs_with_one_seed_are_identical(finished: Path, box_recording: Path, tmp_path: Path) -> None:
-    command("run", box_recording, "--out", tmp_path, "--config", finished / result_folder.CONFIG)
+    command("run", box_recording, "--out", tmp_path, "--config", finished / result_folder.CONFIG, "--no-report")
     for name in (result_folder.TRAJECTORY, result_folder.KEYFRAMES):
         assert (tmp_path / name).read_bytes() == (finished / name).read_bytes()
 
 
 def test_selection_and_default_folder(box_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    command("run", box_recording, "--start", "2", "--stride", "3", "--frames", "3", "--device", "cpu", "--mesh.resolution", "0.1")
+    selection = ("--start", "2", "--stride", "3", "--frames", "3")
+    command("run", box_recording, *selection, "--device", "cpu", "--mesh.resolution", "0.1", "--no-report")
     folder = tmp_path / "results" / "box"
     assert np.allclose(load_tum(folder / result_folder.TRAJECTORY).timestamps, np.array([2, 5, 8]) / 30, atol=1e-6)
     command("eval", folder)
