@@ -227,11 +227,12 @@ class MapAligner(Stateful):
 
     def row_moments(
         self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe], motion: FrameMotion
-    ) -> tuple[RowMoments, RowMoments]:
+    ) -> tuple[RowMoments, Callable[[], RowMoments]]:
         """The sums of depth and of images about a pose (4, 4), at a motion, with the moments of the rows, in units of information.
 
         Both are taken where depth or the images alone fit best, and carried to the pose. Where the times are wrong, they contradict each
-        other, and a pose between them is out of reach of the images' slopes and of the robust weights of depth.
+        other, and a pose between them is out of reach of the images' slopes and of the robust weights of depth. Those of the images depend
+        on nothing that changes: they are worked out when they are called, in this thread or another.
         """
         scale, finest = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
@@ -239,8 +240,12 @@ class MapAligner(Stateful):
         against, robust = self._against_map(surface), self._robust(finest)
         depth = _at_its_best(T_wc, lambda T: against.term(T, robust, motion).sums, self.config.converged)
         posed = self._posed(references)
-        images = _at_its_best(T_wc, lambda T: image_term(appearance, posed, T, level, motion, self.config).sums, self.config.converged)
-        return depth.scaled(scale), images.scaled(scale)
+
+        def of_images() -> RowMoments:
+            best = _at_its_best(T_wc, lambda T: image_term(appearance, posed, T, level, motion, self.config).sums, self.config.converged)
+            return best.scaled(scale)
+
+        return depth.scaled(scale), of_images
 
     def is_doubtful(self, alignment: Alignment) -> bool:
         """Whether another guess should be tried: the view is lost, overlaps little with the map, or the images contradict its pose."""

@@ -5,7 +5,8 @@ and mapping with rolling shutter RGB-D cameras" (ICCV 2015) model the same by sp
 """
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,12 +55,15 @@ class MotionCompensation(Stateful):
         self._prior: MotionPrior | None = None  # of the present frame's motion
         self._reference_covariance: Array | None = None  # (6, 6) of the velocities that the present references were rectified with
         self._told: MovingFrame | None = None  # what the frame before tells of the times
+        self._running: Future[MovingFrame] | None = None  # the same, while it is worked out beside what follows
+        self._pool = ThreadPoolExecutor(1, "times")
         self._before: int | None = None  # index of the frame before, if it has a velocity
         self._stated = SYNCHRONISED  # the times that the frames state
         self._rectified_with: dict[str, float] = {}  # estimates [s] when stored keyframes were last rectified
 
     def state(self) -> State:
         """The times that the last frame stated, what it tells of those that it does not, and those that stored keyframes have."""
+        self._settle()
         told = None if self._told is None else self._told.state()
         stated = list(vars(self._stated).values())
         return {"stated": stated, "before": self._before, "told": told, "rectified_with": dict(self._rectified_with)}
@@ -153,7 +157,7 @@ class MotionCompensation(Stateful):
         assert self._raw is not None
         if tracked.is_lost or not tracked.continues_motion:
             self.motion.stop()
-            self._told, self._before = None, None
+            self._told, self._running, self._before = None, None, None
             return
         joint, passage = None if tracked.alignment is None else tracked.alignment.joint, self.motion.passage(view.timestamp)
         if joint is not None:
@@ -167,8 +171,8 @@ class MotionCompensation(Stateful):
         self._keep_velocity(view, tracked.T_wc)
         self._before = view.index
         tells = tracked.source is Source.ALIGNED and tracked.status is Status.OK and self.motion.is_continuous
-        if tells and None in vars(self._raw.timing).values():
-            self._told = self._told_by(view, tracked.T_wc, references)
+        if tells and None in vars(self._raw.timing).values() and (told := self._told_by(view, tracked.T_wc, references)) is not None:
+            self._running = self._pool.submit(told)
 
     def _start(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> None:
         """Gives the keyframe just before a view at `T_wc` (4, 4) the velocity of the motion between the two, if it has none."""
@@ -225,6 +229,7 @@ class MotionCompensation(Stateful):
 
     def _learn_from_before(self, smoothed: Smoothed | None, references: Sequence[Keyframe]) -> None:
         """Learns from the frame before, whose velocity the present frame has improved. It may be the last keyframe."""
+        self._settle()
         told, self._told = self._told, None
         if smoothed is None or self._before is None:
             return
@@ -235,8 +240,16 @@ class MotionCompensation(Stateful):
         if told is not None:
             self.timing.add(told, velocity, covariance, self._stated)
 
-    def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> MovingFrame | None:
-        """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references."""
+    def _settle(self) -> None:
+        """Waits for what the frame before tells of the times."""
+        if self._running is not None:
+            self._told, self._running = self._running.result(), None
+
+    def _told_by(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Callable[[], MovingFrame] | None:
+        """What a view tells of the unknown times once its velocity is known better; None if it hardly moves against its references.
+
+        It is worked out when it is called, in this thread or another.
+        """
         assert self._raw is not None and self._reference_covariance is not None
         of_references, velocity = _mean_velocity(references), self.motion.velocity
         if of_references is None:
@@ -245,8 +258,9 @@ class MotionCompensation(Stateful):
             return None
         times = RowTimes() if view.rectification is None else view.rectification.times
         lag = 0.0 if view.rectification is None else self._raw.depth_lag
-        sums = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, velocity))
-        return MovingFrame(*sums, times, lag, velocity, of_references, self._reference_covariance)
+        depth, images = self.aligner.row_moments(view, T_wc, references, FrameMotion(times, velocity))
+        with_velocities = times, lag, velocity, of_references, self._reference_covariance
+        return lambda: MovingFrame(depth, images(), *with_velocities)
 
     def figures(self) -> dict[str, float] | None:
         """The estimates of the unknown times [s] by name, to a tenth of a millisecond, 0 where not significant; None if none is."""
