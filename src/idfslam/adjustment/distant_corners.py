@@ -82,11 +82,12 @@ class DistantCorners:
         """(N,) whether the interval says how far away a corner is."""
         return np.asarray(self.most - self.least < _KNOWN * (self.most + self.least))
 
-    def at(self, share: float) -> Patches:
-        """Patches that face the camera, at this share of the intervals."""
-        inverse = np.maximum(self.least + share * (self.most - self.least), 1 / _FARTHEST)
+    def at(self, *shares: float) -> Patches:
+        """Patches that face the camera, at these shares of the intervals: those of all corners at the first, then at the next."""
+        inverse = np.maximum(self.least + np.array(shares)[:, None] * (self.most - self.least), 1 / _FARTHEST)
         normals = -self.rays / np.linalg.norm(self.rays, axis=1, keepdims=True)
-        return Patches(torch.from_numpy(self.uv), torch.from_numpy(self.rays / inverse[:, None]), torch.from_numpy(normals))
+        uv, points, normals = np.tile(self.uv, (len(shares), 1)), self.rays / inverse[..., None], np.tile(normals, (len(shares), 1))
+        return Patches(*map(torch.from_numpy, (uv, points.reshape(-1, 3), normals)))
 
     def narrow(self, found: NDArray[np.bool_], uv: Array, T_oh: Array, model: CameraModel) -> NDArray[np.bool_]:
         """Narrows the intervals of corners that another image, at T_oh (4, 4), shows at pixels uv (N, 2). Which of these fit them."""

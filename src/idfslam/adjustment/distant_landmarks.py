@@ -73,11 +73,9 @@ def searched(
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Which corners (N,) of a host another keyframe at T_oh (4, 4) shows, where, uv (N, 2), and the covariance (N, 2, 2) of that."""
     length = model.camera.fx * np.linalg.norm(T_oh[:3, 3]) * np.median(corners.most - corners.least)  # [px] of the interval, about
-    tries = int(np.clip(np.ceil(length / _STEP), 1, _MOST_TRIES))
-    best, uv, covariance = np.full(len(corners.uv), np.inf), np.zeros_like(corners.uv), np.zeros((len(corners.uv), 2, 2))
-    for share in (np.arange(tries) + 0.5) / tries:
-        at, there, spread = found_in(corners.at(float(share)), host, other, T_oh, model)
-        size = np.trace(spread, axis1=1, axis2=2)
-        better = size < best[at]
-        best[at[better]], uv[at[better]], covariance[at[better]] = size[better], there[better], spread[better]
-    return np.isfinite(best), uv, covariance
+    tries, count = int(np.clip(np.ceil(length / _STEP), 1, _MOST_TRIES)), len(corners)
+    size, uv, covariance = np.full(tries * count, np.inf), np.zeros((tries * count, 2)), np.zeros((tries * count, 2, 2))
+    at, there, spread = found_in(corners.at(*(np.arange(tries) + 0.5) / tries), host, other, T_oh, model)
+    uv[at], covariance[at], size[at] = there, spread, np.trace(spread, axis1=1, axis2=2)
+    best = size.reshape(tries, count).argmin(0) * count + np.arange(count)  # the try that is placed most exactly
+    return np.isfinite(size[best]), uv[best], covariance[best]
