@@ -23,7 +23,7 @@ print(kernels_on_disk())
 with compiling_ahead(FAST) as until_compiled:
     print(until_compiled())
 """
-MISSING = {"numba_field.learn", "numba_alignment.photometric_system", "meshing._vote", "point_triangle.nearest_triangle"}
+MISSING = {"numba_field.learn", "numba_landmarks.photometric_system", "meshing._vote", "point_triangle.nearest_triangle"}
 
 
 def kernel(path: Path) -> str:

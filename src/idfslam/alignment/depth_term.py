@@ -60,16 +60,16 @@ def compiled_depth_term(
     rows: Tensor | None = None,
 ) -> DepthTerm:
     """`depth_term` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_depth
 
     out = RowMoments.zeros(moments=rows is not None)
     arrays = [t.numpy() for t in (turned, distance, normal, slope, sigma, sigma if rows is None else rows)]
-    sums = numba_alignment.depth_system(*arrays, truncation, robust, widest, out.H, out.b)  # type: ignore[call-arg]
+    sums = numba_depth.depth_system(*arrays, truncation, robust, widest, out.H, out.b)  # type: ignore[call-arg]
     return of_sums(out, sums, len(distance))
 
 
 def of_sums(equations: RowMoments, sums: tuple[float, float, float, int, float], count: int) -> DepthTerm:
-    """The term of `count` points, by what `numba_alignment.depth_system` returns of them."""
+    """The term of `count` points, by what `numba_depth.depth_system` returns of them."""
     weight, squares, robustly, known, radius = sums
     per_weight = 1 / max(weight, 1e-9)
     return DepthTerm(equations, weight, known / count, math.sqrt(squares * per_weight), math.sqrt(robustly * per_weight), radius)

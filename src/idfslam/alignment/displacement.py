@@ -42,7 +42,7 @@ def displacement(frame: Appearance, marks: Landmarks, T_wk: Tensor, T_wc: Tensor
 
 def compiled_displacement(sighting: Sighting) -> tuple[int, float]:
     """Number of landmarks and their median displacement [px], by Numba, on the CPU."""
-    from idfslam.alignment.kernels.numba_alignment import median_displacement
+    from idfslam.alignment.kernels.numba_landmarks import median_displacement
 
     marks, level = sighting.marks, sighting.level
     landmarks = marks.points.numpy(), marks.luminance[level].numpy(), marks.slopes[level].numpy()

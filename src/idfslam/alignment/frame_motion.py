@@ -57,8 +57,8 @@ def plain_carried(points: Tensor, seconds: Tensor, velocity: Array) -> Tensor:
 
 def compiled_carried(points: Tensor, seconds: Tensor, velocity: Array) -> Tensor:
     """`carried` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_depth
 
     out = torch.empty_like(points)
-    numba_alignment.carry_points(points.numpy(), seconds.numpy(), velocity, out.numpy())  # type: ignore[call-arg]
+    numba_depth.carry_points(points.numpy(), seconds.numpy(), velocity, out.numpy())  # type: ignore[call-arg]
     return out

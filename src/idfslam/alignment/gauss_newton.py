@@ -99,10 +99,10 @@ def compiled_joint_step(
     depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array
 ) -> Array:
     """`joint_step` by Numba."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_gauss_newton
 
     delta = np.empty(18)
-    numba_alignment.joint_step(depth.H, depth.b, images.H, images.b, times.array, information, scale, from_prior, delta)  # type: ignore[call-arg]
+    numba_gauss_newton.joint_step(depth.H, depth.b, images.H, images.b, times.array, information, scale, from_prior, delta)  # type: ignore[call-arg]
     return delta
 
 
@@ -124,9 +124,9 @@ def damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_inform
 
 def compiled_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:
     """`damped_step` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_gauss_newton
 
-    return float(numba_alignment.damped_step(H.numpy(), b.numpy(), weight, radius, prior_information, change.numpy(), T.numpy()))  # type: ignore[call-arg]
+    return float(numba_gauss_newton.damped_step(H.numpy(), b.numpy(), weight, radius, prior_information, change.numpy(), T.numpy()))  # type: ignore[call-arg]
 
 
 def plain_damped_step(H: Tensor, b: Tensor, weight: float, radius: float, prior_information: float, change: Tensor, T: Tensor) -> float:

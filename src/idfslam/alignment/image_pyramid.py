@@ -78,10 +78,10 @@ def plain_luminance(colour: Tensor) -> Tensor:
 
 def compiled_luminance(colour: Tensor) -> Tensor:
     """`luminance` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_images
 
     out = torch.empty(colour.shape[:2])
-    numba_alignment.luminance_of(colour.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
+    numba_images.luminance_of(colour.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
     return out
 
 
@@ -93,10 +93,10 @@ def plain_sampled(image: Tensor, uv: Tensor) -> Tensor:
 
 def compiled_sampled(image: Tensor, uv: Tensor) -> Tensor:
     """`plain_sampled` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_images
 
     out = torch.empty(3, len(uv))
-    numba_alignment.sampled(image.numpy(), uv.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
+    numba_images.sampled(image.numpy(), uv.contiguous().numpy(), out.numpy())  # type: ignore[call-arg]
     return out
 
 

@@ -92,7 +92,7 @@ def turned_on_level(sighting: Sighting, *, even: bool = True) -> Tensor:
 
 def compiled_turned_on_level(sighting: Sighting, *, even: bool = True) -> Tensor:
     """`turned_on_level` by Numba, on the CPU."""
-    from idfslam.alignment.kernels.numba_alignment import turn_on_level
+    from idfslam.alignment.kernels.numba_landmarks import turn_on_level
 
     T, marks, at = sighting.T_wc.clone(), sighting.marks, sighting.level
     landmarks, limits = (marks.points.numpy(), marks.luminance[at].numpy()), (_STEPS, _CONVERGED)

@@ -54,7 +54,7 @@ def compiled_terms(
     frame: Appearance, posed: PosedLandmarks, T: Tensor, level: int, motion: FrameMotion | None, config: AlignmentConfig
 ) -> Sequence[Term]:
     """`plain_terms` by Numba, on the CPU: all of them in one call."""
-    from idfslam.alignment.kernels.numba_alignment import photometric_systems
+    from idfslam.alignment.kernels.numba_landmarks import photometric_systems
 
     n, moments = len(posed.all), motion is not None
     if not n:

@@ -69,11 +69,11 @@ def plain_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple
 
 def compiled_steepest(fine: Level, depth: Tensor, cell: int, least: float) -> tuple[Tensor, Tensor]:
     """`plain_steepest` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_images
 
     most = (fine.camera.height // cell) * (fine.camera.width // cell)
     u, v = torch.empty(most, dtype=torch.int64), torch.empty(most, dtype=torch.int64)
-    count = numba_alignment.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
+    count = numba_images.steepest(fine.luminance.numpy(), depth.numpy(), cell, np.float32(least), u.numpy(), v.numpy())  # type: ignore[call-arg]
     return u[:count], v[:count]
 
 

@@ -37,11 +37,11 @@ def compiled_smoothed_normals(points: Tensor, gradient: Tensor, patches: Tensor)
 
 def fill_smoothed_normals(points: Floats, gradient: Floats, patches: NDArray[np.int32]) -> tuple[Floats, Floats]:
     """The same of arrays."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_depth
 
     normal, slope = np.empty_like(gradient), np.empty(len(gradient), np.float32)
     limits = _REACH, np.float32(_SIMILAR), np.float32(_COPLANAR)
-    numba_alignment.smoothed_normals(points, gradient, patches, *limits, normal, slope)  # type: ignore[call-arg]
+    numba_depth.smoothed_normals(points, gradient, patches, *limits, normal, slope)  # type: ignore[call-arg]
     return normal, slope
 
 

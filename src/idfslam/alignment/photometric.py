@@ -37,7 +37,7 @@ def photometric_term(sighting: Sighting, *, floor: float, widest: float, even: b
 
 def compiled_photometric_term(sighting: Sighting, *, floor: float, widest: float, even: bool = False, moments: bool = False) -> Term:
     """`photometric_term` by Numba, on the CPU."""
-    from idfslam.alignment.kernels.numba_alignment import photometric_system
+    from idfslam.alignment.kernels.numba_landmarks import photometric_system
 
     sums, marks = RowMoments.zeros(moments=moments), sighting.marks
     landmarks = marks.points.numpy(), marks.luminance[sighting.level].numpy()

@@ -57,12 +57,12 @@ def plain_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> 
 
 def compiled_surface(depth: Tensor, camera: Camera, jitter: Tensor, patch: int) -> Surface:
     """`surface_points` by Numba, on the CPU."""
-    from idfslam.alignment.kernels import numba_alignment
+    from idfslam.alignment.kernels import numba_depth
 
     rows, columns = jitter.shape[1:]
     points, sigma, row_of = (np.empty(shape, np.float32) for shape in ((rows * columns, 3), rows * columns, rows * columns))
     patches = np.empty((rows, columns), np.int32)
     intrinsics = [np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
     outputs = points, sigma, row_of, patches
-    count = numba_alignment.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
+    count = numba_depth.patch_points(depth.numpy(), jitter.numpy(), patch, *intrinsics, *outputs)  # type: ignore[call-arg]
     return Surface(*(torch.from_numpy(values) for values in (points[:count], sigma[:count], row_of[:count], patches)))

@@ -80,19 +80,19 @@ class SurfaceDistances:
 
     def _compiled_term(self, T: Tensor, robust: float, motion: FrameMotion | None) -> DepthTerm:
         """`term` by Numba, on the CPU."""
-        from idfslam.alignment.kernels import numba_alignment
+        from idfslam.alignment.kernels import numba_depth
 
         a, points = self._arrays, np.empty_like(self._arrays.points)
-        numba_alignment.place(a.points, a.rows, T.numpy(), *numbers_of(motion), a.turned, points)  # type: ignore[call-arg]
+        numba_depth.place(a.points, a.rows, T.numpy(), *numbers_of(motion), a.turned, points)  # type: ignore[call-arg]
         asked = self._asked
-        if asked is None or numba_alignment.carry_distance(points, *asked.arrays[:3], a.distance) >= _LINEAR**2 * len(points):  # type: ignore[call-arg]
+        if asked is None or numba_depth.carry_distance(points, *asked.arrays[:3], a.distance) >= _LINEAR**2 * len(points):  # type: ignore[call-arg]
             distance, gradient = self.query(torch.from_numpy(points))
             normal, slope = fill_smoothed_normals(a.turned, gradient.numpy(), a.patches)
             asked = self._asked = _Asked(torch.from_numpy(points), distance, gradient, torch.from_numpy(normal), torch.from_numpy(slope))
             a.distance[:] = asked.arrays[1]
         sums = RowMoments.zeros(moments=motion is not None)
         limits = self.truncation, robust, self.widest
-        found = numba_alignment.depth_system(a.turned, a.distance, *asked.arrays[3:], a.sigma, a.rows, *limits, sums.H, sums.b)  # type: ignore[call-arg]
+        found = numba_depth.depth_system(a.turned, a.distance, *asked.arrays[3:], a.sigma, a.rows, *limits, sums.H, sums.b)  # type: ignore[call-arg]
         return of_sums(sums, found, len(points))
 
     @cached_property

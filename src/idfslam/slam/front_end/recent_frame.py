@@ -90,6 +90,6 @@ def plain_within(points: Tensor, normals: Array, offsets: Array) -> int:
 
 def compiled_within(points: Tensor, normals: Array, offsets: Array) -> int:
     """`plain_within` by Numba, on the CPU."""
-    from idfslam.alignment.kernels.numba_alignment import count_within
+    from idfslam.alignment.kernels.numba_landmarks import count_within
 
     return int(count_within(points.numpy(), normals.astype(np.float32), offsets.astype(np.float32)))
