@@ -28,6 +28,7 @@ from numpy.typing import NDArray  # noqa: E402
 from idfslam.config import FAST  # noqa: E402
 from idfslam.datasets.generated.faults import Faults  # noqa: E402
 from idfslam.datasets.generated.handheld import HandheldRecording, handheld_room  # noqa: E402
+from idfslam.datasets.generated.handheld_motion import Walk  # noqa: E402
 from idfslam.datasets.generated.rendered import FPS, RenderedRecording, poses_looking  # noqa: E402
 from idfslam.datasets.generated.room import BARE_PASSAGE, SyntheticRoom, tour_at  # noqa: E402
 from idfslam.evaluation.doubt import ReportedFrames, doubt_rates  # noqa: E402
@@ -225,6 +226,13 @@ class Room:
         scene = build_room(self.number, bare_wall=bare_wall)
         return RenderedRecording("passage", scene, poses, (WIDTH, HEIGHT), seed=self.number, noise=True)
 
+    def walked(self, walk: Walk, frames: int) -> Recording:
+        """The room from a camera that is carried along a walk."""
+        if self.faults is None:
+            return self.seen_from(walk(np.arange(frames) / FPS))
+        scene, size = build_room(self.number), (WIDTH, HEIGHT)
+        return HandheldRecording("passage", scene, walk, size, seed=self.number, frames=frames, faults=Faults.named(self.faults))
+
 
 def changed(change: Change, room: Room) -> Passage:
     """A walk with changed frames."""
@@ -265,6 +273,21 @@ def still_before_a_wall(room: Room) -> Passage:
     return Passage(room.seen_from(poses, bare_wall=True), range(len(poses)), unchanged, np.arange(len(poses)) / FPS)
 
 
+def over_the_floor(seconds: Array) -> Array:
+    """Poses (N, 4, 4) of a camera that looks down at the floor from 1.4 m, at times (N,), and turns by 18 degrees a second."""
+    frame = np.asarray(seconds) * FPS
+    along = 2 * np.pi * frame * 0.0012
+    position = np.stack([0.9 * np.cos(along), 0.7 * np.sin(along), 1.4 + 0.05 * np.sin(frame / 20)], -1)
+    angles = 0.6 * frame, -70 + 5 * np.sin(frame / 17), 3 * np.sin(frame / 23)
+    return poses_looking(position, *(np.deg2rad(angle) for angle in angles))
+
+
+def black_over_a_floor(room: Room) -> Passage:
+    """Images are black for 50 frames, and depth shows a bare floor."""
+    recording = room.walked(over_the_floor, FRAMES)
+    return Passage(recording, range(FRAMES), partial(shown, black, 50), recording.timestamps)
+
+
 _DARK = [COVERED] * 20
 PASSAGES: dict[str, Callable[[Room], Passage]] = {
     "plain": partial(changed, unchanged),
@@ -280,6 +303,7 @@ PASSAGES: dict[str, Callable[[Room], Passage]] = {
     "no-depth": partial(changed, partial(shown, without_depth, 30)),
     "white": partial(changed, partial(shown, white, 15)),
     "black": partial(changed, partial(shown, black, 30)),
+    "black-over-a-floor": black_over_a_floor,
     "lens-covered": partial(changed, partial(shown, lambda frame: without_depth(black(frame)), 30)),
     "covered-start": partial(changed, covered_start),
     "depth-held": partial(changed, partial(held, "depth", 14)),

@@ -1,10 +1,12 @@
 """The motion model: what it predicts, what it believes, and what it carries through a passage without information."""
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from idfslam.alignment.motion import Information, MotionModel, change_between, moved, plain_change_between, plain_moved
+from idfslam.alignment.row_moments import RowMoments
 from idfslam.geometry import se3
 
 EYE = torch.eye(4, dtype=torch.float64)
@@ -30,6 +32,17 @@ def test_a_direction_is_measured_by_a_share_that_its_information_decides(value: 
     change = torch.tensor([0.01, 0.02, 0, 0, 0.03, 0], dtype=torch.float64)
     expected = change * torch.tensor([share, 1, 1, 1, 1, 1])
     torch.testing.assert_close(information.trusted(change, 0.008), expected, rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize(("value", "left"), [(0.001, 0.0), (0.002, 0.0), (0.004, 0.002), (0.04, 0.038)])
+def test_what_noise_alone_would_tell_is_taken_out(value: float, left: float) -> None:
+    """By a share of each direction: what it measures stays where it is, and counts less."""
+    H, change = np.array([100, 10, 2])[:, None, None] * np.diag([value, 1, 1, 4, 4, 4]), np.array([0.01, 0.02, 0, 0, 0.03, 0])
+    sums = RowMoments(H, H[:2] @ change)
+    reliable = Information.of(torch.from_numpy(H[0]), 100.0, 2.0).reliable(sums, 0.002)
+    kept = np.array([left, 0.998, 0.998, 3.992, 3.992, 3.992])
+    np.testing.assert_allclose(reliable.H, np.array([100, 10, 2])[:, None, None] * np.diag(kept), atol=1e-9)
+    np.testing.assert_allclose(reliable.b, np.array([100, 10])[:, None] * kept * change, atol=1e-9)
 
 
 def test_no_information_at_all_holds_and_stays_finite() -> None:

@@ -66,6 +66,9 @@ _OVERSHOOT = 2.0
 _NOISE_MARGIN = 1.5 * 2**0.5
 # [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
 _CONFIRMED = 0.3
+# [1] Information of the noise of the map's normals, over that of a degenerate direction, which is taken out of depth that is alone. Twice,
+# since it varies, as in `shading`: a bare floor has 1 to 2, a room 3. More: depth alone holds poses less.
+_BY_NOISE = 2.0
 # [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
 _UNMEASURED = 0.1
 
@@ -151,15 +154,16 @@ class MapAligner(Stateful):
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(taken.pose(T), self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
+            told = self._reliable(depth) if moves and not references else depth
             if not asked and not is_coarse:
                 asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
                 of_shading = self._in_units_of_depth(shading.term(T, moments=moves))
-            change, steps = solver.step(taken.freed(depth), PoseEquations(of_images.sums + of_shading.sums)), steps + 1
+            change, steps = solver.step(taken.freed(told), PoseEquations(of_images.sums + of_shading.sums)), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1
-        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth, PoseEquations(of_images.sums + of_shading.sums))
+        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(told, PoseEquations(of_images.sums + of_shading.sums))
         of_image = self._displacement(appearance, T, references, solver.motion)
         return self._judged(T, change, of_image, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
 
@@ -173,6 +177,11 @@ class MapAligner(Stateful):
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
         nothing = PoseEquations(RowMoments.zeros(moments=False))
         return self._judged(T, np.zeros(6), displaced, depth, images, nothing, 0, None, focal, has_depth=has_depth)
+
+    def _reliable(self, depth: DepthTerm) -> DepthTerm:
+        """Depth that is alone, without what the noise of the map's normals seems to tell: pose and velocity would run away with it."""
+        information = Information.of(depth.H, depth.weight, depth.radius)
+        return replace(depth, sums=information.reliable(depth.sums, _BY_NOISE * self.config.min_eigenvalue))
 
     def _leaves_open(self, depth: DepthTerm, images: ImageTerm) -> bool:
         """Whether depth and landmarks leave a direction to the motion model."""

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from idfslam.alignment.constants import LEAST_RADIUS, LEAST_VALUE, OPPOSITE, TINY
+from idfslam.alignment.row_moments import RowMoments
 from idfslam.compute.backend import pick
 from idfslam.geometry import se3
 from idfslam.storage.state import State, Stateful
@@ -50,6 +51,12 @@ class Information:
         """The prior (6, 6) at the guess. It dominates directions with far less than `prior_information`, and vanishes with far more."""
         prior = (self.directions * (prior_information**4 / self.values.clamp(min=LEAST_VALUE * prior_information) ** 3)) @ self.directions.T
         return self.weight * prior / (self.unit[:, None] * self.unit)
+
+    def reliable(self, sums: RowMoments, by_noise: float) -> RowMoments:
+        """Normal equations of which this is the information, less the information [1] that noise alone would give in any direction."""
+        shares, turned = (1 - by_noise / self.values.clamp(min=by_noise)).sqrt(), self.directions / self.unit[:, None]
+        A = ((turned * shares) @ (self.directions * self.unit[:, None]).T).numpy()
+        return RowMoments(A @ sums.H @ A.T, sums.b @ (A @ A).T)
 
     def trusted(self, change: Tensor, prior_information: float) -> Tensor:
         """The part of a change (6,) in directions with more information than `prior_information`; the rest may be noise."""
