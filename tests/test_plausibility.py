@@ -14,8 +14,8 @@ from helpers.recordings import write_folder, write_tum
 from helpers.shared_data import shared_recording
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.plausibility import doubts, in_fractions, lens_doubt, of_another_size
-from idfslam.datasets.plausibility import depth_doubt, stamps_doubt
-from idfslam.errors import FrameError, RecordingError
+from idfslam.datasets.plausibility import clipping_doubt, depth_doubt, stamps_doubt
+from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
 KINECT = Camera(640, 480, 527.2, 527.2, 322.25, 238.73)
@@ -63,6 +63,45 @@ def test_a_stated_scale_is_doubted_where_no_depth_camera_measures(true: float, s
 def test_what_depth_cameras_see_is_not_doubted(sample: np.ndarray, scale: float, assumed: bool) -> None:
     likelier_a_room = scale == 5000.0 and assumed and bool(len(sample)) and sample.max() < 1  # in millimetres, a room
     assert (depth_doubt(sample, scale, assumed=assumed) is not None) == likelier_a_room
+
+
+def clipped(far: float, at: float = 2.0) -> np.ndarray:
+    """(N,) [m] millimetres of a room whose far side lies at `far`, clipped."""
+    return np.minimum(np.round(depths(0.8, far), 3), at).astype(np.float32)
+
+
+def test_a_sensor_that_clips_what_is_farther() -> None:
+    doubt = clipping_doubt([clipped(3.0), clipped(3.2), clipped(1.6), clipped(2.8), clipped(2.4)])
+    assert doubt == (
+        "depth ends at 2.00 m in 4 of 5 frames that were looked at, with 40 % of it: "
+        "the sensor probably clips what is farther; give --camera.reach 2, so that it counts as no reading"
+    )
+
+
+def test_walls_and_steps_of_depth_are_no_clipping() -> None:
+    assert clipping_doubt([]) is None
+    assert clipping_doubt([clipped(3.0, 2.0), clipped(3.0, 2.1), clipped(3.0, 2.2), clipped(3.0, 2.3), clipped(3.0, 2.4)]) is None  # walls
+    assert clipping_doubt([clipped(3.0), clipped(3.0), clipped(1.9), clipped(1.8), clipped(1.7)]) is None  # two frames
+    coarse = (np.round(depths(0.8, 4.0) / 0.25) * 0.25).astype(np.float32)  # a Kinect's steps, coarse as at 9 m
+    assert clipping_doubt([coarse] * 5) is None
+
+
+def test_depth_from_the_reach_on_is_no_reading(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_box_recording(tmp_path / "box")
+    for path in (folder / "depth").iterdir():
+        cv2.imwrite(str(path), np.minimum(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), 1900))
+    with caplog.at_level(logging.WARNING):
+        as_it_is = open_recording(folder)[0].depth
+    assert "depth ends at 1.90 m in 5 of 5 frames" in caplog.text
+    assert "give --camera.reach 1.9," in caplog.text
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        near = open_recording(folder, camera={"reach": 1.9})[0].depth
+    assert not caplog.text
+    assert (near == np.where(as_it_is < 1.9, as_it_is, 0)).all()
+    assert 0.2 < (near > 0).mean() < (as_it_is > 0).mean() == 1
+    with pytest.raises(ConfigError, match="a reach of -1 m, expected metres above 0"):
+        open_recording(folder, camera={"reach": -1.0})
 
 
 def test_depth_beyond_a_sensor_s_reach() -> None:

@@ -44,6 +44,8 @@ class CameraFlags:
     """The same from this width of the image [degrees]."""
     depth_scale: float | None = None
     """Units of the depth images per metre; 1000 for millimetres."""
+    reach: float | None = None
+    """Depth from here on counts as no reading [m], where a sensor clips what is farther. Default: all depth counts."""
     readout: float | None = None
     """Read-out time of the colour images, from their first row to their last [s]; 0 for a global shutter. Default of the three times: the
     recording's, else they are unknown and estimated while it runs (front end `alignment`)."""

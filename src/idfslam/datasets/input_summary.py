@@ -42,6 +42,7 @@ class InputSummary:
     camera: Camera
     sources: Provenance
     depths: NDArray[np.float32]  # (N,) [m] a sample; empty for generated recordings, whose depth is exact
+    frames: tuple[NDArray[np.float32], ...]  # the same, frame by frame
     frames_per_second: float | None  # None: there is one frame only
     timing: SensorTiming = SYNCHRONISED
     with_truth: tuple[int, int] | None = None  # how many frames have ground truth, and of how many; None: it is unknown
@@ -90,11 +91,11 @@ def summarise(recording: _Recording) -> InputSummary | None:
         return None
     steps = np.diff(recording.timestamps)
     rate = 1 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else None
-    depths = [] if sources.camera == GENERATED else list(_depths(recording))
+    depths = () if sources.camera == GENERATED else tuple(_depths(recording))
     truth = recording.ground_truth
     with_truth = None if truth is None else (int(np.isfinite(truth).all((1, 2)).sum()), len(truth))
     sample = np.concatenate(depths) if depths else np.zeros(0, np.float32)
-    return InputSummary(recording.camera, sources, sample, rate, timing(recording), with_truth)
+    return InputSummary(recording.camera, sources, sample, depths, rate, timing(recording), with_truth)
 
 
 def shutter(times: SensorTiming) -> str:
@@ -117,6 +118,8 @@ def doubts(summary: InputSummary, stamps: NDArray[np.float64]) -> Iterator[str]:
     if sources.distortion and (doubt := camera_plausibility.lens_doubt(summary.camera, sources.distortion, brief(sources.camera))):
         yield doubt
     if doubt := plausibility.depth_doubt(summary.depths, sources.depth_scale, assumed=bool(sources.depth)):
+        yield doubt
+    if doubt := plausibility.clipping_doubt(summary.frames):
         yield doubt
     if sources.stamps != ASSUMED and (doubt := plausibility.stamps_doubt(stamps, sources.stamps)):
         yield doubt

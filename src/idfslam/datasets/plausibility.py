@@ -1,5 +1,7 @@
 """Whether a recording's depth and stamps can be right; where they cannot, one line with the likely cause and the flag that mends it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,9 @@ ROOM = (0.7, 5.0)  # [m] median depth that another scale must give; widened, mor
 BEYOND = (20.0, 0.25)  # [m] reach of depth cameras indoors, [1] share of readings beyond it; raised, fewer wrong scales are found
 SCALES = (1000.0, 5000.0, 6553.5, 1.0, 10000.0)  # units per metre that are common, the commonest first; more: more scales are proposed,
 #    wrongly too
+CLIPPED = (3, 0.02, 10.0)  # frames that end at the same depth, [1] share of a frame's readings there, [1] times as many as at the next
+#    depth before it; raised, fewer sensors that clip are found. Chosen by hand: a wall that a moving camera sees ends at another depth in
+#    each frame, and quantised depth has about as many readings in the steps before
 RATE = (1.0, 300.0)  # [frames/s] of cameras; widened, fewer wrong stamps are found
 
 
@@ -39,6 +44,25 @@ def depth_doubt(depths: NDArray[np.float32], scale: float, *, assumed: bool) -> 
         found = f"{100 * beyond:.0f} % of the depth is beyond {BEYOND[0]:.0f} m, which few depth cameras reach"
         return f"{found}: check the depth scale (--camera.depth-scale), or store 0 where there is no reading"
     return None
+
+
+def clipping_doubt(frames: Sequence[NDArray[np.float32]]) -> str | None:
+    """Whether depth ends at one value, where the sensor clips what is farther. frames: the readings (N,) [m] of some frames."""
+    ends = [_end(depths) for depths in frames if len(depths)]
+    farthest = max((depth for depth, _, _ in ends), default=0.0)
+    shares = [share for depth, share, times in ends if depth == farthest and share >= CLIPPED[1] and times >= CLIPPED[2]]
+    if len(shares) < CLIPPED[0]:
+        return None
+    reach, many = np.floor(1000 * farthest) / 1000, f"{len(shares)} of {len(ends)} frames that were looked at"
+    found = f"depth ends at {farthest:.2f} m in {many}, with {100 * np.mean(shares):.0f} % of it: the sensor probably clips what is farther"
+    return f"{found}; give --camera.reach {reach:g}, so that it counts as no reading"
+
+
+def _end(depths: NDArray[np.float32]) -> tuple[float, float, float]:
+    """The largest depth [m], the share of the readings (N,) there, and how many times as many they are as at the next depth before it."""
+    values, counts = np.unique(depths, return_counts=True)
+    times = counts[-1] / counts[-2] if len(counts) > 1 else 0.0  # a plane alone ends nowhere
+    return float(values[-1]), float(counts[-1] / len(depths)), float(times)
 
 
 def stamps_doubt(stamps: NDArray[np.float64], source: str) -> str | None:

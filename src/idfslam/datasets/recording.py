@@ -137,6 +137,7 @@ class Recording:
             self.camera = self.camera.resized(*self._one_view.size)
         notes = () if self._one_view is None else (str(self._one_view),)
         delay = 0.0 if self.depth_timestamps is None else noticeable_delay(self.timestamps, self.depth_timestamps)
+        self._reach = calibration.reach
         self._deformation, size = calibration.deformation, None if self._one_view is None else colour
         stated = calibration.source, self._scale, calibration.assumed, stamps_source, lens
         self.provenance = Provenance(*stated, self._deformation, size, delay, notes)
@@ -173,6 +174,8 @@ class Recording:
             raw = self._register(raw)
         depth = metres(raw, self._scale)
         depth = self._deformation.corrected(depth) if self._deformation else depth
+        if self._reach is not None:
+            depth[depth >= self._reach] = 0
         return Frame(i, float(self.timestamps[i]), rgb(bgr), depth, self.camera, self._depth_timestamp(i), self.timing)
 
     def _depth_timestamp(self, i: int) -> float | None:

@@ -63,6 +63,8 @@ def open_live(
     if path is None:
         if format is not None or topics or start or stride != 1:
             raise ConfigError(f"{name}: a camera has no first frame, layout and topics: leave --start, --stride, --format and --topics out")
+        if calibration.reach is not None:
+            raise ConfigError(f"{name}: the reach of a camera is set in its driver: leave --camera.reach out")
         return LiveStream(open_camera(name, calibration), frames=frames)
     if not path:
         raise ConfigError(f"{name}: expected replay:PATH, with a recording in any layout or synthetic[:SEED][:kinect]")

@@ -19,8 +19,8 @@ _CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 _BOX = np.array([1.5, 1.1, 1.8])  # [m] half the sides of the made-up room
 _SQUARE = 0.17  # [m] squares of its walls; smaller: they are lost in small images
 _FRAMES = 12  # made-up frames, of which three are keyframes; more: nothing new is compiled
-_ROLLING = 6  # the first frame of a rolling shutter: both kinds of alignment are compiled
-_BESIDE = 4  # the first frame with something that moves: three were seen without it
+_ROLLING = 6  # the first frame of a rolling shutter, so that both kinds of alignment are compiled; more: fewer frames are of it
+_BESIDE = 4  # the first frame with something that moves; more: the room is seen for longer without it
 
 
 def will_compile(config: Config) -> bool:

@@ -37,6 +37,7 @@ class Calibration:
     distortion: tuple[float, ...] | None = None  # OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]
     depth_scale: float | None = None  # units of the depth images per metre
     deformation: DepthDeformation | None = None  # of depth, which is taken out
+    reach: float | None = None  # [m] depth from here on is no reading; None: all depth counts
     readout: float | None = None  # [s] see `SensorTiming`
     depth_readout: float | None = None  # [s]
     depth_delay: float | None = None  # [s]
@@ -52,13 +53,14 @@ class Calibration:
     def over(self, other: "Calibration") -> "Calibration":
         """These values, with missing ones taken from `other`, a source of lower precedence.
 
-        If fx, fy, cx and cy are all given, only depth scale and times are taken from `other`: without distortion values there is no
+        If fx, fy, cx and cy are all given, only depth scale, reach and times are taken from `other`: without distortion values there is no
         distortion.
         """
         scale, assumed = (other.depth_scale, other.assumed) if self.depth_scale is None else (self.depth_scale, self.assumed)
         if self.complete:
             times = SensorTiming(*(getattr(other if getattr(self, name) is None else self, name) for name in TIMES))
-            return replace(self, depth_scale=scale, assumed=assumed).with_times(times)
+            reach = other.reach if self.reach is None else self.reach
+            return replace(self, depth_scale=scale, assumed=assumed, reach=reach).with_times(times)
         stated = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("source", "assumed")}
         stated = {name: value for name, value in stated.items() if value is not None}
         if partly := [name for name in ("fx", "fy", "cx", "cy") if name in stated]:
@@ -133,20 +135,23 @@ def assumed_scale(depth_scale: float, why: str = "assumed") -> Calibration:
 
 
 def given_values(camera: Mapping[str, float | None] | None, depth_scale: float | None = None) -> Calibration:
-    """The user's values: any of fx, fy, cx, cy, field_of_view, depth_scale and TIMES; None counts as not given.
+    """The user's values: any of fx, fy, cx, cy, field_of_view, depth_scale, reach and TIMES; None counts as not given.
 
-    Raises ConfigError for other keys, for a field of view that is no pinhole camera's, and for times that are no sensor's.
+    Raises ConfigError for other keys, for a field of view that is no pinhole camera's, for a reach of no distance, and for times that are
+    no sensor's.
     """
     values = {key: value for key, value in (camera or {}).items() if value is not None}
-    allowed = ("fx", "fy", "cx", "cy", "field_of_view", "depth_scale", *TIMES)
+    allowed = ("fx", "fy", "cx", "cy", "field_of_view", "depth_scale", "reach", *TIMES)
     if unknown := [key for key in values if key not in allowed]:
         raise ConfigError(f"camera: unknown value '{unknown[0]}', expected any of {', '.join(allowed)}")
     if not _FIELDS_OF_VIEW[0] <= (width := values.get("field_of_view", USUAL_FIELD_OF_VIEW)) <= _FIELDS_OF_VIEW[1]:
         raise ConfigError("camera: field of view {:g}, expected {:g} to {:g} degrees".format(width, *_FIELDS_OF_VIEW))
+    if not (reach := values.get("reach", math.inf)) > 0:
+        raise ConfigError(f"camera: a reach of {reach:g} m, expected metres above 0, from which on depth counts as no reading")
     scale = values.get("depth_scale") if depth_scale is None else depth_scale
     times = SensorTiming(*(values.get(name) for name in TIMES))
     pinhole = Calibration(values.get("fx"), values.get("fy"), values.get("cx"), values.get("cy"), depth_scale=scale)
-    return replace(pinhole, field_of_view=values.get("field_of_view")).with_times(times)
+    return replace(pinhole, field_of_view=values.get("field_of_view"), reach=values.get("reach")).with_times(times)
 
 
 @dataclass(frozen=True)
