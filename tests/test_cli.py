@@ -64,7 +64,7 @@ VALUES_IN_HELP = {
 
 def test_help_of_run_shows_what_users_set(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     shown = options_in_help(capsys, monkeypatch, "run", "--help")
-    camera = {f"--camera.{name}" for name in ("fx", "fy", "cx", "cy", "depth-scale", "readout", "depth-readout", "depth-delay")}
+    camera = {f"--camera.{name}" for name in ("fx", "fy", "cx", "cy", "depth-scale", "reach", "readout", "depth-readout", "depth-delay")}
     camera |= {"--camera.guess", "--camera.field-of-view"}
     topics = {f"--topics.{name}" for name in ("colour", "depth", "camera-info", "poses")}
     recording = {"--start", "--frames", "--stride", "--format", "--camera-file", "--truth", "--map"}

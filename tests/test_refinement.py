@@ -71,11 +71,11 @@ class Steps:
     """A map that notes its updates."""
 
     def __init__(self) -> None:
-        self.updates: list[tuple[int, int, float]] = []
+        self.updates: list[tuple[int, int, float, float]] = []
         self.finished = False
 
-    def start_update(self, frames: list[object], iterations: int, *, anneal: float) -> dict[str, float]:
-        self.updates.append((len(frames), iterations, anneal))
+    def start_update(self, frames: list[object], iterations: int, *, anneal: float, cores: float) -> dict[str, float]:
+        self.updates.append((len(frames), iterations, anneal, cores))
         return {}
 
     def finish(self) -> dict[str, float]:
@@ -95,7 +95,7 @@ def polished(graph: KeyframeGraph, seconds: float) -> tuple[Counted, Steps]:
 def test_the_polish_shrinks_its_steps_to_nothing(graph: KeyframeGraph) -> None:
     refiner, steps = polished(graph, 1000.0)
     assert refiner.counts == [1] * 4
-    assert steps.updates == [(2, 3, 1.0), (2, 3, 0.75), (2, 3, 0.5), (2, 3, 0.25)]
+    assert steps.updates == [(2, 3, 1.0, 1.0), (2, 3, 0.75, 1.0), (2, 3, 0.5, 1.0), (2, 3, 0.25, 1.0)]  # with all cores
     assert steps.finished
 
 
