@@ -173,6 +173,14 @@ def test_depth_alone_decides_in_a_corner(corner: Mapper) -> None:
     assert found.photometric_error == 0.0
 
 
+def test_depth_alone_must_tell_more_than_the_noise_of_normals(corner: Mapper) -> None:
+    """Noise gives twice the limit of a degenerate direction: depth that is compared with no image is degenerate below three times it."""
+    told = aligner(corner).align(view(CORNER, EYE), EYE, []).min_eigenvalue
+    for times, status in ((2.9, Status.DEGENERATE), (3.1, Status.OK)):
+        config = replace(CONFIG, min_eigenvalue=told / times)
+        assert aligner(corner, config).align(view(CORNER, EYE), EYE, []).status is status
+
+
 def test_a_bare_wall_is_degenerate_and_the_images_decide(wall: Mapper) -> None:
     truth = pose(0.03, 0.02, 0.01, 0, 0, 0)
     guess = truth @ pose(0.015, -0.01, 0.01, 0, 0, 0)
