@@ -41,16 +41,20 @@ class InputSummary:
 
     camera: Camera
     sources: Provenance
-    depths: NDArray[np.float32]  # (N,) [m] a sample; empty for generated recordings, whose depth is exact
-    frames: tuple[NDArray[np.float32], ...]  # the same, frame by frame
+    frames: tuple[NDArray[np.float32], ...]  # (N,) [m] each: a sample of some frames; none of generated recordings, whose depth is exact
     frames_per_second: float | None  # None: there is one frame only
     timing: SensorTiming = SYNCHRONISED
     with_truth: tuple[int, int] | None = None  # how many frames have ground truth, and of how many; None: it is unknown
 
     @property
+    def depths(self) -> NDArray[np.float32]:
+        """(N,) [m] the samples of all these frames."""
+        return np.concatenate(self.frames) if self.frames else np.zeros(0, np.float32)
+
+    @property
     def median_depth(self) -> float | None:
         """[m]"""
-        return float(np.median(self.depths)) if len(self.depths) else None
+        return float(np.median(depths)) if len(depths := self.depths) else None
 
     def __str__(self) -> str:
         c, s = self.camera, self.sources
@@ -91,11 +95,10 @@ def summarise(recording: _Recording) -> InputSummary | None:
         return None
     steps = np.diff(recording.timestamps)
     rate = 1 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else None
-    depths = () if sources.camera == GENERATED else tuple(_depths(recording))
+    frames = () if sources.camera == GENERATED else tuple(_depths(recording))
     truth = recording.ground_truth
     with_truth = None if truth is None else (int(np.isfinite(truth).all((1, 2)).sum()), len(truth))
-    sample = np.concatenate(depths) if depths else np.zeros(0, np.float32)
-    return InputSummary(recording.camera, sources, sample, depths, rate, timing(recording), with_truth)
+    return InputSummary(recording.camera, sources, frames, rate, timing(recording), with_truth)
 
 
 def shutter(times: SensorTiming) -> str:
