@@ -340,8 +340,8 @@ class MapAligner(Stateful):
         information = of_depth if contradicted else Information.of(depth.H + images.H + shading.H, depth.weight, depth.radius)
         min_eigenvalue = float(of_depth.values[0])
         if has_depth:
-            told = joint is not None or images.parts  # by the covariance, or by images
-            status = self._status(depth, min_eigenvalue - (0.0 if told else self._by_noise))
+            alone = joint is None and not images.parts  # with a velocity, the covariance tells what depth leaves open
+            status = self._status(depth, min_eigenvalue - (self._by_noise if alone else 0.0))
         else:
             confirmed = images.in_view > _CONFIRMED and images.photometric_error > 0 and not contradicted
             status = Status.DEGENERATE if confirmed else Status.LOST
