@@ -18,6 +18,7 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.memory import Memory
+from idfslam.segmentation.segmenter import Segmenter
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.front_end.front_end import FrontEnd
@@ -242,8 +243,8 @@ def test_a_view_is_tracked_again_without_what_turns_out_to_move(share: float, mi
     segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     shown, drawn = view(CORNER, EYE), pose(0.05, 0, 0, 0, 0, 0)
 
-    class Reconsidered(Memory):
-        def reconsider(self, view: CoarseView, T_tracked: np.ndarray) -> np.ndarray:
+    class Previewed(Segmenter):
+        def preview(self, view: CoarseView, T_tracked: np.ndarray) -> np.ndarray:
             cells = np.zeros(view.depth.shape, np.bool_)
             cells[:, : round(share * cells.shape[1])] = True
             return cells
@@ -256,7 +257,7 @@ def test_a_view_is_tracked_again_without_what_turns_out_to_move(share: float, mi
         def misfit(self, view: Keyframe, T_wc: torch.Tensor) -> float:
             return misfit if torch.equal(T_wc, EYE) else 1.0
 
-    segmentation.memory = Reconsidered(lambda host: np.eye(4))
+    segmentation.segmenter = Previewed(Memory(lambda host: np.eye(4)))
     found = segmentation.check(shown, Tracked(drawn, Status.OK, Source.ALIGNED), Freed())
     assert torch.equal(found.T_wc, EYE if again else drawn)
     assert (shown.moving is not None) is again
@@ -272,7 +273,7 @@ def test_a_still_scene_does_not_begin_to_move_at_a_doubtful_pose(status: Status,
         shown = view(CORNER, EYE)
         segmentation.segment(shown, Tracked(T_wc, told, Source.ALIGNED))
         if not index:
-            segmentation.memory.remember(0, np.eye(4), stored=True)
+            segmentation.memory.add(segmentation.segmenter.last, 0, np.eye(4), stored=True)
     assert (shown.moving is not None) is masked
 
 
@@ -317,7 +318,7 @@ class Visit:
     """After the end."""
     results: list[FrameResult]
     state_at_64: State
-    memory_at_70: Memory
+    segmenter_at_70: Segmenter
     masked_at_70: list[bool]
     """Of each keyframe, whether a part of it is masked."""
 
@@ -336,11 +337,11 @@ def visit() -> Visit:
     for i in range(64, 70):
         results.append(slam.process(recording[i]))
     assert isinstance(slam.segmentation, FreeSpaceSegmentation)
-    memory, masks = copy.deepcopy(slam.segmentation.memory), masks_of(slam)
+    segmenter, masks = copy.deepcopy(slam.segmentation.segmenter), masks_of(slam)
     for i in range(70, 100):
         results.append(slam.process(recording[i]))
     slam.finish()
-    return Visit(recording, slam, results, state, memory, masks)
+    return Visit(recording, slam, results, state, segmenter, masks)
 
 
 @pytest.mark.slow
@@ -353,7 +354,7 @@ def test_a_restored_run_masks_what_the_unbroken_one_masks(visit: Visit) -> None:
         np.testing.assert_array_equal(one.moving, other.moving)
     assert one.moving_share > 0.1
     assert isinstance(again.segmentation, FreeSpaceSegmentation)
-    assert list(differences(visit.memory_at_70, again.segmentation.memory, "memory")) == []
+    assert list(differences(visit.segmenter_at_70, again.segmentation.segmenter, "segmenter")) == []
     assert any(masks_of(again))
     assert masks_of(again) == visit.masked_at_70
 

@@ -16,6 +16,7 @@ from idfslam.segmentation.free_space import PosedView, plain_vote, sigma, votes
 from idfslam.segmentation.memory import Memory
 from idfslam.segmentation.region_growing import grown
 from idfslam.segmentation.remembered import Remembered
+from idfslam.segmentation.segmenter import Segmenter
 from idfslam.segmentation.witnesses import Witnesses
 
 CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5)
@@ -250,17 +251,17 @@ def test_cells_are_carried_to_where_another_camera_sees_them() -> None:
     np.testing.assert_array_equal(plain[1], out)
 
 
-# ----- memory
+# ----- views one after the other
 
 
-def stands_from(start: int, frames: int) -> tuple[Memory, list[float]]:
-    """A memory of a bolted camera before a wall, before which a body stands from a frame on; and how much of the body is masked."""
-    memory, shares = Memory(lambda k: np.eye(4)), list[float]()
+def stands_from(start: int, frames: int) -> tuple[Segmenter, list[float]]:
+    """The segmenter of a bolted camera before a wall, before which a body stands from a frame on; and how much of the body is masked."""
+    segmenter, shares = Segmenter(Memory(lambda k: np.eye(4))), list[float]()
     for i in range(frames):
-        cells = memory.segment(wall(3.0, body=1.5 if i >= start else 0.0), np.eye(4))
-        memory.remember(i // 10, np.eye(4), stored=i % 10 == 0)
+        cells = segmenter.segment(wall(3.0, body=1.5 if i >= start else 0.0), np.eye(4))
+        segmenter.memory.add(segmenter.last, i // 10, np.eye(4), stored=i % 10 == 0)
         shares.append(float(cells[20:60, 40:60].mean()))
-    return memory, shares
+    return segmenter, shares
 
 
 def test_who_stands_still_is_masked_for_three_seconds_and_is_then_part_of_the_scene() -> None:
@@ -272,10 +273,10 @@ def test_who_stands_still_is_masked_for_three_seconds_and_is_then_part_of_the_sc
 
 def test_who_stops_where_no_view_saw_stays_masked_for_a_second() -> None:
     """She walks along the rays, so that she hid her later places herself: no view ever saw through them."""
-    memory, shares = Memory(lambda k: np.eye(4)), list[float]()
+    segmenter, shares = Segmenter(Memory(lambda k: np.eye(4))), list[float]()
     for i in range(90):
-        cells = memory.segment(wall(3.0, body=1.0 + 0.03 * min(max(i - 10, 0), 20)), np.eye(4))
-        memory.remember(i // 10, np.eye(4), stored=i % 10 == 0)
+        cells = segmenter.segment(wall(3.0, body=1.0 + 0.03 * min(max(i - 10, 0), 20)), np.eye(4))
+        segmenter.memory.add(segmenter.last, i // 10, np.eye(4), stored=i % 10 == 0)
         shares.append(float(cells[20:60, 40:60].mean()))
     assert max(shares[:10]) == 0.0
     assert min(shares[15:48]) > 0.8  # she stops at frame 30, and was found to move last at about 20
@@ -283,37 +284,37 @@ def test_who_stops_where_no_view_saw_stays_masked_for_a_second() -> None:
 
 
 def test_a_view_at_its_predicted_pose_need_not_be_segmented_again() -> None:
-    memory, _ = stands_from(30, 40)
+    segmenter, _ = stands_from(30, 40)
     again, _ = stands_from(30, 40)
     view, T, off = wall(3.0, body=1.5, columns=slice(150, 210)), np.eye(4), np.eye(4)
     T[0, 3], off[0, 3] = 0.005, 0.02
-    expected = memory.expect(view, np.eye(4))
+    expected = segmenter.predict(view, np.eye(4))
     assert expected[20:60, 50:70].all()
-    assert memory.confirm(off) is None
-    confirmed = memory.confirm(T)
+    assert segmenter.confirm(off) is None
+    confirmed = segmenter.confirm(T)
     assert confirmed is not None
     np.testing.assert_array_equal(confirmed, again.segment(view, np.eye(4)))
-    assert memory.confirm(T) is None  # it was taken up
+    assert segmenter.confirm(T) is None  # it was taken up
 
 
-# ----- memory in a room
+# ----- views of a room
 
 
 def walked(recording: SyntheticRoom, frames: int, every: int = 15) -> tuple[Memory, list[float], list[float]]:
     """A memory that has seen the first frames at their true poses, and each frame's shares of right and of wrong moving pixels."""
     poses: list[np.ndarray] = []
-    memory, right, wrong = Memory(lambda k: poses[k]), list[float](), list[float]()
+    segmenter, right, wrong = Segmenter(Memory(lambda k: poses[k])), list[float](), list[float]()
     for i in range(frames):
         frame, T = recording[i], recording.ground_truth[i]
-        cells = memory.segment(coarse_view(frame.depth, frame.colour, frame.camera), T)
+        cells = segmenter.segment(coarse_view(frame.depth, frame.colour, frame.camera), T)
         shown, truth = in_pixels(cells, frame.camera) & (frame.depth > 0), recording.moving(i) & (frame.depth > 0)
         right.append(float((shown & truth).sum() / max(truth.sum(), 1)))
         wrong.append(float((shown & ~truth).mean()))
         if i % every == 0:
             poses.append(T)
-        memory.remember(len(poses) - 1, np.linalg.inv(poses[-1]) @ T, stored=i % every == 0)
-        memory.look_again()
-    return memory, right, wrong
+        segmenter.memory.add(segmenter.last, len(poses) - 1, np.linalg.inv(poses[-1]) @ T, stored=i % every == 0)
+        segmenter.memory.segment_again(segmenter.last)
+    return segmenter.memory, right, wrong
 
 
 @pytest.mark.slow

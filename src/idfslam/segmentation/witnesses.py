@@ -71,9 +71,10 @@ class Witnesses:
         apart, facing = np.linalg.norm(T[:, :3, 3] - T_wc[:3, 3], axis=1), T[:, :3, 2] @ T_wc[:3, 2]
         return np.where((apart < _APART) & (facing > _TURNED), apart / _APART + 2 * (1 - facing), np.inf)
 
-    def _pose(self, kept: Remembered) -> Array:
+    def pose(self, kept: Remembered) -> Array:
+        """The present camera-to-world pose (4, 4) of a remembered view."""
         return np.asarray(self._pose_of(kept.host) @ kept.T_kc)
 
     def _posed(self, kept: Remembered, number: int) -> PosedView:
         age = abs(number - kept.number)
-        return PosedView(kept.view, self._pose(kept), kept.around, testifies=age >= _TESTIFIES, settles=age >= _STANDS)
+        return PosedView(kept.view, self.pose(kept), kept.around, testifies=age >= _TESTIFIES, settles=age >= _STANDS)

@@ -1,7 +1,7 @@
 """What moves before the camera: the pixels of a frame that show it take no part in tracking, in the map and in anything else.
 
 A view is segmented at its predicted pose before it is tracked, and again once its pose is known if that is another one
-(`idfslam.segmentation.memory`). Stored keyframes are masked later, too, where later views have seen through what they show.
+(`idfslam.segmentation.segmenter`). Stored keyframes are masked later, too, where later views have seen through what they show.
 """
 
 from abc import ABC, abstractmethod
@@ -16,6 +16,7 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
 from idfslam.segmentation.memory import Memory
+from idfslam.segmentation.segmenter import Segmenter
 from idfslam.sensing.rectification import rectified
 from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.motion_segmentation.nearest_layer_trial import NearestLayerTrial
@@ -86,17 +87,17 @@ class FreeSpaceSegmentation(MotionSegmentation):
         """masked: is called with a stored keyframe whose mask has changed. references: the keyframes that frames are tracked against."""
         self.frames, self.graph, self.timer, self._masked, self._references = frames, frames.graph, timer, masked, references
         self.memory = Memory(lambda host: frames.graph.keyframes[host].T_wk.numpy())
+        self.segmenter = Segmenter(self.memory)
         self.trial = NearestLayerTrial()
         self._passed_over = 0  # frames since one was segmented
         self.found = False  # whether anything has moved so far
 
     def state(self) -> State:
-        """The remembered views, whether anything was found, and the number of frames since one was segmented."""
-        return {"memory": self.memory.state(), "found": self.found, "passed_over": self._passed_over}
+        """Whether anything was found, and the number of frames since one was segmented."""
+        return {"found": self.found, "passed_over": self._passed_over}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
-        self.memory.restore(state["memory"])
         self.found, self._passed_over = state["found"], state["passed_over"]
 
     def check(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
@@ -106,7 +107,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         """
         without, moves = self.trial.run(view, tracked, front_end, lambda: _coarse(view).depth)
         if moves is not None:
-            self.memory.suspect(moves)
+            self.segmenter.suspect(moves)
             if not tracked.is_lost:
                 self.frames.correct_latest(tracked.T_wc, without.T_wc, _PULL_BEFORE)
             return without
@@ -114,10 +115,12 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
     def _without_more(self, view: Keyframe, tracked: Tracked, front_end: FrontEnd) -> Tracked:
         """The result for a view, tracked again if much of what it was tracked by turns out to move at its pose."""
-        if tracked.is_lost or tracked.source is Source.REGISTERED or self.memory.still or self.memory.expects(tracked.T_wc.numpy()):
+        if tracked.is_lost or tracked.source is Source.REGISTERED:
+            return tracked
+        if self.segmenter.still or self.segmenter.is_predicted(tracked.T_wc.numpy()):
             return tracked
         with self.timer.stage("segment"):
-            more = in_pixels(self.memory.reconsider(_coarse(view), tracked.T_wc.numpy()), view.camera)
+            more = in_pixels(self.segmenter.preview(_coarse(view), tracked.T_wc.numpy()), view.camera)
         shown = view.frame.depth > 0
         if np.count_nonzero(more & shown) < _MORE * np.count_nonzero(shown):
             return tracked
@@ -129,23 +132,23 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
     def predict(self, view: Keyframe) -> None:
         with self.timer.stage("segment"):
-            if self.memory.still:
+            if self.segmenter.still:
                 view.hide(None)
                 return
-            cells = self.memory.expect(_coarse(view), view.T_wk.numpy())
+            cells = self.segmenter.predict(_coarse(view), view.T_wk.numpy())
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
 
     def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
         if tracked.is_lost:
-            self.memory.forget_last()
+            self.segmenter.forget_last()
             view.hide(None)
             return tracked
         self.trial.accept(tracked)
         if tracked.source is Source.REGISTERED:  # such poses are off by up to a centimetre and a degree, which would pass for movement
-            self.memory.forget_last()
+            self.segmenter.forget_last()
             return tracked
         doubtful = tracked.status is Status.DOUBTFUL  # at a wrong pose, the scene itself seems to move
-        if self.memory.still and (doubtful or self._passed_over < _PASSED_OVER):
+        if self.segmenter.still and (doubtful or self._passed_over < _PASSED_OVER):
             self._passed_over = min(self._passed_over + 1, _PASSED_OVER)
             self.memory.pass_over()
             view.hide(None)
@@ -153,14 +156,14 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self._passed_over = 0
         with self.timer.stage("segment"):
             T_wc = tracked.T_wc.numpy()
-            cells = self.memory.confirm(T_wc) if view.rectification_of_taken is None else None
+            cells = self.segmenter.confirm(T_wc) if view.rectification_of_taken is None else None
             if cells is None:
-                cells = self.memory.segment(_coarse(view), T_wc)
+                cells = self.segmenter.segment(_coarse(view), T_wc)
             view.hide(in_pixels(cells, view.camera) if cells.any() else None)
             self.found |= bool(cells.any())
-            self.memory.look_back_at_recent()
+            self.memory.mask_in_recent(self.segmenter.last)
             for keyframe in self._references():
-                if (shown := self.memory.look_back(keyframe.host)) is not None:
+                if (shown := self.memory.mask_in_keyframe(keyframe.host, self.segmenter.last)) is not None:
                     self._mask(keyframe, shown)
             return crowded(view, tracked)
 
@@ -180,11 +183,12 @@ class FreeSpaceSegmentation(MotionSegmentation):
             stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
             if self._passed_over and not stored:
                 return
-            if self._passed_over and (cells := self.memory.segment(_coarse(view), view.T_wk.numpy())).any():
+            if self._passed_over and (cells := self.segmenter.segment(_coarse(view), view.T_wk.numpy())).any():
                 self._mask(view, cells)
             host, T_kc = self.graph.relative_to_host(view.T_wk)
-            self.memory.remember(*((view.host, np.eye(4)) if stored else (host, T_kc.numpy())), stored=stored)
-            if (news := self.memory.look_again()) is not None:
+            place = (view.host, np.eye(4)) if stored else (host, T_kc.numpy())
+            self.memory.add(self.segmenter.last, *place, stored=stored)
+            if (news := self.memory.segment_again(self.segmenter.last)) is not None:
                 self._mask(self.graph.keyframes[news[0]], news[1])
 
 
