@@ -14,7 +14,7 @@ from idfslam.datasets.recording import Selection
 from idfslam.geometry.sensor_timing import SYNCHRONISED
 from idfslam.geometry.trajectory import align
 from idfslam.graph.keyframe import Keyframe
-from idfslam.slam import Slam, Tracked
+from idfslam.slam import Slam
 from idfslam.slam.front_end.alignment_to_map import AlignmentToMap
 
 FAST_PART = 60  # frame at which the camera of seed 1 begins to shake
@@ -70,17 +70,17 @@ def test_keyframes_are_rectified_again_where_a_time_has_changed_by_much(
     """
     front_end, frame = Slam(CONFIG).front_end, shaken[0]
     assert isinstance(front_end, AlignmentToMap)
-    compensation = front_end.compensation
+    calibration, keyframes = front_end.compensation.calibration, front_end.compensation.keyframes
     keyframe = Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(frame.depth), torch.from_numpy(frame.colour))
     keyframe.velocity = np.array([0, 0, 0, 0, speed, 0])
     told = []
     for delay in (-0.008, -0.012, -0.014):
-        compensation.timing.timing = lambda stated, delay=delay: (0.0, 0.0, delay)  # type: ignore[method-assign]
-        compensation.estimates = lambda delay=delay: {"depth_delay": (delay, sigma)}  # type: ignore[method-assign]
-        compensation._stated = frame.timing
-        told.append(compensation.accept(keyframe, Tracked.first(keyframe.T_wk), []))
+        calibration.estimator.timing = lambda stated, delay=delay: (0.0, 0.0, delay)  # type: ignore[method-assign]
+        calibration.estimates = lambda delay=delay: {"depth_delay": (delay, sigma)}  # type: ignore[method-assign]
+        calibration.stated = frame.timing
+        told.append(keyframes.is_due(keyframe.index))
         if told[-1]:
-            assert compensation.rectify_stored(keyframe) is (again or delay == -0.008)
+            assert keyframes.rectify(keyframe) is (again or delay == -0.008)
     assert told == [True, False, sigma < 0.003]
     assert keyframe.rectification is not None
     assert keyframe.rectification.times.depth_delay == pytest.approx(frame.depth_lag - (0.014 if again else 0.008))

@@ -192,17 +192,18 @@ class AlignmentToMap(FrontEnd):
         self.recent.accept(view, tracked, self._references())
         if tracked.alignment is not None:
             self.aligner.accept(tracked.alignment, view.T_wk)
-        if self.compensation.accept(view, tracked, self._references()):
-            self._relearn([k for k in self.graph.keyframes if self.compensation.rectify_stored(k)])
+        self.compensation.accept(view, tracked, self._references())
+        if self.compensation.keyframes.is_due(view.index):
+            self._relearn([k for k in self.graph.keyframes if self.compensation.keyframes.rectify(k)])
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self._references()).photometric_error
 
     def row_times(self, keyframe: Keyframe) -> RowTimes:
-        return self.compensation.times(keyframe)
+        return self.compensation.calibration.times(keyframe)
 
     def likeliest_row_times(self, keyframe: Keyframe) -> tuple[RowTimes, NDArray[np.float64]]:
-        return self.compensation.likeliest_times(keyframe)
+        return self.compensation.calibration.likeliest_times(keyframe)
 
     def smooth(self) -> None:
         self.compensation.smoother.smooth(self.frames)
@@ -220,7 +221,8 @@ class AlignmentToMap(FrontEnd):
         return undo
 
     def figures(self) -> dict[str, Any]:
-        return {"sensor_timing": self.compensation.figures(), "sensor_timing_estimates": self.compensation.estimates()}
+        calibration = self.compensation.calibration
+        return {"sensor_timing": calibration.used(), "sensor_timing_estimates": calibration.estimates()}
 
     def _begin(self, view: Keyframe) -> MotionPrior | None:
         """Rectifies the view by its predicted velocity, and the first keyframe before it if the view is the second frame."""
