@@ -5,10 +5,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from idfslam.alignment.continuous_motion import ContinuousMotion, joint_system
+from idfslam.alignment.continuous_motion import ContinuousMotion
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.gauss_newton import JointSolver, joint_step, plain_joint_step
 from idfslam.alignment.image_term import ImageTerm
+from idfslam.alignment.joint_equations import joint_system
 from idfslam.alignment.motion import change_between, moved
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.sensing.rectification import RowTimes

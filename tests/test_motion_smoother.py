@@ -4,7 +4,8 @@ import numpy as np
 import torch
 
 from helpers.flat_wall import at, wall_frames
-from idfslam.alignment.continuous_motion import Filtered, Passage, process_noise, transition
+from idfslam.alignment.acceleration_noise import Passage
+from idfslam.alignment.continuous_motion import Filtered
 from idfslam.alignment.motion_smoother import MotionSmoother
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
@@ -45,9 +46,10 @@ def test_a_wrong_speed_that_bent_the_pose_is_found_by_the_next_frame() -> None:
     """Against the formula of Rauch, Tung and Striebel. The pose is less than 1 cm off, and the speed by 0.1 m/s, which bent it."""
     frames, smoother = walk([0.0, 0.04, 0.06], speed=SPEED, speed_error=0.2, correlation=0.9)
     smoother.smooth(frames)
-    F, P = transition(DT), np.diag([1e-4] * 6 + [0.04] * 6)
+    passage = Passage(DT, np.array([1e-3, 1e-3]))
+    F, P = passage.transition, np.diag([1e-4] * 6 + [0.04] * 6)
     P[0, 6] = P[6, 0] = 0.9 * 1e-2 * 0.2
-    G = P @ F.T @ np.linalg.inv(F @ P @ F.T + process_noise(np.array([1e-3, 1e-3]), DT))
+    G = P @ F.T @ np.linalg.inv(F @ P @ F.T + passage.noise)
     expected = 0.04 + G[0, 0] * (0.02 - DT * SPEED)
     np.testing.assert_allclose(frames.trajectory()[1, 0, 3], expected, atol=1e-9)
     assert 0.03 < expected < 0.04

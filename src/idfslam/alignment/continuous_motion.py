@@ -1,32 +1,28 @@
 """Continuous-time motion: a frame has a pose and a velocity, which are estimated together.
 
-The velocity changes from frame to frame as a random walk: white noise on acceleration (Barfoot, Tong and Särkkä, "Batch
-continuous-time trajectory estimation as exactly sparse Gaussian process regression", RSS 2014). Within a frame it is constant. Rows of a
-rolling shutter and depth of another moment measure the pose at their own times, and so also the velocity.
+The velocity changes from frame to frame as a random walk (`acceleration_noise.py`). Within a frame it is constant. Rows of a rolling
+shutter and depth of another moment measure the pose at their own times, and so also the velocity. A Kalman filter carries both from frame
+to frame: it predicts the prior of the next frame's alignment, and takes over its result.
 
 A velocity is a 6-vector of shift [m/s] and turn [rad/s], both along world axes, so that a pose s seconds later is `moved(T, s velocity)`.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from statistics import median
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from idfslam.alignment.acceleration_noise import Passage
+from idfslam.alignment.frame_interval import FrameInterval
 from idfslam.alignment.motion import change_between, moved
-from idfslam.alignment.row_moments import RowMoments
-from idfslam.frame import FPS
-from idfslam.sensing.rectification import RowTimes
 from idfslam.storage.state import State, Stateful
 
 Array = NDArray[np.float64]
 Smoothed = tuple[Array, Array]  # a velocity (6,), and its covariance (6, 6)
 
-_INTERVALS = 31  # [frames] whose stamps give the usual interval, by their median: stamps jitter. More: changes are followed more slowly
 # [m], [rad] Least deviation from constant velocity in a frame that is expected. More: velocities of a slow camera are noisier.
 _LEAST_DEVIATION = 5e-4, 5e-4
 # [m], [rad] Deviation that is expected at first, and after frames without a pose: a hand that begins to shake. More: the first velocities
@@ -42,8 +38,9 @@ _CORRELATED = 0.5
 _REMEMBERED = 0.95
 # [m], [rad] Standard deviation of a pose in the map around it. More: velocities are smoother and lag behind.
 _POSE_ERROR = 2e-3, 2e-3
-# [m/s], [rad/s] Standard deviation of a hand's velocity, whatever came before. More: wrong velocities of blurred frames last longer.
-_SPEED = 0.5, 1.5
+# [m/s], [rad/s] Standard deviation of a hand's velocity, of which nothing else is known. More: wrong velocities of blurred frames last
+# longer, and the first keyframes of a run move more freely in adjustments.
+HAND_SPEED = 0.5, 1.5
 # [standard deviations] Largest speed that is a hand's: 6 rad/s, where a hand was seen to turn by 3.7. Photographs stamped as a video's have
 # 9. More: photographs pass for a video. Chosen by hand.
 _FASTEST = 4.0
@@ -51,7 +48,6 @@ _FASTEST = 4.0
 # velocity describes. A frame's distortion is measured against theirs. More: the velocity follows the change of the pose more, and the
 # distortion less. At ten times as much, velocities in shaken passages were three times less exact (docs/findings.md).
 REFERENCE_ERROR = 0.05, 0.1
-_POSE, _VELOCITY = np.arange(6), np.arange(6, 12)  # the places of both in vectors (12,): a fact, not a choice
 
 
 @dataclass(frozen=True)
@@ -87,14 +83,6 @@ class JointEstimate:
 
 
 @dataclass(frozen=True)
-class Passage:
-    """The way from one frame to the next, as it was expected."""
-
-    elapsed: float  # [s]
-    deviation: Array  # (2,) from constant velocity [m], [rad]
-
-
-@dataclass(frozen=True)
 class Filtered:
     """What a frame and those before it tell of its motion."""
 
@@ -104,47 +92,9 @@ class Filtered:
     passage: Passage | None  # from the frame before; None: that frame is not known
 
 
-def distorted(H: Array, b: Array) -> tuple[Array, Array]:
-    """The normal equations (18, 18), (18,) of pose, velocity and the references' error of velocity, which distorts as the velocity does."""
-    both = [*range(6), *range(6, 12), *range(6, 12)]
-    return H[np.ix_(both, both)], b[both]
-
-
-def _of_blocks(pose: Array, cross: Array, velocity: Array) -> Array:
-    """(12, 12) of pose and velocity from its blocks (6, 6). `np.block` takes ten times as long."""
-    whole = np.empty((12, 12))
-    whole[:6, :6], whole[:6, 6:], whole[6:, :6], whole[6:, 6:] = pose, cross, cross, velocity
-    return whole
-
-
-def joint_system(depth: RowMoments, images: RowMoments, times: RowTimes) -> tuple[Array, Array]:
-    """The normal equations H (12, 12), b (12,) of pose and velocity: a residual at time s has the Jacobian (J, s J)."""
-    D, C, d, i = depth.H, images.H, depth.b, images.b
-    a, r, c = times.depth_delay, times.depth_readout, times.readout
-    cross = a * D[0] + r * D[1] + c * C[1]
-    square = a * a * D[0] + 2 * a * r * D[1] + r * r * D[2] + c * c * C[2]
-    return _of_blocks(D[0] + C[0], cross, square), np.concatenate([d[0] + i[0], a * d[0] + r * d[1] + c * i[1]])
-
-
-def transition(elapsed: float) -> Array:
-    """(12, 12) how pose and velocity pass over `elapsed` [s]."""
-    F = np.eye(12)
-    F[_POSE, _VELOCITY] = elapsed
-    return F
-
-
 def is_of_a_hand(velocity: Array) -> bool:
     """Whether a velocity (6,) [m/s], [rad/s] is no faster than a hand's."""
-    return bool((np.linalg.norm(velocity.reshape(2, 3), axis=1) <= _FASTEST * np.array(_SPEED)).all())
-
-
-def process_noise(deviation: Array, elapsed: float) -> Array:
-    """(12, 12) covariance that is added over `elapsed` [s]. deviation (2,): of a pose from constant velocity by then [m], [rad]."""
-    density = np.repeat(3 * deviation**2 / elapsed**3, 3)  # [m^2/s^3], [rad^2/s^3] of white noise on acceleration
-    noise = np.zeros((12, 12))
-    noise[_POSE, _POSE], noise[_VELOCITY, _VELOCITY] = density * (elapsed**3 / 3), density * elapsed
-    noise[_POSE, _VELOCITY] = noise[_VELOCITY, _POSE] = density * (elapsed**2 / 2)
-    return noise
+    return bool((np.linalg.norm(velocity.reshape(2, 3), axis=1) <= _FASTEST * np.array(HAND_SPEED)).all())
 
 
 class ContinuousMotion(Stateful):
@@ -155,7 +105,7 @@ class ContinuousMotion(Stateful):
         self._last: tuple[float, Tensor] | None = None  # stamp and pose of the last frame; None: they are not known
         self._covariance: Array = np.zeros((12, 12))  # of its pose and velocity
         self._deviation: Array = np.array(_FIRST_DEVIATION)
-        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self.interval = FrameInterval()
         self._motion: Array = np.zeros(6)  # from the frame before the last to the last, a second [m/s], [rad/s]
         self._sums: Array = np.zeros(2)  # over recent frames: of products with the motion before, and of squares
         self.stop()
@@ -165,14 +115,14 @@ class ContinuousMotion(Stateful):
         last = None if self._last is None else {"timestamp": self._last[0], "T_wc": self._last[1]}
         arrays = {"velocity": self.velocity, "covariance": self._covariance, "deviation": self._deviation}
         arrays |= {"motion": self._motion, "sums": self._sums}
-        return {**{k: torch.from_numpy(v.copy()) for k, v in arrays.items()}, "last": last, "intervals": list(self._intervals)}
+        return {**{k: torch.from_numpy(v.copy()) for k, v in arrays.items()}, "last": last, "intervals": self.interval.recent()}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         arrays = (state[k].numpy().copy() for k in ("velocity", "covariance", "deviation", "motion", "sums"))
         self.velocity, self._covariance, self._deviation, self._motion, self._sums = arrays
         self._last = None if state["last"] is None else (state["last"]["timestamp"], state["last"]["T_wc"])
-        self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
+        self.interval = FrameInterval(state["intervals"])
 
     def follow(self, T_last: Tensor) -> None:
         """Moves the last pose to where the graph has it by now, (4, 4): loops and refined keyframes move it. The velocity turns with it."""
@@ -187,18 +137,12 @@ class ContinuousMotion(Stateful):
         if self._last is None:
             return MotionPrior(T_predicted, self.velocity, _inverse(self._covariance))
         dt = self._elapsed(timestamp)
-        _, covariance = self._transition(dt)
-        information = _inverse(covariance)
+        information = _inverse(Passage(dt, self._deviation).predicted(self._covariance))
         mean = np.concatenate([dt * self.velocity, self.velocity])  # change since the last pose, and velocity
         bounded = information.copy()
-        bounded[6:, 6:] += np.diag(np.repeat(np.array(_SPEED) ** -2.0, 3))  # a hand is seldom faster
+        bounded[6:, 6:] += np.diag(np.repeat(np.array(HAND_SPEED) ** -2.0, 3))  # a hand is seldom faster
         mean = np.linalg.solve(bounded, information @ mean)
         return MotionPrior(moved(self._last[1], torch.from_numpy(mean[:6])), mean[6:], bounded)
-
-    def _transition(self, dt: float) -> tuple[Array, Array]:
-        """The transition (12, 12) of pose and velocity over dt [s], and the covariance (12, 12) after it."""
-        F = transition(dt)
-        return F, F @ self._covariance @ F.T + process_noise(self._deviation, dt)
 
     def start(self, T_first: Tensor, T_wc: Tensor, elapsed: float) -> None:
         """Takes the velocity from the motion between the poses (4, 4) of the first two frames, `elapsed` [s] apart."""
@@ -227,8 +171,7 @@ class ContinuousMotion(Stateful):
             motion = change_between(self._last[1], T_wc).numpy() / self._elapsed(timestamp)
             self._sums = _REMEMBERED * self._sums + [motion @ self._motion, motion @ motion]
             self._motion = motion
-            if timestamp > self._last[0]:
-                self._intervals.append(timestamp - self._last[0])
+            self.interval.add(timestamp - self._last[0])
         self.velocity, self._covariance = velocity, covariance
         self._last = (timestamp, T_wc.clone())
         return smoothed
@@ -241,8 +184,9 @@ class ContinuousMotion(Stateful):
         if self._last is None:
             return None
         dt = self._elapsed(timestamp)
-        F, predicted = self._transition(dt)
-        gain = self._covariance @ F.T @ _inverse(predicted)
+        passage = Passage(dt, self._deviation)
+        predicted = passage.predicted(self._covariance)
+        gain = self._covariance @ passage.transition.T @ _inverse(predicted)
         change = np.concatenate([change_between(self._last[1], T_wc).numpy() - dt * self.velocity, velocity - self.velocity])
         smoothed = self._covariance + gain @ (covariance - predicted) @ gain.T
         return self.velocity + (gain @ change)[6:], smoothed[6:, 6:]
@@ -275,13 +219,12 @@ class ContinuousMotion(Stateful):
         """Forgets the motion, after a frame that is lost or whose pose is no continuation of the one before."""
         self._last, self.velocity = None, np.zeros(6)
         self._deviation = np.array(_FIRST_DEVIATION)
-        self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *_SPEED]) ** 2, 3))
+        self._covariance = np.diag(np.repeat(np.array([*_FIRST_DEVIATION, *HAND_SPEED]) ** 2, 3))
 
     def _elapsed(self, timestamp: float) -> float:
-        """[s] since the last frame, in whole frames: the stamps' jitter is that of their transport, not of the exposures."""
+        """[s] since the last frame, in whole frames."""
         assert self._last is not None
-        interval = median(self._intervals) if self._intervals else 1 / FPS
-        return max(round((timestamp - self._last[0]) / interval), 1) * interval
+        return self.interval.in_whole_frames(timestamp - self._last[0])
 
 
 def _inverse(matrix: Array) -> Array:

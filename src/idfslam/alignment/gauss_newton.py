@@ -6,9 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior, distorted, joint_system
+from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.frame_motion import FrameMotion
+from idfslam.alignment.joint_equations import joint_system, with_reference_error
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.row_moments import Array, PoseEquations, RowMoments
 from idfslam.compute.backend import pick
@@ -82,7 +83,7 @@ class JointSolver:
 
     def estimate(self, depth: DepthTerm, images: PoseEquations) -> JointEstimate:
         """The velocity, and the covariance of pose and velocity."""
-        H, _ = distorted(*joint_system(depth.sums, images.sums, self.times))
+        H, _ = with_reference_error(*joint_system(depth.sums, images.sums, self.times))
         covariance = np.linalg.inv(self.scale * H + self._information)[:12, :12]
         return JointEstimate(self.velocity, np.asarray(covariance, np.float64))
 
@@ -108,7 +109,7 @@ def compiled_joint_step(
 
 def plain_joint_step(depth: RowMoments, images: RowMoments, times: RowTimes, information: Array, scale: float, from_prior: Array) -> Array:
     """`joint_step` in numpy."""
-    H, b = distorted(*joint_system(depth, images, times))
+    H, b = with_reference_error(*joint_system(depth, images, times))
     right = scale * (b - H[:, 12:] @ from_prior[12:]) - information @ from_prior
     return np.asarray(np.linalg.solve(scale * H + information, right))
 

@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from idfslam.alignment.continuous_motion import Filtered, Passage, process_noise, transition
+from idfslam.alignment.acceleration_noise import Passage
+from idfslam.alignment.continuous_motion import Filtered
 from idfslam.alignment.motion import change_between, moved
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.storage.state import State, Stateful
@@ -88,6 +89,4 @@ def _turned(kept: Filtered, T_wc: Tensor) -> Array:
 
 def _gain(covariance: Array, passage: Passage) -> Array:
     """(12, 12) how much of the next frame's surprise is an error of this one, with a covariance (12, 12)."""
-    F = transition(passage.elapsed)
-    predicted = F @ covariance @ F.T + process_noise(passage.deviation, passage.elapsed)
-    return np.asarray(np.linalg.solve(predicted, F @ covariance).T)
+    return np.asarray(np.linalg.solve(passage.predicted(covariance), passage.transition @ covariance).T)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from idfslam.alignment.continuous_motion import distorted, joint_system
+from idfslam.alignment.joint_equations import joint_system, with_reference_error
 from idfslam.alignment.row_moments import RowMoments
 from idfslam.geometry.sensor_timing import SensorTiming
 from idfslam.sensing.rectification import RowTimes
@@ -161,7 +161,7 @@ class TimingEstimator(Stateful):
 
     def add(self, frame: "MovingFrame", velocity: Array, velocity_covariance: Array, stated: SensorTiming) -> None:
         """Adds a frame whose velocity (6,) along world axes is known by now, with this covariance (6, 6). stated: its times."""
-        H, b = distorted(*joint_system(frame.depth, frame.images, frame.times))
+        H, b = with_reference_error(*joint_system(frame.depth, frame.images, frame.times))
         D, C, times = frame.depth.H, frame.images.H, frame.times
         u, corrected = velocity - frame.of_references, velocity - frame.velocity
         by_pose = np.stack([C[1] @ u, D[1] @ u, D[0] @ u], 1)

@@ -5,20 +5,16 @@ images cannot tell apart, the motion can: a period of 30 cm from one frame to th
 fast, but from frame to frame its velocity changes little.
 """
 
-from collections import deque
-from statistics import median
-
 import torch
 from torch import Tensor
 
 from idfslam.alignment.continuous_motion import is_of_a_hand
+from idfslam.alignment.frame_interval import FrameInterval
 from idfslam.alignment.motion import change_between
-from idfslam.frame import FPS
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 
-_INTERVALS = 31  # [frames] whose stamps give the usual interval, by their median. More: changes of the rate are followed more slowly
 # [frames] with poses in a row, none of which was faster than a hand, after which one that is faster is a leap. More: photographs that are
 # stamped as a video's pass for one less often, and leaps at the beginning of a recording are not told. Chosen by hand
 _CARRIED = 10
@@ -31,21 +27,21 @@ class SpeedGate(Stateful):
         self._frames = frames
         self._last: tuple[int, float] | None = None  # number and stamp [s] of the last frame whose pose was trusted; None: there is none
         self._stamp: float | None = None  # [s] of the frame before
-        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self.interval = FrameInterval()
         self._velocity = torch.zeros(6, dtype=torch.float64)  # [m/s], [rad/s] with which it got there
         self._carried = 0  # frames in a row to which the motion was a hand's
 
     def state(self) -> State:
         """The last trusted frame and its velocity, the stamps' intervals, and for how long the motion has been a hand's."""
         last, known = None if self._last is None else list(self._last), {"stamp": self._stamp, "carried": self._carried}
-        return {"last": last, "velocity": self._velocity.tolist(), "intervals": list(self._intervals), **known}
+        return {"last": last, "velocity": self._velocity.tolist(), "intervals": self.interval.recent(), **known}
 
     def restore(self, state: State) -> None:
         """Takes over `state`."""
         self._last = None if state["last"] is None else (state["last"][0], state["last"][1])
         self._stamp, self._carried = state["stamp"], state["carried"]
         self._velocity = torch.tensor(state["velocity"], dtype=torch.float64)
-        self._intervals = deque(state["intervals"], maxlen=_INTERVALS)
+        self.interval = FrameInterval(state["intervals"])
 
     def is_leap(self, timestamp: float, T_wc: Tensor) -> bool:
         """Whether a camera that was carried by a hand until the last trusted frame cannot be at this pose (4, 4) at this time [s].
@@ -62,8 +58,8 @@ class SpeedGate(Stateful):
 
         Doubtful frames are passed over. After a lost one the camera may be anywhere.
         """
-        if self._stamp is not None and timestamp > self._stamp:
-            self._intervals.append(timestamp - self._stamp)
+        if self._stamp is not None:
+            self.interval.add(timestamp - self._stamp)
         self._stamp = timestamp
         if tracked.is_lost or not tracked.continues_motion:
             self._last, self._carried = None, 0
@@ -73,10 +69,8 @@ class SpeedGate(Stateful):
             self._last = index, timestamp
 
     def _velocity_to(self, timestamp: float, T_wc: Tensor) -> Tensor:
-        """The mean velocity (6,) [m/s], [rad/s] since the last trusted frame; 0 without one. It counts whole frames: the stamps jitter."""
+        """The mean velocity (6,) [m/s], [rad/s] since the last trusted frame; 0 without one."""
         if self._last is None:
             return torch.zeros(6, dtype=torch.float64)
         index, stamp = self._last
-        interval = median(self._intervals) if self._intervals else 1 / FPS
-        elapsed = max(round((timestamp - stamp) / interval), 1) * interval
-        return change_between(self._frames.T_wc(index), T_wc) / elapsed
+        return change_between(self._frames.T_wc(index), T_wc) / self.interval.in_whole_frames(timestamp - stamp)

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from idfslam.adjustment.row_motion import KeyframeMotion
+from idfslam.alignment.continuous_motion import HAND_SPEED
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import RowTimes
@@ -26,8 +27,6 @@ _SLOWEST = 0.05  # [s] longest usual interval of frames that tell of a shaking h
 # [m/s], [rad/s] Standard deviation of a velocity by the frames around. More: what bends an image otherwise, such as blur, passes for
 # velocity.
 _ERROR = 0.03, 0.05
-# [m/s], [rad/s] Standard deviation of a velocity of which nothing is known. More: the first keyframes of a run move more freely
-_SPEED = 0.5, 1.5
 
 
 class KeyframeMotions:
@@ -67,7 +66,7 @@ def motion_around(stamp: float, stamps: Array, poses: Array, times: RowTimes, *,
 
 def unknown_motion(times: RowTimes) -> KeyframeMotion:
     """The motion of a hand of which nothing is known, of images with these times that are not rectified."""
-    return KeyframeMotion(times, np.zeros(6), _diagonal(_SPEED), np.zeros(6), None)
+    return KeyframeMotion(times, np.zeros(6), _diagonal(HAND_SPEED), np.zeros(6), None)
 
 
 def _as_tracked(keyframe: Keyframe, times: RowTimes) -> KeyframeMotion:
