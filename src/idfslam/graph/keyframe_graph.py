@@ -11,14 +11,13 @@ from torch import Tensor
 
 from idfslam.config import KeyframeConfig
 from idfslam.geometry import se3
-from idfslam.graph.covisibility import covisibility
 from idfslam.graph.keyframe import Keyframe
+from idfslam.graph.keyframe_covisibility import covisibilities, mutual_covisibility, unmasked_covisibility
 from idfslam.graph.path_length import path_lengths
 from idfslam.graph.submaps import merged_poses, separate_origin
 from idfslam.graph.swap_file import SwapFile
 from idfslam.storage.state import State
 
-_HIDING = 1e-3  # [m] depth that stands for what hides all behind it. More: nothing, up to the nearest surface
 _CANDIDATES = 4  # stored keyframes whose mutual covisibility is tested. More: a better choice, at two tests each. Chosen by hand
 
 Revive = Callable[[State], Keyframe]
@@ -66,7 +65,7 @@ class KeyframeGraph:
 
         In both cases it becomes the last keyframe.
         """
-        scores, measured = self._covisibility(keyframe), self._measured()
+        scores, measured = covisibilities(keyframe, self.keyframes), self._measured()
         covisible = torch.nonzero(scores > self.config.covisible).flatten().tolist()
         keyframe.covisible.update(covisible)
         keyframe.edges = {i for i in covisible if i in measured}
@@ -84,7 +83,7 @@ class KeyframeGraph:
 
     def load(self, keyframe: Keyframe) -> None:
         """Stores a keyframe of an earlier run, before the first frame of this one. All its covisible keyframes count as measured edges."""
-        scores = self._covisibility(keyframe)
+        scores = covisibilities(keyframe, self.keyframes)
         self._starts_in_map = True
         keyframe.host = len(self.keyframes)
         keyframe.covisible.update(torch.nonzero(scores > self.config.covisible).flatten().tolist())
@@ -112,29 +111,8 @@ class KeyframeGraph:
         covering = [i for i in keyframe.edges if float(scores[i]) > self.config.cull and i >= (self.unverified_from or 0)]
         if self.config.cull_reach:
             covering = [i for i in covering if float((self.keyframes[i].T_wk - keyframe.T_wk)[:3, 3].norm()) < near]
-        covering = [i for i in covering if self._unhidden(keyframe, self.keyframes[i]) > self.config.cull]
+        covering = [i for i in covering if unmasked_covisibility(keyframe, self.keyframes[i]) > self.config.cull]
         return max(covering, key=lambda i: float(scores[i]), default=None)
-
-    def _unhidden(self, keyframe: Keyframe, stored: Keyframe) -> float:
-        """The covisibility of a keyframe with a stored one, without what moving things hid in that: it learnt nothing there."""
-        if stored.moving is None:
-            return 1.0
-        hiding = torch.from_numpy(stored.moving).to(keyframe.depth) * _HIDING
-        T_kn = (se3.inverse(stored.T_wk) @ keyframe.T_wk).to(keyframe.depth)
-        return float(covisibility(keyframe.depth, keyframe.camera, T_kn[None], [stored.camera], [hiding]))
-
-    def _covisibility(self, keyframe: Keyframe) -> Tensor:
-        """Covisibility (K,) of a keyframe with all stored ones (Eq. 5)."""
-        if not self.keyframes:
-            return torch.zeros(0)
-        T_kn = (se3.inverse(torch.stack([k.T_wk for k in self.keyframes])) @ keyframe.T_wk).to(keyframe.depth)
-        return covisibility(keyframe.depth, keyframe.camera, T_kn, [k.camera for k in self.keyframes]).cpu()
-
-    def _shared(self, a: Keyframe, b: Keyframe) -> float:
-        """The smaller covisibility of both directions (Eq. 5). A distant view has all of a near one in view, but shows little of it."""
-        T_ba = se3.inverse(b.T_wk) @ a.T_wk
-        directions = ((a, b, T_ba), (b, a, se3.inverse(T_ba)))
-        return min(float(covisibility(n.depth, n.camera, T[None].to(n.depth), [k.camera], [k.depth])) for n, k, T in directions)
 
     def is_stored(self, keyframe: Keyframe) -> bool:
         """Whether a keyframe is stored: neither culled, nor a frame that was not selected."""
@@ -284,7 +262,7 @@ class KeyframeGraph:
             return []
         if self.config.reference == "last" or not frame.has_depth:
             return [self.last_keyframe]
-        most = self._covisibility(frame).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
+        most = covisibilities(frame, self.keyframes).topk(min(_CANDIDATES, len(self.keyframes))).indices.sort().values.tolist()
         candidates = [self.last_keyframe, *(self.keyframes[i] for i in most)]
-        best = max(candidates, key=lambda k: self._shared(frame, k))
+        best = max(candidates, key=lambda k: mutual_covisibility(frame, k))
         return [best] if best is self.last_keyframe else [best, self.last_keyframe]
