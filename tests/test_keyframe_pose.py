@@ -28,7 +28,7 @@ class Registration:
     def __init__(self, T_wc: Tensor | None, *, agreed: bool = True) -> None:
         self.T_wc, self.agreed = T_wc, agreed
 
-    def registered(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
+    def registered(self, view: Keyframe, keyframe: Keyframe, near: Tensor | None = None) -> Tensor | None:
         return self.T_wc
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:

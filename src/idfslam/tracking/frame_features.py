@@ -44,6 +44,11 @@ class FrameFeatures:
         return self.source.resized(self.grey.shape[1], self.grey.shape[0]) if self.grey.numel() else self.source
 
     @property
+    def are_images_alone(self) -> bool:
+        """Whether no features were extracted."""
+        return self.trunk.numel() == 0
+
+    @property
     def valid(self) -> Tensor:
         """(h, w) bool: pixels with depth."""
         return self.points[..., 2] > 0

@@ -88,7 +88,7 @@ class KeyframeMapping(BackEnd):
         losses = {} if last is None else self.keyframe_pose.refine(keyframe, tracked)
         stored = self.graph.insert(keyframe)
         self.frames.attach_last(keyframe)
-        self.features.of(keyframe)
+        self.features.extract_beside(keyframe)
         self._run_hooks(keyframe)
         self.coverage.add(keyframe)
         if last is None:

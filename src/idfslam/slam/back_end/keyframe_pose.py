@@ -68,7 +68,7 @@ class KeyframeRegistration(KeyframePose):
         last = self.graph.last_keyframe
         if last is None or tracked.evidence.least_information >= _CERTAIN * self.config.registration_prior_information:
             return
-        T_wc = self.relocaliser.registered(keyframe, last)
+        T_wc = self.relocaliser.registered(keyframe, last, near=tracked.T_wc)
         if T_wc is None or not self.relocaliser.images_agree(keyframe, last, T_wc):
             return
         aligned = self.aligner.align(keyframe, T_wc, self.graph.references(self.relocaliser.references), registered=True)

@@ -243,7 +243,7 @@ class AlignmentToMap(FrontEnd):
         for guess, max_guess_error_px in self._guesses():
             T_guess, prior = (view.T_wk if guess is _Guess.PREDICTED else self._last_pose(view)), motion
             if guess is _Guess.REGISTERED:
-                registered = self.registration.register(view)
+                registered = self.registration.register(view, near=self._probable(best))
                 if registered is None:
                     continue
                 T_guess, prior = registered.T_wc, None if motion is None else registered.prior(motion)
@@ -260,6 +260,10 @@ class AlignmentToMap(FrontEnd):
                 break
         assert best is not None
         return best, registered
+
+    def _probable(self, aligned: Alignment | None) -> Tensor | None:
+        """The pose (4, 4) of an alignment that is not in doubt, but far from where the frame was expected; otherwise None."""
+        return None if aligned is None or self._in_doubt or self.aligner.is_doubtful(aligned) else aligned.T_wc
 
     def _align(self, view: Keyframe, T_guess: Tensor, max_guess_error_px: float | None, motion: MotionPrior | None) -> Alignment:
         recent = None if view.moving is not None else self.recent.reference()  # it may show what moves, too

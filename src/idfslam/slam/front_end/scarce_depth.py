@@ -70,6 +70,6 @@ class ScarceDepth:
             torch.zeros(len(seen.corner), dtype=torch.float64),
         )
         information = torch.linalg.inv(torch.from_numpy(_VARIANCE * seen.covariance))
-        points, camera = se3.transform(keyframe.T_wk, z * rays), self.corners.features.of(keyframe).grey_camera
+        points, camera = se3.transform(keyframe.T_wk, z * rays), self.corners.features.images_of(keyframe).grey_camera
         patches = AlignedPatches(points, torch.from_numpy(seen.uv), information, nothing, nothing, camera)
         return with_spread(patches, T_wc, sigma * rays @ keyframe.T_wk[:3, :3].T)

@@ -46,7 +46,7 @@ class HostCorners:
     @classmethod
     def of(cls, number: int, keyframe: Keyframe, features: KeyframeFeatures, uv: Array, depth: Array) -> "HostCorners":
         """Those of a stored keyframe with this number. uv (N, 2) [px], depth (N,) [m]: of those that were adjusted."""
-        shown, view = features.of(keyframe), KeyframeView.of(keyframe.frame, keyframe.moving)
+        shown, view = features.images_of(keyframe), KeyframeView.of(keyframe.frame, keyframe.moving)
         near = shown.patches
         chosen = np.unique(np.linspace(0, max(len(near) - 1, 0), min(len(near), _MOST_PATCHES)).round().astype(np.int64))
         near = near[torch.from_numpy(chosen)]
@@ -133,7 +133,7 @@ class KeyframeCorners(Stateful):
         """The corners of the last host that an image (H, W) at about T_wc (4, 4) shows. moving: (H, W) the pixels of what moves in it."""
         host = self.hosts[-1]
         keyframe = self.graph.keyframes[host.keyframe]
-        features = self.features.of(keyframe)
+        features = self.features.images_of(keyframe)
         model, T_fk = CameraModel.as_stated(features.grey_camera), (se3.inverse(T_wc) @ keyframe.T_wk).numpy()
         near, distant = (search(patches, features.grey, grey, T_fk, model) for patches in (host.near, host.distant.at(0.5)))
         corner = np.concatenate([near.patch, len(host.near) + distant.patch])
@@ -147,7 +147,7 @@ class KeyframeCorners(Stateful):
         keyframe, count = self.graph.keyframes[host.keyframe], len(host.near)
         is_distant = seen.corner >= count
         found = Found(seen.corner[is_distant] - count, seen.uv[is_distant], seen.covariance[is_distant], np.zeros(0))
-        T_fk, model = (se3.inverse(T_wc) @ keyframe.T_wk).numpy(), CameraModel.as_stated(self.features.of(keyframe).grey_camera)
+        T_fk, model = (se3.inverse(T_wc) @ keyframe.T_wk).numpy(), CameraModel.as_stated(self.features.images_of(keyframe).grey_camera)
         fits = ~is_distant
         fits[is_distant] = host.distant.narrow_by(found, T_fk, model)
         return seen[fits]

@@ -120,9 +120,9 @@ class LocalAdjustment(KeyframeHook):
 
     def _add(self, keyframe: Keyframe, poses: Array) -> None:
         """Looks for landmarks in a new keyframe."""
-        features, number, view = self.features.of(keyframe), keyframe.host, KeyframeView.of(keyframe.frame, keyframe.moving)
+        features, number, view = self.features.images_of(keyframe), keyframe.host, KeyframeView.of(keyframe.frame, keyframe.moving)
         older = _spread([i for i in keyframe.edges if i < number])
-        others = [(i, self.features.of(self.graph.keyframes[i]), np.linalg.inv(poses[i]) @ poses[number]) for i in older]
+        others = [(i, self.features.images_of(self.graph.keyframes[i]), np.linalg.inv(poses[i]) @ poses[number]) for i in older]
         self.tracks.add(number, features, view, others, CameraModel.as_stated(features.grey_camera))
         self._images[number] = _rectified(keyframe)
         if older:
@@ -143,7 +143,7 @@ class LocalAdjustment(KeyframeHook):
         places = {int(number): place for place, number in enumerate(numbers)}
         relative = [replace(edge, a=places[edge.a], b=places[edge.b]) for edge in edges]
         begins = np.array([keyframes[i].host == keyframes[i].submap for i in numbers])
-        model = CameraModel.as_stated(self.features.of(keyframes[-1]).grey_camera)
+        model = CameraModel.as_stated(self.features.images_of(keyframes[-1]).grey_camera)
         seen = replace(seen, keyframe=np.searchsorted(numbers, seen.keyframe))
         none = np.zeros(len(NAMES), bool)
         between = RelativePoses.of(relative) if relative else None

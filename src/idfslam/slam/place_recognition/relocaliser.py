@@ -16,6 +16,7 @@ from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
+from idfslam.slam.front_end.pair_registration import PairRegistration
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.place_recognition.global_descriptor import codebook, global_descriptor
 from idfslam.storage.frame_memory import FrameMemory
@@ -38,6 +39,7 @@ class Relocaliser(Stateful):
         """references: number of keyframes whose images a view is compared with."""
         self.references = references
         self.tracker, self.features, self.aligner, self.graph = tracker, features, aligner, graph
+        self.pairs = PairRegistration(tracker, features)
         self._codebook: Tensor | None = None
         self._descriptors: FrameMemory[Tensor] = FrameMemory()
 
@@ -70,10 +72,13 @@ class Relocaliser(Stateful):
         similarity = torch.stack([self.descriptor(k) for k in keyframes]) @ self.descriptor(view)
         return similarity.topk(min(count, len(keyframes))).indices.tolist()
 
-    def registered(self, view: Keyframe, keyframe: Keyframe) -> Tensor | None:
-        """Registers a view against a keyframe by the neural tracker: its pose T_wc (4, 4), or None if it is lost."""
-        result = self.tracker.track(self.features.of(view), self.features.of(keyframe))
-        return None if result.status is Status.LOST else keyframe.T_wk @ torch.from_numpy(result.T_kc)
+    def registered(self, view: Keyframe, keyframe: Keyframe, near: Tensor | None = None) -> Tensor | None:
+        """Registers a view against a keyframe by the neural tracker: its pose T_wc (4, 4), or None if it is lost.
+
+        near: a pose (4, 4) that it probably has.
+        """
+        found = self.pairs.register(view, keyframe, near)
+        return None if found is None else found.T_wc
 
     def verify_candidate(self, view: Keyframe, keyframe: Keyframe) -> Alignment | None:
         """Registers a view against a candidate keyframe, then aligns it to the map and the images there; None if the result is doubtful."""
