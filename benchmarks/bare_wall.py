@@ -3,7 +3,7 @@
 python benchmarks/bare_wall.py [SEED] [--noise]
 """
 
-import sys
+import argparse
 from collections import Counter
 
 import numpy as np
@@ -18,10 +18,13 @@ from idfslam.slam import Slam
 
 def main() -> None:
     """Runs frames up to 60 past the passage."""
-    seeds = [int(a) for a in sys.argv[1:] if a.isdigit()] or [0]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seed", type=int, nargs="?", default=0, help="of the room")
+    parser.add_argument("--noise", action="store_true", help="of a Kinect")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
     first, last = BARE_PASSAGE
-    room = SyntheticRoom(seeds[0], last + 60, noise="--noise" in sys.argv, bare_wall=True)
+    room = SyntheticRoom(arguments.seed, last + 60, noise=arguments.noise, bare_wall=True)
     slam = Slam()
     for _, frame in Prefetch(room):
         assert isinstance(frame, Frame)

@@ -5,7 +5,7 @@
 Each recording (any with ground truth) is interrupted five times by 30 black frames, after which it goes on from somewhere seen before.
 """
 
-import sys
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -34,10 +34,13 @@ def waits(statuses: Sequence[Status], order: np.ndarray) -> Iterator[int | None]
 
 
 def main() -> None:
-    name, *seeds = sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", help="with ground truth")
+    parser.add_argument("seeds", type=int, nargs="*", default=[0])
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for seed in [int(s) for s in seeds] or [0]:
-        recording, slam = Kidnapped(open_recording(name), seed=seed), Slam(replace(FAST, seed=seed))
+    for seed in arguments.seeds:
+        recording, slam = Kidnapped(open_recording(arguments.recording), seed=seed), Slam(replace(FAST, seed=seed))
         live = [slam.process(frame).status for frame, _ in read_frames(recording)]
         slam.finish()
         assert recording.ground_truth is not None

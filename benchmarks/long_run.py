@@ -5,8 +5,8 @@
 Speed counts `Slam.process` alone, with nothing beside it: generated frames are rendered before, so many at a time.
 """
 
+import argparse
 import os
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -42,9 +42,13 @@ def memory() -> float:
 
 
 def main() -> None:
-    name, count = sys.argv[1], int(sys.argv[2])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", help="with ground truth")
+    parser.add_argument("frames", type=int)
+    parser.add_argument("picture", type=Path, nargs="?", help="a file to write")
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
-    recording, slam = open_recording(name, frames=count), Slam()
+    recording, slam = open_recording(arguments.recording, frames=arguments.frames), Slam()
     truth = np.asarray(recording.ground_truth)
     rows: list[tuple[float, ...]] = []
     seconds, before = 0.0, dict[str, float]()
@@ -53,7 +57,7 @@ def main() -> None:
         start = time.perf_counter()
         slam.process(frame)
         seconds += time.perf_counter() - start
-        if i % EVERY == 0 or i == count:
+        if i % EVERY == 0 or i == len(recording):
             ate = absolute_trajectory_error(slam.trajectory(), truth[:i]).translation.rmse
             frames_in = i - int(rows[-1][0]) if rows else i
             rows.append((i, frames_in / seconds, memory(), len(slam.graph.keyframes), len(slam.loops()), 100 * ate))
@@ -61,8 +65,8 @@ def main() -> None:
             stages = ", ".join(f"{stage} {(ms - before.get(stage, 0.0)) / frames_in:.1f}" for stage, ms in spent.items())
             print("{:.0f} | {:.2f} | {:.0f} | {:.0f} | {:.0f} | {:.2f}".format(*rows[-1]), "|", stages, flush=True)
             seconds, before = 0.0, spent
-    if len(sys.argv) > 3:
-        draw(Path(sys.argv[3]), np.array(rows))
+    if arguments.picture is not None:
+        draw(arguments.picture, np.array(rows))
 
 
 def draw(path: Path, rows: np.ndarray) -> None:

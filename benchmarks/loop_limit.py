@@ -6,7 +6,7 @@ The chain of keyframes drifts by independent noise of each link, of its place or
 metres again; there the loops measure without any error, and the pose graph knows the noise. What is left is what no SLAM can know.
 """
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -29,7 +29,11 @@ NOISES = {"place alone": (1e-3, 1e-6), "1 mm and 0.3 mrad": (1e-3, 3e-4), "direc
 
 
 def main() -> None:
-    name, walks = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 50
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", help="with ground truth")
+    parser.add_argument("walks", type=int, nargs="?", default=50, help="with noise of their own")
+    arguments = parser.parse_args()
+    name, walks = arguments.recording, arguments.walks
     truth = torch.from_numpy(np.asarray(open_recording(name).ground_truth)[::EVERY])
     loops = seen_again(truth)
     print(f"{name}: {len(truth)} keyframes, {len(loops)} loops; ATE with loops over ATE without, of {walks} walks: mean, 10 %, 90 %")

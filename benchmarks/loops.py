@@ -6,8 +6,8 @@ A loop is wrong if its measured relation is more than 10 cm or 3 degrees off the
 one place with at least 10 m of walk between them: a keyframe that has one lies on what was mapped there before. It is wrong likewise.
 """
 
+import argparse
 import math
-import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -76,13 +76,16 @@ def links(slam: Slam, truth: np.ndarray) -> tuple[int, int, int]:
 
 
 def main() -> None:
-    arguments = sys.argv[1:]
-    frames = int(arguments.pop(arguments.index("--frames") + 1)) if "--frames" in arguments else None
-    names = [a for a in arguments if "=" not in a and not a.startswith("--")]
-    config = configured([a for a in arguments if "=" in a] + (["loops.enabled=false"] if "--without" in arguments else []))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="+", help="recordings with ground truth, and section.value=... of the configuration")
+    parser.add_argument("--without", action="store_true", help="without loops")
+    parser.add_argument("--frames", type=int, help="number of frames of each recording; default: all")
+    arguments = parser.parse_args()
+    values = [word for word in arguments.recordings if "=" in word]
+    config = configured(values + (["loops.enabled=false"] if arguments.without else []))
     torch.set_num_threads(1)
-    for name in names:
-        recording, slam = open_recording(name, frames=frames), Slam(config)
+    for name in (word for word in arguments.recordings if word not in values):
+        recording, slam = open_recording(name, frames=arguments.frames), Slam(config)
         truth = np.asarray(recording.ground_truth)
         for frame, _ in read_frames(recording):
             slam.process(frame)

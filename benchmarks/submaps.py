@@ -1,11 +1,11 @@
 """A camera carried in the dark to where it has never been: does it map that on its own, and does that come to lie where it belongs?
 
-    python benchmarks/pieces.py RECORDING FRAME NEXT [RECORDING FRAME NEXT ...]
+    python benchmarks/submaps.py RECORDING FRAME NEXT [RECORDING FRAME NEXT ...]
 
 The recording (any with ground truth that comes back to where it began) goes up to FRAME; after 30 black frames it goes on from NEXT.
 """
 
-import sys
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -34,8 +34,13 @@ def shown(recording: Dataset, order: Sequence[int]) -> Iterator[Frame]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("walks", nargs="+", metavar="RECORDING FRAME NEXT")
+    walks = parser.parse_args().walks
+    if len(walks) % 3 or not all(number.isdigit() for i, number in enumerate(walks) if i % 3):
+        parser.error(f"found {' '.join(walks)}, expected RECORDING FRAME NEXT, once or several times")
     torch.set_num_threads(1)
-    for name, first, after in zip(sys.argv[1::3], map(int, sys.argv[2::3]), map(int, sys.argv[3::3])):
+    for name, first, after in zip(walks[::3], map(int, walks[1::3]), map(int, walks[2::3])):
         recording, slam = open_recording(name), Slam(FAST)
         truth = np.asarray(recording.ground_truth)
         order = [*range(first), *[-1] * DARK, *range(after, len(recording))]
