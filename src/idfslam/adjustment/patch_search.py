@@ -11,14 +11,13 @@ from idfslam.adjustment.observations import Array, Indices
 from idfslam.compute.backend import pick
 from idfslam.geometry.camera import Camera
 from idfslam.tracking.patch_alignment import align_patches
-from idfslam.tracking.patches import Patches
+from idfslam.tracking.patches import GRAZING, Patches
 
 # All of these but the last were chosen by hand.
 _MIN_CORRELATION = 0.85  # [1] least correlation of a patch with the image; raised, fewer and surer measurements
 _FLOOR = 0.05  # [px] least standard deviation of a position, for what patches do not show; more: sharp patches count less
 _STRETCH = 0.3, 3.0  # [1] least and largest ratio of a patch's areas in two images; wider: patches seen more sideways take part
 _NEAREST = 0.1  # [m] least depth of a point; more: fewer
-_GRAZING = 1e-3  # [1] least cosine between a ray and its surface; more: fewer slanted patches
 _PIXELS = (2 * 5 + 1) ** 2  # of a patch of `align_patches`: a fact of it
 
 
@@ -75,7 +74,7 @@ def compiled_predict(patches: Patches, T_oh: Array, model: CameraModel) -> Predi
     n, c = len(patches), model.camera
     number, start, warp, z = np.empty(n, np.int64), np.empty((n, 2), np.float32), np.empty((n, 2, 2), np.float32), np.empty(n)
     arrays = (array.double().numpy() for array in (patches.uv, patches.points, patches.normals))
-    camera, limits = (c.width, c.height, c.fx, c.fy, c.cx, c.cy), (_NEAREST, _GRAZING, *_STRETCH)
+    camera, limits = (c.width, c.height, c.fx, c.fy, c.cx, c.cy), (_NEAREST, GRAZING, *_STRETCH)
     where = np.ascontiguousarray(T_oh), camera, model.distortion
     count = numba_patch_prediction.predict(*arrays, *where, limits, number, start, warp, z)  # type: ignore[call-arg]
     return Predicted(number[:count], torch.from_numpy(start[:count]), torch.from_numpy(warp[:count]), z[:count])
@@ -108,7 +107,7 @@ def _projected(camera: Camera, points: Array) -> Array:
 def _on_planes(camera: Camera, uv: Array, points: Array, normals: Array) -> Array:
     """`Patches.on_planes`: where the rays of pixels uv (N, 2) meet the planes of points (N, 3) with normals (N, 3)."""
     rays = np.concatenate([(uv - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((len(uv), 1))], 1)
-    facing = np.minimum((rays * normals).sum(1), -_GRAZING)
+    facing = np.minimum((rays * normals).sum(1), -GRAZING)
     return np.asarray(rays * ((points * normals).sum(1) / facing)[:, None])
 
 

@@ -14,9 +14,13 @@ from idfslam.frame import Status
 _WRONG_ERROR = 0.1
 # [1], [m] Added to the photometric error and to the RMSE in a score. More: small differences decide less.
 _ERROR_FLOOR, _RMSE_FLOOR = 0.005, 0.003
-# [m], [rad] Error that is expected of a pose (root mean square, by its covariance), above which it is degenerate. More: poses that hardly
-# anything measures are called ok. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
-_UNSURE = 0.05, math.radians(2)
+# [m], [rad] Error above which a pose is off: the 5 cm and 2 degrees of `idfslam.evaluation.doubt`. A pose is degenerate if more is expected
+# of it (root mean square, by its covariance), and of two poses of one view that differ by more one is wrong. More: poses that hardly
+# anything measures are called ok, wrong ones are noticed later, and fewer right ones are doubtful.
+OFF = 0.05, math.radians(2)
+# [1] Least share of the references' landmarks in view for the image to tell whether a pose is right. More: poses are confirmed and refuted
+# less often, and more safely; doubts last longer in new ground, and new submaps begin sooner.
+TELLING_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Alignment:
         if self.covariance is None:
             return False
         shift, turn = expected_error(self.covariance)
-        return shift > _UNSURE[0] or turn > _UNSURE[1]
+        return shift > OFF[0] or turn > OFF[1]
 
     @property
     def score(self) -> float:

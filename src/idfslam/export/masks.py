@@ -6,9 +6,9 @@ import numpy as np
 from PIL import Image
 
 from idfslam.errors import ResultError
+from idfslam.graph.coverage import EARLIER
 from idfslam.runs.finished_run import FinishedRun
 from idfslam.storage import atomic_files
-from idfslam.views.view_selection import EARLIER
 
 
 def write_masks(folder: Path, run: FinishedRun) -> Path:

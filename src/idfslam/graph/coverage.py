@@ -24,7 +24,7 @@ from idfslam.storage.state import State, Stateful
 # Both were chosen by hand.
 _ROWS = 120  # [px] of a view's reduced depth image. More: finer outlines of the observed surface, more memory (77 kB a view at 120 x 160)
 _SAME_POSE = 1e-9  # [m], [rad] of a view in its host, below which it is the host itself. More: a view beside it passes for it
-EARLIER = -1  # index of a view of the map that a run started in: a fact of the state's format
+EARLIER = -1  # index of a view that is of no frame of the run, but of the map that it started in: a fact of the state's format
 _MOST = 1000  # views, beyond which every other one is dropped. More: more memory, and more time for a mesh
 
 

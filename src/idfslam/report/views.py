@@ -19,6 +19,7 @@ from idfslam.export.tsdf_grid import observed_space
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.even_spacing import evenly_spread
 from idfslam.geometry.level import from_above
+from idfslam.graph.coverage import EARLIER
 from idfslam.mapping.saved_map import SavedMap
 from idfslam.pictures.direction import best_direction, shown
 from idfslam.pictures.image_files import to_bytes
@@ -28,7 +29,6 @@ from idfslam.report.figures import Plan
 from idfslam.sensing.matched_exposure import matched_exposure
 from idfslam.views.image_archive import ImageArchive
 from idfslam.views.image_based_rendering import MapViews, without
-from idfslam.views.view_selection import EARLIER
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -20,6 +20,7 @@ from idfslam.segmentation.free_space import projected, sigma
 from idfslam.segmentation.plain_form import compiles
 from idfslam.segmentation.region_growing import grown
 from idfslam.segmentation.smooth_continuation import continued, valleys
+from idfslam.segmentation.witnesses import STANDS
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
@@ -32,7 +33,6 @@ _SHARE = 0.1  # [1] of the views that know a voxel that must have seen through i
 # [frames] before or after a view from which on something seen where no view saw through is known to stay. More: regions spread over more of
 # what was seen for a short time only
 _STAYS = 60
-_STANDS = 90  # [frames] of being seen since a voxel was free last, after which it is part of the scene. More: what was moved is left out
 # [cells] that a region grows from what was seen through of it. More: more of a body at once, and of the floor that it stands on
 _BEGINS = 4
 # [cells] that a body reaches from there, over what was seen while it was there and at no other time. With 24 and 32 cells 4.6 and 3.3 % of
@@ -114,7 +114,7 @@ class OccupancyHistory:
     def _was_free(self, number: int) -> Cells:
         """(N,) whether voxels were free at another time than that of a frame, and what is there then does not stand there since."""
         enough = (self.through >= _LEAST) & (self.through >= _SHARE * (self.through + self.seen))
-        stands = (self.free < number) & (self.last - self.free >= _STANDS)
+        stands = (self.free < number) & (self.last - self.free >= STANDS)
         return enough & ~stands
 
     def _stays(self, number: int) -> Cells:

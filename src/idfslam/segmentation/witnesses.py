@@ -18,7 +18,7 @@ _LEAST = 24  # [cells] that such a view must have seen through, beside the other
 _APART, _TURNED = 2.5, np.cos(np.deg2rad(50))  # [m], cosine: views farther apart are not asked. More: witnesses that see little of a view
 # [frames] from when on a view that sees the same tells that it stays. More: slower walkers are found, false masks last longer
 _TESTIFIES = 10
-_STANDS = 90  # [frames] after which what stands in its place has become part of the scene. More: what was moved is mapped later
+STANDS = 90  # [frames] after which what stands in its place is part of the scene. More: what was moved is mapped later, or left out
 
 
 class Witnesses:
@@ -39,7 +39,7 @@ class Witnesses:
         known = {kept.number: kept for kind in in_range for kept in kind}
         chosen = [kept.number for kind in in_range for kept in kind[:_NEAREST]]
         more = {n for n in self.proven if n in known}
-        more |= set(sorted(n for n in known if number - n >= _STANDS)[-1:])
+        more |= set(sorted(n for n in known if number - n >= STANDS)[-1:])
         rest = sorted(known.keys() - more - set(chosen))
         more |= {rest[number % len(rest)]} if rest and moves else set()
         return {n: self._posed(known[n], number) for n in (*chosen, *sorted(more - set(chosen)))}
@@ -77,4 +77,4 @@ class Witnesses:
 
     def _posed(self, kept: Remembered, number: int) -> PosedView:
         age = abs(number - kept.number)
-        return PosedView(kept.view, self.pose(kept), kept.around, testifies=age >= _TESTIFIES, settles=age >= _STANDS)
+        return PosedView(kept.view, self.pose(kept), kept.around, testifies=age >= _TESTIFIES, settles=age >= STANDS)

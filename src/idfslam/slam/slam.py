@@ -17,6 +17,7 @@ from idfslam.config import FAST, Config
 from idfslam.errors import ConfigError, RecordingError, ResultError
 from idfslam.frame import Frame, FrameResult, Status, StoredKeyframe
 from idfslam.fusion.tsdf_volume import TsdfVolume
+from idfslam.graph.coverage import EARLIER
 from idfslam.graph.held_out import is_held_out
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
@@ -32,7 +33,6 @@ from idfslam.slam.world_origin import WorldOrigin
 from idfslam.storage.state import State, parts_of
 from idfslam.views.image_archive import ImageArchive, archive_of
 from idfslam.views.surface_colour import recoloured
-from idfslam.views.view_selection import EARLIER
 
 log = logging.getLogger(__name__)
 

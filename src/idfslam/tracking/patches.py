@@ -14,7 +14,7 @@ _CELLS = 15  # cells in a column of the image, each of which has at most one pat
 _CORNER = 5  # [px] size of the window in which a corner is measured. More: larger corners, less exactly placed
 _LEAST_CORNER = 1e-4  # [1] least strength of a corner, as a share of the image's strongest. More: fewer patches, with more contrast
 _OFF_PLANE = 0.05  # [1] largest distance of a patch's point from the point of the features' pixel, as a share of its depth. More: slants
-_GRAZING = 1e-3  # [1] least cosine between a ray and its surface. More: fewer slanted patches
+GRAZING = 1e-3  # [1] least cosine between a ray and its surface. More: fewer slanted patches
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Patches:
     def on_planes(self, camera: Camera, uv: Tensor) -> Tensor:
         """The points (N, 3) where the rays of pixels `uv` (N, 2) meet the patches' planes."""
         rays = camera.rays(uv)
-        facing = (rays * self.normals).sum(-1).clamp(max=-_GRAZING)
+        facing = (rays * self.normals).sum(-1).clamp(max=-GRAZING)
         return rays * ((self.points * self.normals).sum(-1) / facing)[:, None]
 
 

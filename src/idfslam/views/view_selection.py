@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from idfslam.frame import Frame
 from idfslam.geometry.camera import Camera
 from idfslam.geometry.pose_distance import apparent_motions
+from idfslam.graph.coverage import EARLIER
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, rectified
@@ -25,7 +26,6 @@ from idfslam.views.image_archive import ImageArchive
 # few frames of a camera in the hand; the budget decides in most recordings. Chosen by hand
 _STRETCH = 0.03
 _THINNED = 0.9  # [1] share of the budget down to which the images are thinned out. Less: done less often, more is lost. Chosen by hand
-EARLIER = -1  # index of an image that is of no frame of the run, but of the map that it started in
 _MEGABYTE = 1e6  # [bytes]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
-from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.alignment import TELLING_SHARE, Alignment
 from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.alignment.image_rotation import ImageRotation, turned
 from idfslam.alignment.motion import image_motion
@@ -43,9 +43,6 @@ _BETTER = 1.05
 # are left sooner, and registrations that are no better are taken. From the passage of fr1/rpy where alignments ran away: 0.5 to 0.6 before,
 # 0.9 where both were about right.
 _DISPLACED = 0.8
-# [1] Least share of the references' landmarks in view for a doubt to end, or not to begin where hardly anything measures the pose, without
-# a registration that confirms it. More: doubts last longer in new ground, and fewer end at a wrong pose. As a relocalisation needs it.
-_CONFIRMED = 0.3
 # [rad] Motion of the image since a repeated colour image was new, below which it still shows what the camera sees: a pixel and a half of
 # 320. More: a pose follows depth later while colour is repeated. Chosen by hand.
 _STANDS = 0.005
@@ -111,7 +108,7 @@ class AlignmentToMap(FrontEnd):
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
         confirmed = registered is not None and registered.confirms(aligned, wide=wide)
-        unseen = not aligned.displacement or aligned.in_view < _CONFIRMED  # the image is no evidence
+        unseen = not aligned.displacement or aligned.in_view < TELLING_SHARE  # the image is no evidence
         unmeasured = unseen and not confirmed and aligned.is_unsure
         if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
             return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idfslam.alignment.alignment import Alignment, expected_error
+from idfslam.alignment.alignment import OFF, Alignment, expected_error
 from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
@@ -15,9 +15,6 @@ from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.tracking.tracker import TrackingResult
 
-# [m], [rad] Difference of two poses of one view above which one of them is wrong. More: wrong poses are noticed later,
-# and fewer right ones are doubtful. It is the 5 cm and 2 degrees of `idfslam.evaluation.doubt`.
-_APART = 0.05, math.radians(2)
 # [m], [rad] Error that is expected of a registered pose, up to which it confirms another one: twice that is the least that matters. More:
 # few patches in a strip of the image confirm poses that are turned about it. Such a strip had 16 cm and 3.7 degrees.
 _SURE = 0.025, math.radians(1)
@@ -26,7 +23,7 @@ _SURE = 0.025, math.radians(1)
 def are_apart(T_wc: Tensor, other: Tensor) -> bool:
     """Whether two poses (4, 4) float64 of one view are so far apart that one of them is wrong."""
     change = change_between(T_wc, other)
-    return float(change[:3].norm()) > _APART[0] or float(change[3:].norm()) > _APART[1]
+    return float(change[:3].norm()) > OFF[0] or float(change[3:].norm()) > OFF[1]
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,11 @@ from idfslam.frame import Status
 from idfslam.geometry import se3
 from idfslam.graph.keyframe import Keyframe
 from idfslam.slam.front_end.registered_pose import are_apart
-from idfslam.slam.keyframe_adjustment.keyframe_corners import KeyframeCorners
+from idfslam.slam.keyframe_adjustment.keyframe_corners import SCARCE, KeyframeCorners
 from idfslam.tracking.frame_features import brightness
 from idfslam.tracking.patch_alignment import AlignedPatches
 
 # All of these were chosen by hand on rooms larger than a Kinect's reach.
-# [m] Expected error of a pose by map and landmarks above which corners are asked. More: fewer frames gain, and less time is spent
-_SCARCE = 0.005
 _LEAST = 8  # corners of known distance in view. More: corners are asked in fewer frames
 _VARIANCE = 12.0  # [1] of a corner's place in both images, over that of one as its patch tells it. More: corners hold poses less
 # [standard deviations] of a corner that agrees with the pose, and least share of such corners. More: corners that moved draw poses along
@@ -43,7 +41,7 @@ class ScarceDepth:
         """
         covariance = aligned.covariance
         usable = view.rectification is None and not view.colour_is_older and aligned.status is not Status.LOST
-        if covariance is None or not (usable and self.graph.keyframes) or expected_error(covariance)[0] <= _SCARCE:
+        if covariance is None or not (usable and self.graph.keyframes) or expected_error(covariance)[0] <= SCARCE:
             return aligned
         ran_away = aligned.is_unsure and are_apart(view.T_wk, aligned.T_wc)
         seen = self._seen(view, view.T_wk if ran_away else aligned.T_wc)

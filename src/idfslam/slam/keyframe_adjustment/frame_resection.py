@@ -23,14 +23,12 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.slam.keyframe_adjustment.global_adjustment import KeyframeAdjustment
-from idfslam.slam.keyframe_adjustment.keyframe_corners import HostCorners, KeyframeCorners, shows
+from idfslam.slam.keyframe_adjustment.keyframe_corners import SCARCE, HostCorners, KeyframeCorners, shows
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful
 from idfslam.tracking.frame_features import brightness
 
 # All of these were chosen by hand on generated rooms and on rooms larger than a Kinect's reach.
-# [m] Expected error of a pose from which the next keyframe's corners are looked for too. More: fewer such frames, and these gain less
-_SCARCE = 0.005
 _ROUNDED = 1e-3  # [1] added to variances: twice what a number of 16 bits is rounded by. More: long patches count as less long
 _TOGETHER = 30  # most frames that are resected together. More: corners are placed more exactly, slower
 _MOST_WAITING = 60  # frames that wait for the next keyframe, at a byte a pixel. More: longer stretches gain, and take more memory
@@ -120,7 +118,7 @@ class FrameResection(Resection):
 
     def _look_forward(self, view: Keyframe, covariance: Tensor) -> None:
         """Looks for the last keyframe's corners in a frame."""
-        scarce = expected_error(covariance)[0] > _SCARCE
+        scarce = expected_error(covariance)[0] > SCARCE
         if not (scarce or self.agree()):
             return
         frame, (number, _) = len(self.frames) - 1, self.frames.in_host(-1)

@@ -27,6 +27,9 @@ from idfslam.storage.state import State, Stateful
 from idfslam.tracking.patches import Patches
 
 # All of these were chosen by hand on generated rooms and on rooms larger than a Kinect's reach.
+# [m] Error that is expected of a frame's pose by its alignment, above which corners are asked while the camera moves, and those of the next
+# keyframe too. More: fewer frames gain, and less time is spent
+SCARCE = 0.005
 _MOST_PATCHES = 120  # patches with depth of a keyframe that frames are searched for. More: exacter poses, more time and memory
 _UNEVEN = 0.02  # [1] standard deviation of depth where no smooth surface is, as a share of it. More: edges of things count less
 # [1] Least share of the least inverse depth that a corner without depth may have in the largest, to count. More: fewer and surer corners

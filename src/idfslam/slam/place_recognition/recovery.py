@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 
-from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.alignment import TELLING_SHARE, Alignment
 from idfslam.config import LoopConfig
 from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
@@ -26,9 +26,6 @@ _DOUBTED = 15  # doubtful frames in a row from which the camera is looked for el
 # it walked on fast, and look-alike places pass more easily. This and the next: chosen by hand
 _NEARBY = 1.5
 _STILL_NEAR = 15  # [frames with depth] for which that holds. More: likewise
-# [1] Share of the references' landmarks in view below which a camera that has been in doubt for that long counts as lost: no keyframe will
-# tell whether its pose is right. More: new submaps are started sooner. As a relocalisation needs it.
-_UNSEEN = 0.3
 # Keyframes, all of little depth, up to which a map does not wait for a camera that it cannot find. More: a longer start under a covered
 # lens is left at once, and so is an object without a background. Covered lenses left 1 to 3. Chosen by hand
 _MEAGRE = 4
@@ -138,7 +135,7 @@ class Relocalisation(Recovery):
 
     def _is_astray(self, tracked: Tracked) -> bool:
         """Whether the camera has been in doubt for long, where no keyframe tells whether its pose is right."""
-        return self._doubted >= _DOUBTED and tracked.status is Status.DOUBTFUL and tracked.evidence.in_view < _UNSEEN
+        return self._doubted >= _DOUBTED and tracked.status is Status.DOUBTFUL and tracked.evidence.in_view < TELLING_SHARE
 
     def _begins_anew(self, view: Keyframe, tracked: Tracked) -> bool:
         """Whether a submap begins with a view at once: it has the depth that no keyframe has, and these do not tell where it is.
@@ -172,7 +169,7 @@ class Relocalisation(Recovery):
     def _nearby(self, view: Keyframe) -> list[Keyframe]:
         """The keyframes around where the camera was lost. Mostly it is still there, and places that look alike are elsewhere.
 
-        None where nobody knows: before the first frame of a run in a saved map, after long doubt, and when it was lost for long.
+        Empty where nobody knows: before the first frame of a run in a saved map, after long doubt, and when it was lost for long.
         """
         if not len(self.frames) or self._doubted >= _DOUBTED or self._searched >= _STILL_NEAR:
             return []

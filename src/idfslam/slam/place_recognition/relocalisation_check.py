@@ -8,6 +8,7 @@ import logging
 from typing import Any
 
 from idfslam.alignment.aligner import MapAligner
+from idfslam.alignment.alignment import TELLING_SHARE
 from idfslam.geometry.pose_distance import pose_distances
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
@@ -22,7 +23,6 @@ log = logging.getLogger(__name__)
 # [m] Distance from the relocalisation, with a turn as the shift 2 m ahead, from which an agreeing keyframe confirms it. More: later, safer.
 _CONFIRMED_AFTER = 3.0
 _WITNESSES = 4  # old keyframes compared with a new one. More: fewer wrong contradictions, at a comparison of images each
-_MIN_IN_VIEW = 0.3  # [1] least share of an old keyframe's landmarks in view for a comparison. More: fewer and safer comparisons
 _CONTRADICTION = 1.4  # [1] ratio of the photometric error to the doubtful one that is a contradiction. More: fewer refutations
 _CONTRADICTIONS = 2  # contradicted keyframes in a row that refute a relocalisation. More: fewer and later refutations
 
@@ -69,7 +69,7 @@ class RelocalisationCheck(KeyframeHook):
             return False
         witnesses = [self.graph.keyframes[i] for i in keyframe.covisible_references if i < first][:_WITNESSES]
         compared = [self.aligner.photometric_comparison(keyframe, witness, keyframe.T_wk) for witness in witnesses]
-        errors = [error for in_view, error in compared if in_view > _MIN_IN_VIEW]
+        errors = [error for in_view, error in compared if in_view > TELLING_SHARE]
         if not errors:
             return False
         agrees = min(errors) <= self.max_error

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from idfslam.alignment.aligner import MapAligner
-from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.alignment import TELLING_SHARE, Alignment
 from idfslam.alignment.motion import change_between
 from idfslam.frame import Status
 from idfslam.graph.keyframe import Keyframe
@@ -24,7 +24,6 @@ from idfslam.storage.state import State, Stateful
 from idfslam.tracking.tracker import Tracker
 
 # All of these were chosen by hand.
-_MIN_IN_VIEW = 0.3  # [1] least share of a keyframe's landmarks in view to confirm a pose. More: fewer and safer confirmations
 _SAME_PLACE = 0.5, math.radians(20)  # [m], [rad] largest difference of two poses at one place. More: fewer results are ambiguous
 # [1] Largest ratio of the photometric error to the usual one of an accepted relocalisation (right places: 0.8 to 1.3; doors that look
 # alike: 1.5). More: more relocalisations, and more wrong ones.
@@ -122,13 +121,13 @@ class Relocaliser(Stateful):
 
     def convincing(self, aligned: Alignment) -> bool:
         """Whether an alignment is unlikely to be accidental: it is not doubtful, sees enough landmarks, and they are as bright as usual."""
-        surely = aligned.status is Status.OK and aligned.in_view > _MIN_IN_VIEW and not self.aligner.is_doubtful(aligned)
+        surely = aligned.status is Status.OK and aligned.in_view > TELLING_SHARE and not self.aligner.is_doubtful(aligned)
         return surely and aligned.photometric_error <= self.aligner.usual_error.doubtful
 
     def images_agree(self, view: Keyframe, keyframe: Keyframe, T_wc: Tensor) -> bool:
         """Whether a view at `T_wc` (4, 4) sees enough of a keyframe's landmarks, with a small photometric error."""
         in_view, error = self.aligner.photometric_comparison(view, keyframe, T_wc)
-        return in_view > _MIN_IN_VIEW and 0 < error <= self.aligner.usual_error.doubtful
+        return in_view > TELLING_SHARE and 0 < error <= self.aligner.usual_error.doubtful
 
 
 def unambiguous(results: Sequence[tuple[Keyframe, Alignment]]) -> tuple[Keyframe, Alignment] | None:
