@@ -7,7 +7,9 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from typing import TypeVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from idfslam.alignment.aligner import MapAligner
 from idfslam.alignment.motion import MotionModel
@@ -29,6 +31,7 @@ from idfslam.mapping.joint.joint_map import JointMap
 from idfslam.mapping.map import Map
 from idfslam.mapping.mapper import Mapper
 from idfslam.mapping.updates import InBackground, InTurns
+from idfslam.sensing.rectification import RowTimes
 from idfslam.slam.back_end.back_end import BackEnd, KeyframeMapping
 from idfslam.slam.back_end.finetuner import Finetuner, Finetuning, NoFinetuning
 from idfslam.slam.back_end.joint_mapping import JointMapping
@@ -91,7 +94,7 @@ class System:
         self.views = ViewSelection(self.frames, config.archive_megabytes if config.archive else 0.0)
         self.replay, self.relearn = Replay(config.keyframes, self.graph, self.generator), RelearnQueue(config.loops.relearn_updates)
         self.features = KeyframeFeatures(self.tracker)
-        if self.config.mapper.light:
+        if config.mapper.light:
             self.map.light = self.light.later
         self.front_end = self._make_front_end(self)
         self.back_end = self._make_back_end(self)
@@ -133,6 +136,8 @@ class System:
     def relocalises(self) -> bool:
         return self.config.loops.relocalise and self.aligns
 
+    # Front end: the pose of each frame
+
     @cached_property
     def aligner(self) -> MapAligner:
         if isinstance(self.map, JointMap):
@@ -146,9 +151,7 @@ class System:
     def registration(self) -> Registration:
         return Registration(self.tracker, self.features, self.graph, self.timer)
 
-    @cached_property
-    def light(self) -> LightEstimation:
-        return LightEstimation(self.graph, self.aligner.appearances.take_out) if self.aligns else LightEstimation(self.graph)
+    # Place recognition: a lost camera, loops, submaps
 
     @cached_property
     def relocaliser(self) -> Relocaliser:
@@ -164,18 +167,14 @@ class System:
             return NoRecovery(self.graph, self.frames)
         return Relocalisation(self.config.loops, self.relocaliser, self.relocalisation_check, self.graph, self.frames, self.timer)
 
+    # What moves
+
     @cached_property
     def segmentation(self) -> MotionSegmentation:
         if self.config.movers == "off":
             return NoSegmentation()
         references = partial(self.graph.references, self.config.alignment.references)
-        return FreeSpaceSegmentation(self.frames, self.timer, self._learn_masked, references)
-
-    @cached_property
-    def hindsight(self) -> Hindsight:
-        if not isinstance(self.segmentation, FreeSpaceSegmentation):
-            return NoHindsight()
-        return StoredViews(self.segmentation, self.frames, self.coverage, self.views, self.timer)
+        return FreeSpaceSegmentation(self.frames, self.timer, masked=self._learn_masked, references=references)
 
     def _learn_masked(self, keyframe: Keyframe) -> None:
         """Has all parts take up the changed mask of a stored keyframe."""
@@ -187,19 +186,20 @@ class System:
         self.relearn.add([keyframe])
 
     @cached_property
+    def hindsight(self) -> Hindsight:
+        if not isinstance(self.segmentation, FreeSpaceSegmentation):
+            return NoHindsight()
+        return StoredViews(self.segmentation, self.frames, self.coverage, self.views, self.timer)
+
+    # Keyframes: which frames become one, their poses, and what is called with each
+
+    @cached_property
     def keyframe_selection(self) -> KeyframeSelection:
         parts, lost_frames = (self.config.keyframes, self.graph, self.frames), not self.relocalises
         if self.config.keyframes.choice == "information_gain":
             return InformationGain(*parts, self.joint_map.explained, lost_frames=lost_frames)
         interval = self.config.keyframes.choice == "interval"
         return (KeyframeInterval if interval else KeyframeSelection)(*parts, lost_frames=lost_frames)
-
-    @cached_property
-    def mapping_window(self) -> MappingWindow:
-        parts = self.config.joint_mapping, self.graph, self.generator
-        if self.config.joint_mapping.choice == "overlap":
-            return OverlapWindow(*parts)
-        return LossWindow(*parts, self.joint_map.loss_of)
 
     @cached_property
     def keyframe_pose(self) -> KeyframePose:
@@ -211,7 +211,7 @@ class System:
 
     @cached_property
     def hooks(self) -> list[KeyframeHook]:
-        c, hooks = self.config.loops, list[KeyframeHook]()
+        hooks = list[KeyframeHook]()
         if self.config.mapper.light:
             hooks.append(self.light)
         if self.relocalises:
@@ -219,16 +219,63 @@ class System:
         if self.local_adjustment is not None:
             hooks.append(self.local_adjustment)
         if self.closes_loops:
-            hooks.append(LoopCloser(c, self.relocaliser, self.graph))
-            hooks.append(SubmapMerger(c, self.relocaliser, self.graph, self.frames))
+            hooks.append(LoopCloser(self.config.loops, self.relocaliser, self.graph))
+            hooks.append(SubmapMerger(self.config.loops, self.relocaliser, self.graph, self.frames))
         if self.config.calibrate != "off":
-            likeliest = KeyframeMotions(self.frames, lambda keyframe: self.front_end.likeliest_row_times(keyframe)[0])
-            hooks.append(CameraCheck(self.graph, likeliest, lambda keyframe: self.front_end.likeliest_row_times(keyframe)[1]))
+            hooks.append(self._camera_check())
         return hooks
+
+    @cached_property
+    def light(self) -> LightEstimation:
+        return LightEstimation(self.graph, self.aligner.appearances.take_out) if self.aligns else LightEstimation(self.graph)
+
+    def _camera_check(self) -> CameraCheck:
+        def times(keyframe: Keyframe) -> RowTimes:
+            return self.front_end.likeliest_row_times(keyframe)[0]
+
+        def deviations(keyframe: Keyframe) -> NDArray[np.float64]:
+            return self.front_end.likeliest_row_times(keyframe)[1]
+
+        return CameraCheck(self.graph, KeyframeMotions(self.frames, times), deviations)
+
+    # Adjustment: keyframes with the landmarks that they share, and the frames between them
+
+    @cached_property
+    def motions(self) -> KeyframeMotions:
+        return KeyframeMotions(self.frames, lambda keyframe: self.front_end.row_times(keyframe))  # the front end is made later
 
     @cached_property
     def local_adjustment(self) -> LocalAdjustment | None:
         return LocalAdjustment(self.graph, self.features, self.motions) if self.aligns and self.config.refinement.adjust_local else None
+
+    @cached_property
+    def adjustment(self) -> KeyframeAdjustment:
+        if not (self.aligns and self.config.refinement.adjust):
+            return NoAdjustment()
+        tracks = None if self.local_adjustment is None else self.local_adjustment.tracks
+        return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks, self.motions)
+
+    @cached_property
+    def corners(self) -> KeyframeCorners:
+        local = self.local_adjustment
+        return KeyframeCorners(self.graph, self.features) if local is None else KeyframeCorners(self.graph, self.features, local.distant)
+
+    @cached_property
+    def resection(self) -> Resection:
+        if isinstance(self.adjustment, NoAdjustment):
+            return NoResection()
+        local = self.local_adjustment
+        agree = (lambda: True) if local is None else (lambda: local.agrees)
+        return FrameResection(self.graph, self.frames, self.corners, self.adjustment, agree)
+
+    # Back end: what the map learns, and the end of a run
+
+    @cached_property
+    def mapping_window(self) -> MappingWindow:
+        parts = self.config.joint_mapping, self.graph, self.generator
+        if self.config.joint_mapping.choice == "overlap":
+            return OverlapWindow(*parts)
+        return LossWindow(*parts, self.joint_map.loss_of)
 
     @cached_property
     def refinement(self) -> Refinement:
@@ -239,52 +286,29 @@ class System:
         return KeyframeRefinement(self.config.refinement, self.graph, self.relearn, self.aligner, held, references=references)
 
     @cached_property
-    def adjustment(self) -> KeyframeAdjustment:
-        if not (self.aligns and self.config.refinement.adjust):
-            return NoAdjustment()
-        tracks = None if self.local_adjustment is None else self.local_adjustment.tracks
-        return GlobalAdjustment(self.graph, self.config.refinement.seconds, tracks, self.motions)
-
-    @cached_property
-    def resection(self) -> Resection:
-        if isinstance(self.adjustment, NoAdjustment):
-            return NoResection()
-        local = self.local_adjustment
-        agree = (lambda: True) if local is None else (lambda: local.agrees)
-        return FrameResection(self.graph, self.frames, self.corners, self.adjustment, agree)
-
-    @cached_property
-    def corners(self) -> KeyframeCorners:
-        local = self.local_adjustment
-        return KeyframeCorners(self.graph, self.features) if local is None else KeyframeCorners(self.graph, self.features, local.distant)
-
-    @cached_property
-    def motions(self) -> KeyframeMotions:
-        return KeyframeMotions(self.frames, lambda keyframe: self.front_end.row_times(keyframe))
-
-    @cached_property
-    def polish(self) -> Polishing:
-        if not self.config.refine:
-            return NoPolish()
-        parts = self.graph, self.replay, self.relearn, self.adjustment, self.refinement, self.mapper
-        return Polish(self.config.refinement, self.config.mapper.iterations, *parts)
-
-    @cached_property
-    def surface_fusion(self) -> SurfaceFusion:
-        return ViewFusion(self.config.fusion, self.graph, self.coverage) if self.config.fusion.enabled else NoFusion()
-
-    @cached_property
     def finetuner(self) -> Finetuning:
         if not self.config.finetune.enabled:
             return NoFinetuning()
         return Finetuner(self.tracker, self.features, self.mapper, self.graph, self.timer)
 
+    @cached_property
+    def polish(self) -> Polishing:
+        if not self.config.refine:
+            return NoPolish()
+        c = self.config
+        return Polish(
+            c.refinement, c.mapper.iterations, self.graph, self.replay, self.relearn, self.adjustment, self.refinement, self.mapper
+        )
 
-def _neural_field(system: System) -> Mapper:
-    c = system.config
-    background = c.mapper.background and updates_may_overlap(system.device)
+    @cached_property
+    def surface_fusion(self) -> SurfaceFusion:
+        return ViewFusion(self.config.fusion, self.graph, self.coverage) if self.config.fusion.enabled else NoFusion()
+
+
+def _neural_field(s: System) -> Mapper:
+    background = s.config.mapper.background and updates_may_overlap(s.device)
     updates = InBackground() if background else InTurns()
-    return Mapper(c.mapper, c.field, system.device, torch.Generator(system.device).manual_seed(c.seed), updates)
+    return Mapper(s.config.mapper, s.config.field, s.device, torch.Generator(s.device).manual_seed(s.config.seed), updates)
 
 
 def _volume_density(s: System) -> Map:
@@ -295,20 +319,18 @@ def _occupancy_grids(s: System) -> Map:
     return GridsMap(s.config, s.device, torch.Generator(s.device).manual_seed(s.config.seed))
 
 
-def _alignment(system: System) -> FrontEnd:
-    s = system
-
+def _alignment(s: System) -> FrontEnd:
     def learn_again(keyframe: Keyframe) -> None:
         s.back_end.learn_again(keyframe)  # which is made after the front end
 
-    parts = s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add
+    front_end = partial(AlignmentToMap, s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add)
     if isinstance(s.resection, NoResection):  # nobody learns how far away corners are
-        return AlignmentToMap(*parts)
-    return AlignmentToMap(*parts, ScarceDepth(s.corners).resected)
+        return front_end()
+    return front_end(resect=ScarceDepth(s.corners).resected)
 
 
-def _registration(system: System) -> FrontEnd:
-    return system.registration
+def _registration(s: System) -> FrontEnd:
+    return s.registration
 
 
 def _inverse_rendering(s: System) -> FrontEnd:
@@ -322,8 +344,9 @@ def _joint_mapping(s: System) -> BackEnd:
 
 def _keyframe_mapping(s: System) -> BackEnd:
     updates = MapTraining(s.config, s.graph, s.frames, s.replay, s.relearn, s.mapper, s.refinement, s.timer)
-    parts = s.keyframe_pose, s.hooks, updates, s.polish, s.finetuner, s.timer
-    return KeyframeMapping(s.config, s.graph, s.frames, s.coverage, s.features, *parts)
+    return KeyframeMapping(
+        s.config, s.graph, s.frames, s.coverage, s.features, s.keyframe_pose, s.hooks, updates, s.polish, s.finetuner, s.timer
+    )
 
 
 FRONT_ENDS: dict[str, Callable[[System], FrontEnd]] = {

@@ -246,13 +246,14 @@ class Slam:
 
     def stored_keyframes(self) -> list[StoredKeyframe]:
         """All keyframes in the order in which they were stored, at their present poses."""
-        known = self.adjustment.covariances()
-        main = self.graph.main_submap
-        number = {main: 0, 0: main}  # the main submap is told as the first
-        submaps = [number.get(k.submap, k.submap) for k in self.graph.keyframes]
-        poses = [k.T_wk.numpy().copy() for k in self.graph.keyframes]
-        columns = [(k.index, T, frozenset(k.covisible), s, k.camera) for k, T, s in zip(self.graph.keyframes, poses, submaps)]
-        return [StoredKeyframe(*values, known.get(i)) for i, values in enumerate(columns)]
+        covariances, main = self.adjustment.covariances(), self.graph.main_submap
+        told = {main: 0, 0: main}  # the main submap is told as the first
+        return [
+            StoredKeyframe(
+                k.index, k.T_wk.numpy().copy(), frozenset(k.covisible), told.get(k.submap, k.submap), k.camera, covariances.get(k.host)
+            )
+            for k in self.graph.keyframes
+        ]
 
     def loops(self) -> Sequence[Loop]:
         """The closed loops."""
