@@ -200,6 +200,16 @@ def film(passage: Passage, i: int, frame: Frame) -> Frame:
     return replace(frame, colour=eight_bits(np.where(on_screen[..., None], picture[rows, columns], frame.colour)))
 
 
+def gripper(passage: Passage, i: int, frame: Frame) -> Frame:
+    """A gripper that the camera carries along, 45 to 57 cm away, fills a fifth of the image from the first frame on."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    off = ((u - 205) / 95) ** 2 + ((v - 245) / 110) ** 2
+    pattern, rng = 0.45 + 0.25 * np.sin(u / 5 + 2 * np.sin(v / 9)) * np.cos(v / 6), np.random.default_rng([9, i])
+    skin = pattern[..., None] * np.array([0.9, 0.65, 0.5]) + 0.012 * rng.standard_normal((HEIGHT, WIDTH, 3))
+    depth = np.where(off < 1, 0.45 + 0.12 * off + 0.0015 * rng.standard_normal(off.shape), frame.depth)
+    return replace(frame, colour=eight_bits(np.where((off < 1)[..., None], skin, frame.colour)), depth=depth.astype(np.float32))
+
+
 def unchanged(passage: Passage, i: int, frame: Frame) -> Frame:
     """The frame as it is."""
     return frame
@@ -300,6 +310,7 @@ PASSAGES: dict[str, Callable[[Room], Passage]] = {
     "starts-dark": partial(changed, starts_dark),
     "flicker": partial(changed, flicker),
     "film": partial(changed, film),
+    "gripper": partial(changed, gripper),
     "no-depth": partial(changed, partial(shown, without_depth, 30)),
     "white": partial(changed, partial(shown, white, 15)),
     "black": partial(changed, partial(shown, black, 30)),

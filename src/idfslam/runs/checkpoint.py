@@ -27,7 +27,7 @@ from idfslam.storage import atomic_files, safetensors_file
 from idfslam.storage.state import State
 
 _SHOWN = 200  # characters of a library's error in a message; more: a longer line
-FORMAT = 23  # counts up whenever the state of a part changes its form
+FORMAT = 24  # counts up whenever the state of a part changes its form
 
 log = logging.getLogger(__name__)
 

@@ -15,10 +15,12 @@ from idfslam.frame import Status
 from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import CoarseView, cells_camera, coarse_view, in_pixels, thinned
+from idfslam.segmentation.image_standstill import without as without_cells
 from idfslam.segmentation.memory import Memory
 from idfslam.segmentation.segmenter import Segmenter
 from idfslam.sensing.rectification import rectified
 from idfslam.slam.front_end.front_end import FrontEnd
+from idfslam.slam.motion_segmentation.carried_layer import CarriedLayer
 from idfslam.slam.motion_segmentation.nearest_layer_trial import NearestLayerTrial
 from idfslam.slam.motion_segmentation.tracked_without import tracked_without
 from idfslam.slam.stage_timer import StageTimer
@@ -88,7 +90,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self.frames, self.graph, self.timer, self._masked, self._references = frames, frames.graph, timer, masked, references
         self.memory = Memory(lambda host: frames.graph.keyframes[host].T_wk.numpy())
         self.segmenter = Segmenter(self.memory)
-        self.trial = NearestLayerTrial()
+        self.trial, self.carried = NearestLayerTrial(), CarriedLayer(frames)
         self._passed_over = 0  # frames since one was segmented
         self.found = False  # whether anything has moved so far
 
@@ -105,7 +107,13 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
         A layer that moves has drawn the frames before along, too: the farther, the later. They are moved back.
         """
-        without, moves = self.trial.run(view, tracked, front_end, lambda: _coarse(view).depth)
+        without, carried = self.carried.run(view, tracked, front_end, lambda: _as_taken(view))
+        if carried is not None:
+            for keyframe in self._references():
+                self.hide(keyframe, in_pixels(self.carried.cells(_as_taken(keyframe)), keyframe.camera))
+            self.frames.correct_latest(tracked.T_wc, without.T_wc, _PULL_BEFORE)
+            return without
+        without, moves = self.trial.run(view, tracked, front_end, lambda: self._scene(view).depth)
         if moves is not None:
             self.segmenter.suspect(moves)
             if not tracked.is_lost:
@@ -120,7 +128,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if self.segmenter.still or self.segmenter.is_predicted(tracked.T_wc.numpy()):
             return tracked
         with self.timer.stage("segment"):
-            more = in_pixels(self.segmenter.preview(_coarse(view), tracked.T_wc.numpy()), view.camera)
+            more = in_pixels(self.segmenter.preview(self._scene(view), tracked.T_wc.numpy()), view.camera)
         shown = view.frame.depth > 0
         if np.count_nonzero(more & shown) < _MORE * np.count_nonzero(shown):
             return tracked
@@ -132,16 +140,15 @@ class FreeSpaceSegmentation(MotionSegmentation):
 
     def predict(self, view: Keyframe) -> None:
         with self.timer.stage("segment"):
-            if self.segmenter.still:
-                view.hide(None)
-                return
-            cells = self.segmenter.predict(_coarse(view), view.T_wk.numpy())
-            view.hide(in_pixels(cells, view.camera) if cells.any() else None)
+            if self.carried.is_known:
+                self.carried.follow(_as_taken(view))
+            self._hide(view, None if self.segmenter.still else self.segmenter.predict(self._scene(view), view.T_wk.numpy()))
 
     def segment(self, view: Keyframe, tracked: Tracked) -> Tracked:
+        self.carried.accept(view.index, lambda: _as_taken(view), lost=tracked.is_lost)
         if tracked.is_lost:
             self.segmenter.forget_last()
-            view.hide(None)
+            self._hide(view, None)
             return tracked
         self.trial.accept(tracked)
         if tracked.source is Source.REGISTERED:  # such poses are off by up to a centimetre and a degree, which would pass for movement
@@ -151,15 +158,15 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if self.segmenter.still and (doubtful or self._passed_over < _PASSED_OVER):
             self._passed_over = min(self._passed_over + 1, _PASSED_OVER)
             self.memory.pass_over()
-            view.hide(None)
+            self._hide(view, None)
             return tracked
         self._passed_over = 0
         with self.timer.stage("segment"):
             T_wc = tracked.T_wc.numpy()
             cells = self.segmenter.confirm(T_wc) if view.rectification_of_taken is None else None
             if cells is None:
-                cells = self.segmenter.segment(_coarse(view), T_wc)
-            view.hide(in_pixels(cells, view.camera) if cells.any() else None)
+                cells = self.segmenter.segment(self._scene(view), T_wc)
+            self._hide(view, cells)
             self.found |= bool(cells.any())
             self.memory.mask_in_recent(self.segmenter.last)
             for keyframe in self._references():
@@ -173,8 +180,19 @@ class FreeSpaceSegmentation(MotionSegmentation):
         self._masked(keyframe)
 
     def _mask(self, keyframe: Keyframe, cells: NDArray[np.bool_]) -> None:
-        keyframe.hide(in_pixels(cells, keyframe.camera))
+        self._hide(keyframe, cells)
         self._masked(keyframe)
+
+    def _hide(self, view: Keyframe, moving: NDArray[np.bool_] | None) -> None:
+        """Hides cells (h, w) of a view, and what the camera carries along."""
+        cells = self.carried.cells(_as_taken(view)) if self.carried.is_known else None
+        cells = moving if cells is None else cells if moving is None else cells | moving
+        view.hide(None if cells is None or not cells.any() else in_pixels(cells, view.camera))
+
+    def _scene(self, view: Keyframe) -> CoarseView:
+        """The coarse view of all that a view shows, but for what the camera carries along."""
+        coarse = _coarse(view)
+        return without_cells(coarse, self.carried.cells(_as_taken(view))) if self.carried.is_known else coarse
 
     def remember(self, view: Keyframe, tracked: Tracked) -> None:
         if not self.graph.keyframes or not tracked.status.trusted or tracked.source is Source.REGISTERED:
@@ -183,13 +201,19 @@ class FreeSpaceSegmentation(MotionSegmentation):
             stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
             if self._passed_over and not stored:
                 return
-            if self._passed_over and (cells := self.segmenter.segment(_coarse(view), view.T_wk.numpy())).any():
+            if self._passed_over and (cells := self.segmenter.segment(self._scene(view), view.T_wk.numpy())).any():
                 self._mask(view, cells)
             host, T_kc = self.graph.relative_to_host(view.T_wk)
             place = (view.host, np.eye(4)) if stored else (host, T_kc.numpy())
             self.memory.add(self.segmenter.last, *place, stored=stored)
             if (news := self.memory.segment_again(self.segmenter.last)) is not None:
                 self._mask(self.graph.keyframes[news[0]], news[1])
+
+
+def _as_taken(view: Keyframe) -> CoarseView:
+    """The coarse view of all that a view shows, as it was taken: what the camera carries along is not bent by its motion."""
+    frame = view.taken_unmasked.frame
+    return replace(coarse_view(frame.depth, frame.colour, frame.camera), camera=cells_camera(view.camera))
 
 
 def _coarse(view: Keyframe) -> CoarseView:
