@@ -160,6 +160,24 @@ def test_a_layer_moves_if_the_rest_fits_better_at_another_pose(
 )
 def test_the_second_of_two_trials(trials: list[tuple[float, float]], after: int | None) -> None:
     """Errors without the layer, and how the rest fits, of views whose error is 0.03 with it, which draws each 1.5 times as far."""
+    assert found_after(trials, 1.5) == after
+
+
+@pytest.mark.parametrize(
+    ("grows", "errors", "after"),
+    [
+        (1.15, [0.021] * 4, 4),  # one who walks slowly: 1.15, 1.32, 1.52 times as far as in the first
+        (1.2, [0.021] * 4, 3),
+        (1.05, [0.021] * 12, None),  # near and far disagree by about as much in each frame
+        (1.2, [0.021, 0.024, 0.021, 0.021], None),  # the row is broken: the second tells nothing
+    ],
+)
+def test_several_trials_in_a_row(grows: float, errors: list[float], after: int | None) -> None:
+    assert found_after([(error, 0.7) for error in errors], grows) == after
+
+
+def found_after(trials: list[tuple[float, float]], grows: float) -> int | None:
+    """After how many trials the layer moves, which draws each view so many times as far as the one before."""
     segmentation = FreeSpaceSegmentation(FramePoses(KeyframeGraph(FAST.keyframes)), StageTimer(), lambda keyframe: None, list)
     segmentation.trial.usual_error.restore({"mean": 0.02})
     found = aligner(taught(CORNER)).align(view(CORNER, EYE), EYE, [])
@@ -176,10 +194,10 @@ def test_the_second_of_two_trials(trials: list[tuple[float, float]], after: int 
     for number in range(len(trials)):
         shown = view(CORNER, EYE)
         shown.index = number
-        drawn = pose(0.05 * 1.5**number, 0, 0, 0, 0, 0)
+        drawn = pose(0.05 * grows**number, 0, 0, 0, 0, 0)
         tracked = Tracked(drawn, Status.OK, Source.ALIGNED, alignment=replace(found, photometric_error=0.03))
         results.append(segmentation.check(shown, tracked, Trial()) is not tracked)
-    assert next((i + 1 for i, moves in enumerate(results) if moves), None) == after
+    return next((i + 1 for i, moves in enumerate(results) if moves), None)
 
 
 @pytest.mark.parametrize(
