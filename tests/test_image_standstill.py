@@ -43,6 +43,14 @@ def test_a_layer_that_moves_less_than_the_rest_stands_still(shift: float, box_sh
     assert stands_still(seen(shift, box_shift, gain), seen(0, 0), LAYER) is still
 
 
+def test_one_who_walks_is_not_all_of_the_rest() -> None:
+    walks, stands, column = seen(4, 0), seen(0, 0), np.arange(LAYER.shape[1])
+    in_a_third = replace(stands, brightness=np.where(column < 30, walks.brightness, stands.brightness))
+    assert not stands_still(in_a_third, stands, LAYER)
+    nearly_everywhere = replace(stands, brightness=np.where(column < 12, stands.brightness, walks.brightness))
+    assert stands_still(nearly_everywhere, stands, LAYER)
+
+
 def test_it_is_carried_if_a_part_of_the_scene_would_have_been_seen_elsewhere() -> None:
     metres = 4 * FAR / CAMERA.fx  # the wall moves by 4 px, and the box would move by 24
     now, before = seen(4, 0), seen(0, 0)
