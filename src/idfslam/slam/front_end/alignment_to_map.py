@@ -93,28 +93,29 @@ class AlignmentToMap(FrontEnd):
         motion = self._begin(view)
         if self.graph.lacks_colour(view) and (by_depth := self._by_depth(view, motion)) is not None:
             return by_depth
-        T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
-        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
+        self._turn(view)
         by_map, registered = self._best_alignment(view, motion)
         aligned = self._resect(view, by_map)
         wide = registered is not None and self._step(view, registered.T_wc, aligned.radius) > WIDE
-        undecided = False
+        contested = False
         if registered is not None and registered.refutes(aligned):
             displaced = self._displaced(view, registered, aligned)
             if wide or displaced < _DISPLACED:
                 return self._registered(view, registered, aligned, wide=wide)
-            undecided = displaced <= 1 / _DISPLACED and registered.is_apart(aligned)
+            contested = displaced <= 1 / _DISPLACED and registered.is_apart(aligned)
         self.compensation.follow(view, aligned)
         if aligned.status is Status.LOST:
             return self._unmatched(view, registered)
         confirmed = registered is not None and registered.confirms(aligned, wide=wide)
-        unseen = not aligned.displacement or aligned.in_view < TELLING_SHARE  # the image is no evidence
-        unmeasured = unseen and not confirmed and aligned.is_unsure
-        if unmeasured and are_apart(view.T_wk, aligned.T_wc):  # with a few readings an alignment may run away
+        if self._ran_away(view, aligned, confirmed=confirmed):
             return replace(Tracked.aligned(aligned, Source.PREDICTED, doubtful=True, clear=False), T_wc=view.T_wk, alignment=None)
-        undecided |= unmeasured or (unseen and not confirmed and self._in_doubt) or self.gate.is_leap(view.timestamp, aligned.T_wc)
-        tracked = self._aligned(view, aligned, confirmed=confirmed, wide=wide, undecided=undecided)
+        tracked = self._aligned(view, aligned, confirmed=confirmed, wide=wide, contested=contested)
         return replace(tracked, alignment=by_map)  # without corners, which are asked again at the end of a run
+
+    def _turn(self, view: Keyframe) -> None:
+        """Turns the predicted pose of a view as two small images show."""
+        T_seen = self.frames.T_wc(self.rotation.index) if self.rotation.index >= 0 else view.T_wk
+        view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
         """The result of depth alone for a view without colour: nothing ends a doubt, or helps depth that is degenerate.
@@ -134,13 +135,23 @@ class AlignmentToMap(FrontEnd):
         """Whether the camera has not moved since a colour image that is repeated was new."""
         return image_motion(self.frames.T_wc(view.colour_since), aligned.T_wc, aligned.radius) < _STANDS
 
-    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, wide: bool, undecided: bool) -> Tracked:
+    def _ran_away(self, view: Keyframe, aligned: Alignment, *, confirmed: bool) -> bool:
+        """Whether a pose that nothing measures is far from the predicted one: with a few readings an alignment may run away."""
+        return self._is_unmeasured(aligned, confirmed=confirmed) and are_apart(view.T_wk, aligned.T_wc)
+
+    def _is_unmeasured(self, aligned: Alignment, *, confirmed: bool) -> bool:
+        """Whether a pose is expected to be far off, and neither the image nor a registration tells."""
+        return not confirmed and aligned.is_unsure and _is_unseen(aligned)
+
+    def _aligned(self, view: Keyframe, aligned: Alignment, *, confirmed: bool, wide: bool, contested: bool) -> Tracked:
         """The aligned pose, and whether it is in doubt.
 
         confirmed: a registration says that it is right: then landmarks that lie elsewhere have moved. wide: that was in a wide step.
-        undecided: one says that it is wrong, and the image says neither, or nothing ends a doubt, or the pose is expected to be far off and
-        nothing in view tells, or no hand is so fast.
+        contested: one says that it is wrong, and the image says neither.
         """
+        goes_on = self._in_doubt and not confirmed and _is_unseen(aligned)  # nothing ends the doubt
+        leaps = self.gate.is_leap(view.timestamp, aligned.T_wc)
+        undecided = contested or goes_on or leaps or self._is_unmeasured(aligned, confirmed=confirmed)
         view.registered = confirmed and wide and not undecided
         doubtful = undecided or (self.aligner.doubt.has_usual and self.aligner.contradicts_images(aligned) and not confirmed)
         clear = view.registered or self.aligner.is_clear(aligned)
@@ -306,3 +317,8 @@ class AlignmentToMap(FrontEnd):
             if refuted[0] != refuted[1]:
                 return refuted[1]
         return aligned.score > (1 / _BETTER if has_patches else _BETTER) * best.score
+
+
+def _is_unseen(aligned: Alignment) -> bool:
+    """Whether the image is no evidence for a pose: hardly anything that the keyframes know is in view."""
+    return not aligned.displacement or aligned.in_view < TELLING_SHARE
