@@ -83,6 +83,14 @@ def test_without_a_pose_or_far_from_it_features_decide(
     assert len(tracker.threads) == 2
 
 
+def test_while_something_moves_features_decide(room: SyntheticRoom, T_wc: Tensor, tracker: CountingTracker) -> None:
+    pairs, shown = PairRegistration(tracker, KeyframeFeatures(tracker)), view(room, SECOND)
+    shown.hide(np.eye(240, 320, dtype=np.bool_))
+    found = pairs.register(shown, view(room, 0), near=T_wc)
+    assert error(found, T_wc) < 0.003
+    assert len(tracker.threads) == 2
+
+
 def test_features_are_extracted_once_beside_and_are_the_same(room: SyntheticRoom, tracker: CountingTracker) -> None:
     features, keyframe = KeyframeFeatures(tracker), view(room, 0)
     features.extract_beside(keyframe)

@@ -20,9 +20,10 @@ class PairRegistration:
         """The view's pose by features, wherever it is; None if it is lost.
 
         near: a pose T_wc (4, 4) that the view probably has. The keyframe's patches are looked for there first, in a fifth of the time. A
-        registration by features ends with these patches as well.
+        registration by features ends with these patches as well. Not so while anything moves in the view: what is not recognised of it may
+        have drawn the pose to another line of a pattern, where patches convince too.
         """
-        if near is not None and (found := self._register_near(view, keyframe, near)).result.convinces:
+        if near is not None and view.moving is None and (found := self._register_near(view, keyframe, near)).result.convinces:
             return found
         result = self.tracker.track(self.features.of(view), self.features.of(keyframe))
         return None if result.status is Status.LOST else RegisteredPose(keyframe, result)
