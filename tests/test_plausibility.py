@@ -14,7 +14,7 @@ from helpers.recordings import write_folder, write_tum
 from helpers.shared_data import shared_recording
 from idfslam.datasets import open_recording
 from idfslam.datasets.cameras.plausibility import doubts, in_fractions, lens_doubt, of_another_size
-from idfslam.datasets.plausibility import clipping_doubt, depth_doubt, stamps_doubt
+from idfslam.datasets.plausibility import clipping_doubt, depth_doubt, stamps_doubt, steps_doubt
 from idfslam.errors import ConfigError, FrameError, RecordingError
 from idfslam.geometry.camera import Camera
 
@@ -84,6 +84,28 @@ def test_walls_and_steps_of_depth_are_no_clipping() -> None:
     assert clipping_doubt([clipped(3.0), clipped(3.0), clipped(1.9), clipped(1.8), clipped(1.7)]) is None  # two frames
     coarse = (np.round(depths(0.8, 4.0) / 0.25) * 0.25).astype(np.float32)  # a Kinect's steps, coarse as at 9 m
     assert clipping_doubt([coarse] * 5) is None
+
+
+def in_steps_of_disparity(pixels: float) -> np.ndarray:
+    """(N,) [m] of a stereo camera with a baseline of 7.5 cm and a focal length of 580 px, whose disparity has steps of so many pixels."""
+    product = 0.075 * 580
+    return (product / (np.round(product / depths(0.8, 4.0) / pixels) * pixels)).astype(np.float32)
+
+
+def test_stereo_in_whole_pixels_is_told() -> None:
+    assert steps_doubt([in_steps_of_disparity(1.0)] * 2, 0.0015) == (
+        "depth comes in steps of 13 cm at 2.3 m, which hide more than the noise that is assumed; --alignment.depth-noise 0.0057 suits it"
+    )
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [in_steps_of_disparity(1 / 8), depths(0.8, 4.0), np.round(depths(0.8, 4.0), 3), np.full(100, 2.0, np.float32), np.zeros(0, np.float32)],
+    ids=["a Kinect", "exact", "millimetres", "a wall", "nothing"],
+)
+def test_fine_steps_are_not(sample: np.ndarray) -> None:
+    assert steps_doubt([sample] * 2, 0.0015) is None
+    assert steps_doubt([], 0.0015) is None
 
 
 def test_depth_from_the_reach_on_is_no_reading(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.config import FAST
 from idfslam.datasets import plausibility
 from idfslam.datasets.cameras import plausibility as camera_plausibility
 from idfslam.datasets.provenance import ASSUMED, GENERATED, Provenance, provenance
@@ -123,6 +124,8 @@ def doubts(summary: InputSummary, stamps: NDArray[np.float64]) -> Iterator[str]:
     if doubt := plausibility.depth_doubt(summary.depths, sources.depth_scale, assumed=bool(sources.depth)):
         yield doubt
     if doubt := plausibility.clipping_doubt(summary.frames):
+        yield doubt
+    if doubt := plausibility.steps_doubt(summary.frames, FAST.alignment.depth_noise):
         yield doubt
     if sources.stamps != ASSUMED and (doubt := plausibility.stamps_doubt(stamps, sources.stamps)):
         yield doubt

@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+
+from idfslam.sensing.depth_noise import noise_ratio
 
 MEDIAN_DEPTH = (0.25, 12.0)  # [m] of a recording's median depth; widened, fewer wrong scales are found. Depth cameras measure from about
 #    0.2 m, and few reach 10 m; stereo cameras outdoors see farther
@@ -20,6 +23,8 @@ SCALES = (1000.0, 5000.0, 6553.5, 1.0, 10000.0)  # units per metre that are comm
 CLIPPED = (3, 0.02, 10.0)  # frames that end at the same depth, [1] share of a frame's readings there, [1] times as many as at the next
 #    depth before it; raised, fewer sensors that clip are found. Chosen by hand: a wall that a moving camera sees ends at another depth in
 #    each frame, and quantised depth has about as many readings in the steps before
+STEPS = 2.0  # [1] standard deviation of what the steps of quantised depth hide, over the noise that alignments assume, above which they are
+#    told; raised, coarser steps pass. A Kinect's steps have 0.3. Chosen by hand: noise of three times as much harms no pose
 RATE = (1.0, 300.0)  # [frames/s] of cameras; widened, fewer wrong stamps are found
 
 
@@ -63,6 +68,30 @@ def _end(depths: NDArray[np.float32]) -> tuple[float, float, float]:
     values, counts = np.unique(depths, return_counts=True)
     times = counts[-1] / counts[-2] if len(counts) > 1 else 0.0  # a plane alone ends nowhere
     return float(values[-1]), float(counts[-1] / len(depths)), float(times)
+
+
+def steps_doubt(frames: Sequence[NDArray[np.float32]], depth_noise: float) -> str | None:
+    """Whether depth comes in coarse steps, as that of stereo in whole pixels. frames: the readings (N,) [m] of some frames.
+
+    depth_noise [m]: that alignments assume at the sensor's best range (`sensing.depth_noise`). A step hides its length over root 12.
+    """
+    depths, steps = (np.concatenate([np.zeros(0), *values]) for values in zip(*map(_steps, frames))) if frames else (np.zeros(0),) * 2
+    if not len(depths):
+        return None
+    suits = float(np.median(steps / 12**0.5 / noise_ratio(torch.from_numpy(depths)).numpy()))
+    if suits < STEPS * depth_noise:
+        return None
+    middle = torch.tensor(float(np.median(depths)))
+    step = suits * 12**0.5 * float(noise_ratio(middle))
+    found = f"depth comes in steps of {100 * step:.0f} cm at {middle:.1f} m, which hide more than the noise that is assumed"
+    return f"{found}; --alignment.depth-noise {suits:.2g} suits it"
+
+
+def _steps(depths: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Readings (M,) [m] that are not the farthest, and how far the next larger one is from each (M,) [m]."""
+    values, which = np.unique(depths.astype(np.float64), return_inverse=True)
+    kept = which[which < len(values) - 1]
+    return values[kept], np.diff(values)[kept]
 
 
 def stamps_doubt(stamps: NDArray[np.float64], source: str) -> str | None:
