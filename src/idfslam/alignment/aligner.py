@@ -7,7 +7,6 @@ that nothing constrains keeps its guess.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,12 +14,13 @@ from torch import Tensor
 
 from idfslam.alignment.alignment import Alignment
 from idfslam.alignment.appearances import Appearances
-from idfslam.alignment.continuous_motion import JointEstimate, MotionPrior
+from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
 from idfslam.alignment.gauss_newton import INDEPENDENT, JointSolver, PoseSolver, Solver
 from idfslam.alignment.image_term import ImageTerm, image_term
+from idfslam.alignment.judgement import LastStep, judged, reliable
 from idfslam.alignment.motion import Information, change_between, moved
 from idfslam.alignment.photometric import photometric_term
 from idfslam.alignment.pose_doubt import PoseDoubt
@@ -33,10 +33,8 @@ from idfslam.alignment.surface import Surface, surface_points
 from idfslam.alignment.surface_distances import MapQuery, SurfaceDistances
 from idfslam.alignment.unknown_delay import DepthAtPose, DisplacedDepth
 from idfslam.alignment.usual_error import UsualError
-from idfslam.alignment.variance_factor import variance_factor
 from idfslam.config import AlignmentConfig
 from idfslam.frame import Status
-from idfslam.geometry import se3
 from idfslam.geometry.camera import Camera
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_images import Images
@@ -61,17 +59,6 @@ _FIRST_SCALE = 4.0
 # [1] An alignment that moves by more than this many times the expected error of its guess has left the reach of its images.
 # More: fewer second tries.
 _OVERSHOOT = 2.0
-# [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost: 1.5 times that of two readings, since a
-# map of one view has the same noise. More: wrong poses at the end of the sensor's range are accepted. Right ones have 1 to 1.6 there.
-_NOISE_MARGIN = 1.5 * 2**0.5
-# [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
-_CONFIRMED = 0.3
-# [1] Information of the noise of the map's normals, over that of a degenerate direction, which is taken out of depth that is alone. Twice,
-# since it varies, as in `shading`: bare floors of rooms 3 and 10 have 0.5 to 2.8 with a Kinect's noise, their furniture 3.4 to 8. More:
-# depth alone holds poses less, and more of them are degenerate.
-_BY_NOISE = 2.0
-# [m], [rad] Standard deviation that is told of a direction that nothing measures. More: bare walls look less certain.
-_UNMEASURED = 0.1
 
 
 class MapAligner(Stateful):
@@ -155,7 +142,7 @@ class MapAligner(Stateful):
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(taken.pose(T), self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
-            told = self._reliable(depth) if moves and not references else depth
+            told = reliable(depth, self.config) if moves and not references else depth
             if not asked and not is_coarse:
                 asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
@@ -166,7 +153,8 @@ class MapAligner(Stateful):
             step += 1
         focal, estimate = appearance.levels[0].camera.fx, solver.estimate(told, PoseEquations(of_images.sums + of_shading.sums))
         of_image = self._displacement(appearance, T, references, solver.motion)
-        return self._judged(T, change, of_image, depth, of_images, of_shading, steps, estimate, focal, has_depth=has_depth)
+        last = LastStep(T, change, depth, of_images, of_shading, of_image, focal, has_depth, estimate, steps)
+        return judged(last, self.doubt, self.config)
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
         """What map and images say of a view at a pose (4, 4) from another source, which is kept."""
@@ -177,17 +165,7 @@ class MapAligner(Stateful):
         images = image_term(appearance, self._posed(references), T, self._level(step), None, self.config)
         displaced, focal = self._displacement(appearance, T, references, None), appearance.levels[0].camera.fx
         nothing = PoseEquations(RowMoments.zeros(moments=False))
-        return self._judged(T, np.zeros(6), displaced, depth, images, nothing, 0, None, focal, has_depth=has_depth)
-
-    def _reliable(self, depth: DepthTerm) -> DepthTerm:
-        """Depth that is alone, without what the noise of the map's normals seems to tell: pose and velocity would run away with it."""
-        information = Information.of(depth.H, depth.weight, depth.radius)
-        return replace(depth, sums=information.reliable(depth.sums, self._by_noise))
-
-    @property
-    def _by_noise(self) -> float:
-        """[1] information that the noise of the map's normals gives in a direction that depth does not measure."""
-        return _BY_NOISE * self.config.min_eigenvalue
+        return judged(LastStep(T, np.zeros(6), depth, images, nothing, displaced, focal, has_depth), self.doubt, self.config)
 
     def _leaves_open(self, depth: DepthTerm, images: ImageTerm) -> bool:
         """Whether depth and landmarks leave a direction to the motion model."""
@@ -320,47 +298,6 @@ class MapAligner(Stateful):
         marks, noise, widest = self.appearances.landmarks(reference), self.config.colour_noise, self.config.colour_robust
         term = photometric_term(Sighting(self.appearances.of(view), marks, reference.T_wk, T_wc, 0), floor=noise, widest=widest)
         return term.seen / max(len(marks.points), 1), term.noise
-
-    def _judged(
-        self,
-        T: Tensor,
-        last_step: Array,
-        displaced: float,
-        depth: DepthTerm,
-        images: ImageTerm,
-        shading: PoseEquations,
-        iterations: int,
-        joint: JointEstimate | None,
-        focal: float,
-        *,
-        has_depth: bool,
-    ) -> Alignment:
-        of_depth = Information.of(depth.H, depth.weight, depth.radius)
-        contradicted = self.doubt.is_doubtful(displaced)  # images that do not match say nothing about the motion
-        information = of_depth if contradicted else Information.of(depth.H + images.H + shading.H, depth.weight, depth.radius)
-        min_eigenvalue = float(of_depth.values[0])
-        if has_depth:
-            alone = joint is None and not images.parts  # with a velocity, the covariance tells what depth leaves open
-            status = self._status(depth, min_eigenvalue - (self._by_noise if alone else 0.0))
-        else:
-            confirmed = images.in_view > _CONFIRMED and images.photometric_error > 0 and not contradicted
-            status = Status.DEGENERATE if confirmed else Status.LOST
-        evidence = depth.overlap, depth.rmse, min_eigenvalue, images.photometric_error, images.in_view, information
-        covariance = self._covariance(depth, images, shading) if joint is None else torch.from_numpy(joint.covariance[:6, :6].copy())
-        covariance = covariance * variance_factor(depth, images, last_step, self.config.depth_noise)
-        judged = Alignment(se3.orthonormal(T), status, *evidence, iterations, covariance, joint, focal, depth.radius, displaced)
-        return replace(judged, status=Status.DEGENERATE) if status is Status.OK and judged.is_unsure else judged
-
-    def _status(self, depth: DepthTerm, min_eigenvalue: float) -> Status:
-        largest = max(self.config.max_rmse, _NOISE_MARGIN * self.config.depth_noise * depth.noise)
-        if depth.overlap < self.config.min_overlap or depth.rmse > largest:
-            return Status.LOST
-        return Status.DEGENERATE if min_eigenvalue < self.config.min_eigenvalue else Status.OK
-
-    def _covariance(self, depth: DepthTerm, images: ImageTerm, shading: PoseEquations) -> Tensor:
-        """(6, 6) of the pose. A direction that nothing measures has the deviation `_UNMEASURED`."""
-        prior = torch.tensor([1 / _UNMEASURED**2] * 6, dtype=torch.float64)
-        return torch.linalg.inv(INDEPENDENT / self.config.depth_noise**2 * (depth.H + images.H + shading.H) + torch.diag(prior))
 
 
 def _at_its_best(T_wc: Tensor, sums_at: Callable[[Tensor], RowMoments], converged: float) -> RowMoments:
