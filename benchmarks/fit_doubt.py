@@ -74,7 +74,9 @@ def poses_of(name: str, frames: int | None, every: int, stride: int) -> Poses:
                 shift, turn = (axis / np.linalg.norm(axis) for axis in axes)
                 change = torch.from_numpy(np.concatenate([shift * size / 100 * rng.uniform(0.3, 1.5), turn * np.deg2rad(size)]))
                 bound = aligner.expected if n == 0 else None
-                wrong = aligner.align(view, moved(tracked.T_wc, change), front_end._references(), max_guess_error_px=bound, motion=prior)
+                wrong = aligner.align(
+                    view, moved(tracked.T_wc, change), front_end.search.references(), max_guess_error_px=bound, motion=prior
+                )
                 if wrong.status is not Status.LOST:
                     judged(view.index, wrong.T_wc, wrong.displacement, provoked=True)
             aligner.generator.set_state(state)

@@ -109,7 +109,7 @@ def test_a_doubt_ends_where_keyframes_confirm_the_pose(displaced: float, in_view
     covariance = np.diag([sigma**2, 0, 0, 0, 0, 0])
     result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, covariance, patches)
     front_end._begin = lambda view: None  # type: ignore[method-assign]
-    front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    front_end.search.best = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
     statuses = []
     for before in (Status.OK, Status.DOUBTFUL):
         front_end.frames.append(0.0, T_wc, before)
@@ -137,7 +137,7 @@ def test_a_pose_that_nothing_measures_is_in_doubt(sigma: float, displaced: float
     found = Alignment(T_wc, Status.DEGENERATE, 1.0, 0.001, 0.1, 0.01, in_view, None, 5, covariance, displacement=0.01 * displaced)
     result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, 1e-6 * np.eye(6), patches)
     front_end._begin = lambda view: None  # type: ignore[method-assign]
-    front_end._best_alignment = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    front_end.search.best = lambda view, motion: (found, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
     front_end.frames.append(0.0, T_wc, Status.OK)
     assert front_end.track(keyframe(2, 0.1)).status is (Status.DOUBTFUL if doubtful else Status.DEGENERATE)
 
@@ -158,7 +158,7 @@ def test_a_registered_pose_far_from_the_aligned_one_has_to_be_sure(away: float, 
     aligned = Alignment(at(0.1 + away, 0), Status.OK, 1.0, 0.001, 0.1, 0.01, 0.4, None, 5, displacement=0.01)
     result = TrackingResult(T_wc.numpy(), Status.OK, 100, 50, 0.01, np.diag([sigma**2, 0, 0, 0, 0, 0]), 40, Refuting())  # type: ignore[arg-type]
     front_end._begin = lambda view: None  # type: ignore[method-assign]
-    front_end._best_alignment = lambda view, motion: (aligned, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
+    front_end.search.best = lambda view, motion: (aligned, RegisteredPose(keyframe(0, 0.0), result))  # type: ignore[method-assign]
     front_end._displaced = lambda *_: 0.5  # type: ignore[method-assign]
     front_end.aligner.evidence = lambda view, T, references: replace(aligned, T_wc=T)  # type: ignore[method-assign]
     front_end.frames.append(0.0, T_wc, Status.OK)
@@ -175,7 +175,7 @@ def test_an_alignment_that_nothing_measures_does_not_run_away(predicted: float, 
     covariance = torch.diag(torch.tensor([0.04**2] * 3 + [1e-6] * 3, dtype=torch.float64))
     found = Alignment(at(0.1, 0), Status.DEGENERATE, 1.0, 0.001, 0.1, 0.01, 1.0, None, 5, covariance)
     front_end._begin = lambda view: None  # type: ignore[method-assign]
-    front_end._best_alignment = lambda view, motion: (found, None)  # type: ignore[method-assign]
+    front_end.search.best = lambda view, motion: (found, None)  # type: ignore[method-assign]
     front_end.frames.append(0.0, at(0.0, 0), Status.OK)
     tracked = front_end.track(keyframe(2, predicted))
     assert tracked.status is Status.DOUBTFUL and not tracked.may_be_mapped

@@ -132,3 +132,13 @@ def test_state() -> None:
     assert again.last_status is Status.DEGENERATE
     insert(again, keyframe(3, 3.6))
     assert len(again) == len(frames) + 1
+
+
+def test_the_last_pose_and_whether_it_is_in_doubt() -> None:
+    frames = FramePoses(wall_frames(places=(0.0,)).graph)
+    assert not frames.in_doubt
+    np.testing.assert_array_equal(frames.last_pose(at(0.3)), at(0.3))
+    for status in (Status.OK, Status.LOST, Status.DEGENERATE, Status.DOUBTFUL):
+        frames.append(0.0, at(0.1), status)
+        assert frames.in_doubt is (status is Status.DOUBTFUL)
+        np.testing.assert_allclose(frames.last_pose(at(0.3)), at(0.1), atol=1e-12)

@@ -102,6 +102,15 @@ class FramePoses(Stateful):
         """The status of the last frame."""
         return self._frames[-1].status
 
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the last frame was doubtful."""
+        return len(self._frames) > 0 and self.last_status is Status.DOUBTFUL
+
+    def last_pose(self, otherwise: Tensor) -> Tensor:
+        """The pose (4, 4) float64 of the last frame; `otherwise` before the first one."""
+        return self.T_wc(-1) if self._frames else otherwise
+
     def T_wc(self, i: int) -> Tensor:
         """The pose (4, 4) float64 of the i-th frame."""
         frame = self._frames[i]

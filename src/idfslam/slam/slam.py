@@ -108,7 +108,7 @@ class Slam:
 
     def _track_in_map(self, view: Keyframe, mode: Mode) -> Tracked:
         tracked = self.segmentation.check(view, self.front_end.track(view), self.front_end)
-        T_last = self.frames.T_wc(-1) if len(self.frames) else view.T_wk
+        T_last = self.frames.last_pose(view.T_wk)
         tracked = self.segmentation.segment(view, self.recovery.recover(view, tracked))
         self.front_end.accept(view, tracked)
         if mode is Mode.TRACKING and tracked.continues_motion:
