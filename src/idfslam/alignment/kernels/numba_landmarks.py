@@ -100,6 +100,38 @@ def _masked(u, v, depth, ratio_u, ratio_v):  # type: ignore[no-untyped-def]
 
 
 @_inlined
+def _in_view(  # type: ignore[no-untyped-def]
+    points, camera, of_depth, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, without_movers, seen, values, shares
+):
+    """The number of landmarks that an image (h, w) shows, and of those within it that the frame's depth hides.
+
+    points (M, 3) [m] are in the keyframe's frame, camera and of_depth (3, M) those of `_landmarks_at_rows`. Fills for each landmark in view
+    its number in seen (M,), the image's brightness and derivatives there in values (3, M), and in shares (3, M) where it lies: column and
+    row of the image, and row of the keyframe [1]. without_movers: a landmark on what moves counts as neither.
+    """
+    height, width = image.shape
+    n, hidden = 0, 0
+    for i in range(len(points)):
+        x, y, z = camera[0, i], camera[1, i], camera[2, i]
+        if z < NEAREST:
+            continue
+        u, v = x / z * fx + cx, y / z * fy + cy
+        if u < 1 or v < 1 or u > width - 2 or v > height - 2:
+            continue
+        if without_movers and _masked(u, v, depth, ratio_u, ratio_v):
+            continue
+        if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
+            hidden += 1
+            continue
+        seen[n] = i
+        values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
+        shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
+        shares[2, n] = row_of(points[i, 1], points[i, 2], fy, cy, height) + 0.5
+        n += 1
+    return n, hidden
+
+
+@_inlined
 def photometric_system(  # type: ignore[no-untyped-def]
     points, target, T_wk, T_wc, times, velocity, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, floor, widest, even, H, b
 ):
@@ -112,23 +144,10 @@ def photometric_system(  # type: ignore[no-untyped-def]
     along each axis as the image. times (3,) [s]: read-out of colour and of depth, and delay of depth; velocity (6,): with them, landmarks
     are seen where the camera is when their rows are read. even: whether light has changed everywhere alike.
     """
-    height, width = image.shape
+    height = len(image)
     d, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
-    seen, values, shares, n = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((3, len(points))), 0
-    for i in range(len(points)):
-        x, y, z = camera[0, i], camera[1, i], camera[2, i]
-        if z < NEAREST:
-            continue
-        u, v = x / z * fx + cx, y / z * fy + cy
-        if u < 1 or v < 1 or u > width - 2 or v > height - 2:
-            continue
-        if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
-            continue
-        seen[n] = i
-        values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
-        shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
-        shares[2, n] = row_of(points[i, 1], points[i, 2], fy, cy, height) + 0.5
-        n += 1
+    seen, values, shares = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((3, len(points)))
+    n, _ = _in_view(points, camera, of_depth, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, False, seen, values, shares)
     if n == 0:
         return 0, 0.0
     J, w, r, rows, light = np.empty((6, n)), np.empty(n), np.empty(n), np.empty(n), np.ones(n)
@@ -208,24 +227,7 @@ def median_displacement(  # type: ignore[no-untyped-def]
     height, width = image.shape
     _, camera, of_depth = _landmarks_at_rows(points, T_wk, T_wc, times, velocity, fy, cy, height)
     seen, values, shares = np.empty(len(points), np.int64), np.empty((3, len(points))), np.empty((3, len(points)))
-    n, hidden = 0, 0
-    for i in range(len(points)):
-        x, y, z = camera[0, i], camera[1, i], camera[2, i]
-        if z < NEAREST:
-            continue
-        u, v = x / z * fx + cx, y / z * fy + cy
-        if u < 1 or v < 1 or u > width - 2 or v > height - 2:
-            continue
-        if _masked(u, v, depth, ratio_u, ratio_v):
-            continue
-        if _hidden(of_depth[0, i], of_depth[1, i], of_depth[2, i], depth, ratio_u, ratio_v, fx, fy, cx, cy, width, height):
-            hidden += 1
-            continue
-        seen[n] = i
-        values[0, n], values[1, n], values[2, n] = _brightness(image, u, v)
-        shares[0, n], shares[1, n] = (u + 0.5) / width, (v + 0.5) / height
-        shares[2, n] = row_of(points[i, 1], points[i, 2], fy, cy, height) + 0.5
-        n += 1
+    n, hidden = _in_view(points, camera, of_depth, image, fx, fy, cx, cy, depth, ratio_u, ratio_v, True, seen, values, shares)
     if n + hidden == 0:
         return 0, 0.0
     displaced = np.full(n + hidden, np.float64(width))
