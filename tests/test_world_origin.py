@@ -12,11 +12,11 @@ from idfslam.slam.world_origin import WorldOrigin
 CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)
 
 
-def view(rows: int) -> Keyframe:
-    """A view with depth in its lowest rows of 48."""
+def view(rows: int, brightness: float = 0.5) -> Keyframe:
+    """A view of one colour with depth in its lowest rows of 48."""
     depth = np.zeros((48, 64), np.float32)
     depth[48 - rows :] = 1.0
-    frame = Frame(0, 0.0, np.zeros((48, 64, 3), np.float32), depth, CAMERA)
+    frame = Frame(0, 0.0, np.full((48, 64, 3), brightness, np.float32), depth, CAMERA)
     return Keyframe(frame, torch.eye(4, dtype=torch.float64), torch.from_numpy(depth), torch.from_numpy(frame.colour))
 
 
@@ -46,3 +46,13 @@ def test_it_waits_on_after_a_restart() -> None:
         origin.track(view(4))
     other.restore(origin.state())
     assert other.track(view(4)).status is Status.OK
+
+
+def test_a_covered_lens_with_a_strip_of_depth_begins_nothing() -> None:
+    origin = WorldOrigin()
+    assert {origin.track(view(4, brightness=0.0)).status for _ in range(100)} == {Status.LOST}
+    assert [origin.track(view(4)).status for _ in range(31)] == [Status.LOST] * 30 + [Status.OK]
+
+
+def test_a_dark_room_with_much_depth_begins_at_once() -> None:
+    assert WorldOrigin().track(view(48, brightness=0.0)).status is Status.OK

@@ -25,7 +25,7 @@ class WorldOrigin(Stateful):
     """Waits for the frame that defines the world."""
 
     def __init__(self) -> None:
-        self._waited = 0  # frames with depth, but less than enough
+        self._waited = 0  # frames that show something, with depth, but less than enough
 
     def state(self) -> State:
         """How many frames it has waited for."""
@@ -37,6 +37,7 @@ class WorldOrigin(Stateful):
 
     def track(self, view: Keyframe) -> Tracked:
         """The result for a view before there is a map: it defines the world, or is lost."""
-        defines = may_define_world(view) or (view.has_depth and self._waited >= _PATIENCE)
-        self._waited += view.has_depth and not defines
+        shows_little = view.has_depth and not view.is_clipped
+        defines = may_define_world(view) or (shows_little and self._waited >= _PATIENCE)
+        self._waited += shows_little and not defines
         return Tracked.first(view.T_wk, defines_world=defines)
