@@ -1,13 +1,13 @@
 """What each fault of a real sensor costs: the same hand-held motion with an ideal sensor, with each fault alone, and with all of them.
 
-    python benchmarks/sensor_faults.py [SCENE ...] [--seeds N] [--frames N] [--size WxH] [--faults NAME ...] [--preset NAME]
-                                       [section.value=...]
+    python benchmarks/sensor_faults.py [SCENE ...] [--seeds N] [--first N] [--frames N] [--size WxH] [--faults NAME ...]
+                                       [--preset NAME] [section.value=...]
 
 SCENE is `synthetic` or `corridor`; seed S runs the recording SCENE:S:handheld-FAULT, so that each seed has a room and a motion of its own.
 --size renders smaller images than the recording of that name has, which takes less time.
 --faults names other rows, such as `shutter=0.5` or `shutter+time`; `all` means every fault. It prints a table in Markdown: the mean and the
-standard deviation over the seeds of the ATE RMSE at the end of the run; and as they were reported when the frames were processed, the error
-of the motion from one frame to the next, its largest value of all seeds, and the share of each status.
+standard deviation over the seeds of the ATE RMSE at the end of the run, and that of each seed; and as they were reported when the frames
+were processed, the error of the motion from one frame to the next, its largest value of all seeds, and the share of each status.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from idfslam.slam import Slam  # noqa: E402
 
 _ALL = "all"
 _COLUMNS = (
-    "sensor", "ATE RMSE [cm]", "times ideal", "RPE of a frame [degrees]", "largest jump [degrees]", "[cm]",
+    "sensor", "ATE RMSE [cm]", "of each [cm]", "times ideal", "RPE of a frame [degrees]", "largest jump [degrees]", "[cm]",
     *(f"{status.value} [%]" for status in Status), "lost frames",
 )  # fmt: skip
 
@@ -81,8 +81,9 @@ def row(name: str, runs: Sequence[Measured], ideal: float | None) -> str:
     ratio = "-" if ideal is None else f"{errors.mean() / ideal:.1f}"
     jumps = " | ".join(f"{max(run.jump[k] for run in runs):.1f}" for k in range(2))
     shares = " | ".join(f"{100 * statuses[status] / statuses.total():.1f}" for status in Status)
-    turn = np.mean([run.turn for run in runs])
-    return f"| {name} | {errors.mean():.2f} ± {errors.std():.2f} | {ratio} | {turn:.2f} | {jumps} | {shares} | {statuses[Status.LOST]} |"
+    turn, each = np.mean([run.turn for run in runs]), ", ".join(f"{error:.2f}" for error in errors)
+    mean, lost = f"{errors.mean():.2f} ± {errors.std():.2f}", statuses[Status.LOST]
+    return f"| {name} | {mean} | {each} | {ratio} | {turn:.2f} | {jumps} | {shares} | {lost} |"
 
 
 def configured(name: str, values: Sequence[str]) -> Config:
@@ -106,7 +107,8 @@ def image_size(text: str) -> tuple[int, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", help="synthetic or corridor, and section.value=... of the configuration")
-    parser.add_argument("--seeds", type=int, default=1, help="number of seeds, from 0 on, of scene, motion and system")
+    parser.add_argument("--seeds", type=int, default=1, help="number of seeds of scene, motion and system")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--frames", type=int, help="number of frames of each recording; default: all")
     parser.add_argument("--size", type=image_size, help="size of the images, such as 320x240; default: the recording's own")
     parser.add_argument("--faults", nargs="+", default=[IDEAL, *FAULTS, _ALL], help="rows of the table")
@@ -115,11 +117,18 @@ def main() -> None:
     config = configured(arguments.preset, [name for name in arguments.scenes if "=" in name])
     torch.set_num_threads(1)
     for scene in [name for name in arguments.scenes if "=" not in name] or ["synthetic"]:
-        print(f"\n{scene}, {arguments.seeds} seeds\n\n| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1), flush=True)
+        print(
+            f"\n{scene}, {arguments.seeds} seeds from {arguments.first} on\n\n| "
+            + " | ".join(_COLUMNS)
+            + " |\n|---|"
+            + "---:|" * (len(_COLUMNS) - 1),
+            flush=True,
+        )
         ideal: float | None = None
         for faults in arguments.faults:
-            recordings = [opened(scene, seed, faults, arguments.frames, arguments.size) for seed in range(arguments.seeds)]
-            runs = [measured(recording, replace(config, seed=seed)) for seed, recording in enumerate(recordings)]
+            seeds = range(arguments.first, arguments.first + arguments.seeds)
+            recordings = {seed: opened(scene, seed, faults, arguments.frames, arguments.size) for seed in seeds}
+            runs = [measured(recording, replace(config, seed=seed)) for seed, recording in recordings.items()]
             if faults == IDEAL:
                 ideal = float(np.mean([run.ate for run in runs]))
             print(row(faults, runs, ideal), flush=True)
