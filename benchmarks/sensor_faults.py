@@ -117,13 +117,8 @@ def main() -> None:
     config = configured(arguments.preset, [name for name in arguments.scenes if "=" in name])
     torch.set_num_threads(1)
     for scene in [name for name in arguments.scenes if "=" not in name] or ["synthetic"]:
-        print(
-            f"\n{scene}, {arguments.seeds} seeds from {arguments.first} on\n\n| "
-            + " | ".join(_COLUMNS)
-            + " |\n|---|"
-            + "---:|" * (len(_COLUMNS) - 1),
-            flush=True,
-        )
+        header = "| " + " | ".join(_COLUMNS) + " |\n|---|" + "---:|" * (len(_COLUMNS) - 1)
+        print(f"\n{scene}, {arguments.seeds} seeds from {arguments.first} on\n\n{header}", flush=True)
         ideal: float | None = None
         for faults in arguments.faults:
             seeds = range(arguments.first, arguments.first + arguments.seeds)
