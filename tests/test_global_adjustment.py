@@ -19,7 +19,7 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.sensing.rectification import RowTimes
-from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, NoAdjustment, images_agree
+from idfslam.slam.keyframe_adjustment.global_adjustment import GlobalAdjustment, NoAdjustment, reprojections_agree
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 
 FRAMES = range(0, 160, 20)
@@ -60,11 +60,11 @@ def errors(graph: KeyframeGraph, true: np.ndarray) -> np.ndarray:
     ("width", "off", "agree"),
     [(640, 0.34, True), (640, 0.36, False), (320, 0.24, True), (320, 0.25, False), (160, 0.21, True), (160, 0.22, False)],
 )
-def test_images_agree_within_what_places_are_found_to(width: int, off: float, agree: bool) -> None:
+def test_reprojections_agree_within_what_places_are_found_to(width: int, off: float, agree: bool) -> None:
     """off [px] of an image of this width. At 320: sqrt(0.29^2 + (2 * 0.2)^2) = 0.494 px of 640, which are 0.247 there; at 160 0.213."""
     none, flat, one = np.zeros(0, np.int64), np.zeros((1, 2)), np.zeros(1)
     seen = Observations(none, np.zeros(1, np.int64), flat, np.eye(2)[None] / off, one, one, flat)
-    assert images_agree(seen, width) == agree
+    assert reprojections_agree(seen, width) == agree
 
 
 def test_the_keyframes_move_to_where_the_images_want_them(room: SyntheticRoom) -> None:

@@ -18,12 +18,12 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.segmentation.coarse_view import CoarseView
 from idfslam.segmentation.memory import Memory
+from idfslam.segmentation.nearest_layer import nearest_layer
 from idfslam.segmentation.segmenter import Segmenter
 from idfslam.sensing.rectification import Rectification, RowTimes
 from idfslam.slam import Slam
 from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.motion_segmentation.motion_segmentation import FreeSpaceSegmentation, NoSegmentation, crowded
-from idfslam.slam.motion_segmentation.nearest_layer_trial import nearest_layer
 from idfslam.slam.stage_timer import StageTimer
 from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State

@@ -19,7 +19,7 @@ def test_eliminating_the_displacement_is_solving_for_it() -> None:
     J, r = rng.standard_normal((30, 6)), rng.standard_normal(30)
     others = np.eye(6)  # what images know of the pose
     displaced = DisplacedDepth(covariance, scale)
-    freed = displaced.freed(DepthTerm(RowMoments((J.T @ J)[None], (-J.T @ r)[None]), 30.0, 1.0, 0.01, 1.0, 2.0))
+    freed = displaced.marginalised(DepthTerm(RowMoments((J.T @ J)[None], (-J.T @ r)[None]), 30.0, 1.0, 0.01, 1.0, 2.0))
     A = np.concatenate([J, J], 1)
     H, b = A.T @ A, -A.T @ r
     H[:6, :6] += others

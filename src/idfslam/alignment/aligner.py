@@ -18,7 +18,7 @@ from idfslam.alignment.continuous_motion import MotionPrior
 from idfslam.alignment.depth_term import DepthTerm
 from idfslam.alignment.displacement import displacement, level_of
 from idfslam.alignment.frame_motion import FrameMotion
-from idfslam.alignment.gauss_newton import INDEPENDENT, JointSolver, PoseSolver, Solver
+from idfslam.alignment.gauss_newton import INDEPENDENT, JointSolver, PoseSolver, Solver, information_scale
 from idfslam.alignment.image_term import ImageTerm, image_term
 from idfslam.alignment.judgement import LastStep, judged, reliable
 from idfslam.alignment.motion import Information, change_between, moved
@@ -133,27 +133,27 @@ class MapAligner(Stateful):
             depth = self._absent_depth(references, moments=moves)
         taken = DepthAtPose()
         if displaced_by is not None and not moves:
-            taken = DisplacedDepth(displaced_by, INDEPENDENT / self.config.depth_noise**2)
+            taken = DisplacedDepth(displaced_by, information_scale(self.config.depth_noise))
         shading: Shading | None = None
-        asked, of_shading = registered or not has_depth, PoseEquations(RowMoments.zeros(moments=moves))
+        shading_decided, of_shading = registered or not has_depth, PoseEquations(RowMoments.zeros(moments=moves))
         step, steps = first, 0
         while step < self.config.iterations:
             is_coarse, level = step < coarse_steps, self._level(step)
             if has_depth:
                 depth = (coarse if is_coarse else fine).term(taken.pose(T), self._robust(step), solver.motion)
             of_images = image_term(appearance, posed, T, level, solver.motion, self.config)
-            told = reliable(depth, self.config) if moves and not references else depth
-            if not asked and not is_coarse:
-                asked, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
+            depth_used = reliable(depth, self.config) if moves and not references else depth
+            if not shading_decided and not is_coarse:
+                shading_decided, shading = True, self._shading(appearance, references) if self._leaves_open(depth, of_images) else None
             if shading is not None:
                 of_shading = self._in_units_of_depth(shading.term(T, moments=moves))
-            change, steps = solver.step(taken.freed(told), PoseEquations(of_images.sums + of_shading.sums)), steps + 1
+            change, steps = solver.step(taken.marginalised(depth_used), PoseEquations(of_images.sums + of_shading.sums)), steps + 1
             if not is_coarse and np.abs(change).max() < self.config.converged:
                 break
             step += 1
-        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(told, PoseEquations(of_images.sums + of_shading.sums))
-        of_image = self._displacement(appearance, T, references, solver.motion)
-        last = LastStep(T, change, depth, of_images, of_shading, of_image, focal, has_depth, estimate, steps)
+        focal, estimate = appearance.levels[0].camera.fx, solver.estimate(depth_used, PoseEquations(of_images.sums + of_shading.sums))
+        displaced = self._displacement(appearance, T, references, solver.motion)
+        last = LastStep(T, change, depth, of_images, of_shading, displaced, focal, has_depth, estimate, steps)
         return judged(last, self.doubt, self.config)
 
     def evidence(self, view: Keyframe, T_wc: Tensor, references: Sequence[Keyframe]) -> Alignment:
@@ -227,7 +227,7 @@ class MapAligner(Stateful):
         other, and a pose between them is out of reach of the images' slopes and of the robust weights of depth. Those of the images depend
         on nothing that changes: they are worked out when they are called, in this thread or another.
         """
-        scale, finest = INDEPENDENT / self.config.depth_noise**2, self.config.iterations
+        scale, finest = information_scale(self.config.depth_noise), self.config.iterations
         surface, appearance = self._observed_surface(view.taken, view.camera, T_wc), self.appearances.as_taken(view)
         level = level_of(appearance, _TIMING_ROWS)
         against, robust = self._against_map(surface), self._robust(finest)

@@ -20,6 +20,11 @@ from idfslam.sensing.rectification import RowTimes
 INDEPENDENT = 0.02
 
 
+def information_scale(depth_noise: float) -> float:
+    """[1/m^2] the factor from sums in units of depth to information: depth_noise [m], and the share that errs independently."""
+    return INDEPENDENT / depth_noise**2
+
+
 class Solver(Protocol):
     """Takes steps from the terms at the present pose and velocity."""
 
@@ -67,7 +72,7 @@ class JointSolver:
         self.T, self.prior, self.times = T, prior, times
         self._information = prior.with_reference_error
         self.velocity, self.reference_error = prior.velocity.copy(), np.zeros(6)
-        self.scale = INDEPENDENT / depth_noise**2
+        self.scale = information_scale(depth_noise)
 
     @property
     def motion(self) -> FrameMotion:

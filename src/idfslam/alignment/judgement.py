@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from idfslam.alignment.alignment import Alignment
+from idfslam.alignment.alignment import TELLING_SHARE, Alignment
 from idfslam.alignment.continuous_motion import JointEstimate
 from idfslam.alignment.depth_term import DepthTerm
-from idfslam.alignment.gauss_newton import INDEPENDENT
+from idfslam.alignment.gauss_newton import information_scale
 from idfslam.alignment.image_term import ImageTerm
 from idfslam.alignment.motion import Information
 from idfslam.alignment.pose_doubt import PoseDoubt
@@ -23,8 +23,6 @@ from idfslam.geometry import se3
 # [1] Ratio of the RMSE to that of the sensor's noise alone, up to which an alignment is not lost: 1.5 times that of two readings, since a
 # map of one view has the same noise. More: wrong poses at the end of the sensor's range are accepted. Right ones have 1 to 1.6 there.
 _NOISE_MARGIN = 1.5 * 2**0.5
-# [1] Least share of the references' landmarks in view that confirms the pose of a view without depth. More: more of them are lost.
-_CONFIRMED = 0.3
 # [1] Information of the noise of the map's normals, over that of a degenerate direction, which is taken out of depth that is alone. Twice,
 # since it varies, as in `shading`: bare floors of rooms 3 and 10 have 0.5 to 2.8 with a Kinect's noise, their furniture 3.4 to 8. More:
 # depth alone holds poses less, and more of them are degenerate.
@@ -96,7 +94,7 @@ def _of_depth(last: LastStep, information: Information, config: AlignmentConfig)
 
 def _of_images(images: ImageTerm, *, contradicted: bool) -> Status:
     """The status of a view without depth."""
-    confirmed = images.in_view > _CONFIRMED and images.photometric_error > 0 and not contradicted
+    confirmed = images.in_view > TELLING_SHARE and images.photometric_error > 0 and not contradicted
     return Status.DEGENERATE if confirmed else Status.LOST
 
 
@@ -111,5 +109,5 @@ def _covariance(last: LastStep, depth_noise: float) -> Tensor:
         told = torch.from_numpy(last.joint.covariance[:6, :6].copy())
     else:
         prior = torch.tensor([1 / _UNMEASURED**2] * 6, dtype=torch.float64)
-        told = torch.linalg.inv(INDEPENDENT / depth_noise**2 * _together(last) + torch.diag(prior))
+        told = torch.linalg.inv(information_scale(depth_noise) * _together(last) + torch.diag(prior))
     return told * variance_factor(last.depth, last.images, last.change, depth_noise)

@@ -1,9 +1,9 @@
-"""Depth of an unknown moment: it says where the camera was when it was taken, and that is near where colour was taken.
+"""Depth of an unknown moment: the displacement of the camera since colour was taken is one more unknown, and is marginalised out.
 
 Depth that is taken d seconds after its time stamp sees the camera displaced by d times its velocity against the references. Then depth and
 images contradict each other, and their common solution can be off by several times as much as either: both leave about the same directions
 half open, and two narrow valleys side by side meet far away. So until the delay is known the displacement is unknown too. It has a Gaussian
-prior, and is eliminated from the equations of depth (Schur complement).
+prior, and is marginalised out of the equations of depth (Schur complement).
 """
 
 from dataclasses import replace
@@ -24,8 +24,8 @@ class DepthAtPose:
         """(4, 4) where the camera was when it took the depth of a frame at this pose (4, 4)."""
         return T_wc
 
-    def freed(self, depth: DepthTerm) -> DepthTerm:
-        """The equations of depth at `pose(T_wc)`, as equations of the frame's pose alone."""
+    def marginalised(self, depth: DepthTerm) -> DepthTerm:
+        """The equations of depth at `pose(T_wc)`, as equations of the frame's pose alone. Both are of one moment: they stay as they are."""
         return depth
 
 
@@ -39,8 +39,8 @@ class DisplacedDepth(DepthAtPose):
     def pose(self, T_wc: Tensor) -> Tensor:
         return moved(T_wc, torch.from_numpy(self.displacement))
 
-    def freed(self, depth: DepthTerm) -> DepthTerm:
-        """As above. The displacement moves to where depth fits."""
+    def marginalised(self, depth: DepthTerm) -> DepthTerm:
+        """The equations of depth with the displacement marginalised out, which moves to its estimate at this step."""
         H, b = depth.sums.H[0], depth.sums.b[0]
         both = np.column_stack([H, b - self._information @ self.displacement])
         gain = np.linalg.solve(H + self._information, both)

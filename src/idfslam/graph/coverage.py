@@ -159,7 +159,7 @@ class Coverage(Stateful):
         return [(self._posed(seen).T_wc, seen.packed) for seen in self._of_main_submap()]
 
     def finer_views(self) -> Iterator[DepthView]:
-        """The same, unpacked one at a time."""
+        """The views of `packed`, without what moves, unpacked one at a time."""
         return (depth.view(T_wc) for T_wc, depth in self.packed())
 
 

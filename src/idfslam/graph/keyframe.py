@@ -19,7 +19,7 @@ from idfslam.storage.state import State
 
 
 class Keyframe(KeyframeImages):
-    """A frame with a pose. The graph alone changes its pose and relations."""
+    """A frame with a pose. Tracking sets the pose of a view; once it is a keyframe, only the graph moves and connects it."""
 
     def __init__(self, frame: Frame, T_wk: Tensor, depth: Tensor, colour: Tensor) -> None:
         """T_wk (4, 4) float64; depth (H, W) [m] and colour (H, W, 3) in [0, 1] on the map's device."""

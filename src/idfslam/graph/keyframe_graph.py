@@ -11,6 +11,7 @@ from torch import Tensor
 
 from idfslam.config import KeyframeConfig
 from idfslam.geometry import se3
+from idfslam.geometry.pose_distance import shift_ahead
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_covisibility import covisibilities, mutual_covisibility, unmasked_covisibility
 from idfslam.graph.path_length import path_lengths
@@ -157,7 +158,7 @@ class KeyframeGraph:
     def move(self, poses: Sequence[Tensor]) -> list[float]:
         """Moves all stored keyframes to poses T_wk (4, 4), and everything attached to them.
 
-        Returns for each a bound on the shift [m] of a point two metres in front of the camera.
+        Returns the `shift_ahead` [m] of each.
         """
         changes = []
         last = self.last_keyframe
@@ -165,7 +166,7 @@ class KeyframeGraph:
             last.T_wk = poses[last.host] @ self.relative_to_host(last.T_wk)[1]
         for keyframe, T_wk in zip(self.keyframes, poses, strict=True):
             T = se3.inverse(keyframe.T_wk) @ T_wk
-            changes.append(float(T[:3, 3].norm() + 2 * se3.angle(T)))
+            changes.append(shift_ahead(T))
             keyframe.T_wk = T_wk
         return changes
 

@@ -111,7 +111,7 @@ class KeyframeImages:
 
     @property
     def taken_unmasked(self) -> Images:
-        """The same with what moves."""
+        """The images as they were taken, before rectification, with the depth of what moves."""
         return self._taken or self.unmasked
 
     def hide(self, moving: NDArray[np.bool_] | None) -> None:

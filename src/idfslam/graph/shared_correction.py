@@ -7,10 +7,11 @@ frame away, the frame before is not: what corrects the keyframe would move it aw
 import numpy as np
 from numpy.typing import NDArray
 
+from idfslam.geometry.pose_distance import AHEAD
+
 Array = NDArray[np.float64]
 
 # All of them were chosen by hand on generated rooms with people.
-_AHEAD = 2.0  # [m] from a camera to the point that tells of its turn. More: turns count more beside shifts
 # [1] Standard deviation of the share from all of the correction. Up to about ten times what the motion is usually uneven by, corrections
 # are shared. Rooms 6 and 4 had errors of 0.314 and 0.310 cm with 0.08, of 0.309 and 0.315 with 1, and of 0.469 and 0.308 where all were
 # shared. More: smaller ones are kept from the frames before
@@ -20,7 +21,7 @@ _LEAST_USUAL = 5e-4  # [m] by which motions count as uneven at least. More: the 
 
 def places(poses: Array) -> Array:
     """(N, 6) [m] where cameras at poses T_wc (N, 4, 4) are, and a point before each."""
-    return np.concatenate([poses[:, :3, 3], poses[:, :3, 3] + _AHEAD * poses[:, :3, 2]], 1)
+    return np.concatenate([poses[:, :3, 3], poses[:, :3, 3] + AHEAD * poses[:, :3, 2]], 1)
 
 
 def unevenness(of: Array, stamps: Array) -> Array:

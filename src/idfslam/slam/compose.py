@@ -56,7 +56,7 @@ from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_adjustment.local_adjustment import LocalAdjustment
 from idfslam.slam.keyframe_features import KeyframeFeatures
 from idfslam.slam.keyframe_hook import KeyframeHook
-from idfslam.slam.motion_segmentation.hindsight import Hindsight, NoHindsight, StoredViews
+from idfslam.slam.motion_segmentation.hindsight import FreeSpaceHindsight, Hindsight, NoHindsight
 from idfslam.slam.motion_segmentation.motion_segmentation import FreeSpaceSegmentation, MotionSegmentation, NoSegmentation
 from idfslam.slam.place_recognition.loop_closer import LoopCloser
 from idfslam.slam.place_recognition.recovery import NoRecovery, Recovery, Relocalisation
@@ -189,7 +189,7 @@ class System:
     def hindsight(self) -> Hindsight:
         if not isinstance(self.segmentation, FreeSpaceSegmentation):
             return NoHindsight()
-        return StoredViews(self.segmentation, self.frames, self.coverage, self.views, self.timer)
+        return FreeSpaceHindsight(self.segmentation, self.frames, self.coverage, self.views, self.timer)
 
     # Keyframes: which frames become one, their poses, and what is called with each
 
@@ -320,10 +320,11 @@ def _occupancy_grids(s: System) -> Map:
 
 
 def _alignment(s: System) -> FrontEnd:
-    def learn_again(keyframe: Keyframe) -> None:
+    def train_now(keyframe: Keyframe) -> None:
         s.back_end.learn_again(keyframe)  # which is made after the front end
 
-    front_end = partial(AlignmentToMap, s.aligner, s.registration, s.graph, s.frames, s.timer, learn_again, s.relearn.add)
+    parts = s.aligner, s.registration, s.graph, s.frames, s.timer
+    front_end = partial(AlignmentToMap, *parts, train_now=train_now, queue_for_training=s.relearn.add)
     if isinstance(s.resection, NoResection):  # nobody learns how far away corners are
         return front_end()
     return front_end(resect=ScarceDepth(s.corners).resected)

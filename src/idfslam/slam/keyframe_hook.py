@@ -9,6 +9,9 @@ from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.loop_consistency import Loop
 from idfslam.storage.state import Stateful
 
+# [m] Least shift of a point 2 m before a keyframe for the map to learn it again. More: less replay, more double surfaces. Chosen by hand
+RELEARN_SHIFT = 0.005
+
 
 @dataclass(frozen=True)
 class Moved:

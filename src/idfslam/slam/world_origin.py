@@ -1,9 +1,9 @@
 """The frame that defines the world: the first whose depth later frames can be aligned to.
 
-Where only a floor or the edge of a table is within the sensor's reach, a map of that confirms no pose, and the camera is lost at once. So a
-frame with more depth is waited for, as it comes when the camera is raised or goes nearer. It does not come from an object without a
-background, which begins the map after a second. If it comes later, and the map of little depth does not tell where the camera is, a submap
-begins with it (`recovery.Relocalisation`).
+Where only a floor or the edge of a table is within the sensor's reach, a map of it confirms no pose, and the camera is lost at once. So the
+world waits for a frame with more depth, which comes when the camera is raised or moves closer. A recording of an object without background
+never has such a frame: after `_PATIENCE` frames one with little depth begins the map. If a frame with more depth comes later, and the map
+cannot locate it, a new submap begins (`recovery.Relocalisation`). Little depth with a black image is a covered lens, and begins nothing.
 """
 
 from idfslam.graph.keyframe import Keyframe

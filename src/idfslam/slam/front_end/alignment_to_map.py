@@ -54,16 +54,18 @@ class AlignmentToMap(FrontEnd):
         graph: KeyframeGraph,
         frames: FramePoses,
         timer: StageTimer,
-        learn_again: Callable[[Keyframe], None] = lambda keyframe: None,
-        relearn: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
+        train_now: Callable[[Keyframe], None] = lambda keyframe: None,
+        queue_for_training: Callable[[Sequence[Keyframe]], None] = lambda keyframes: None,
         resect: Callable[[Keyframe, Alignment], Alignment] = lambda view, aligned: aligned,
     ) -> None:
-        """learn_again: has the map learn the first keyframe again at once, after its images were rectified. relearn: several, by and by.
+        """train_now: trains the map on the first keyframe before the next frame, after its images were rectified.
+
+        queue_for_training: keyframes whose images have changed, for the updates that follow.
 
         resect: holds the pose of an alignment where depth is scarce, by corners of keyframes.
         """
         self.aligner, self.registration, self.graph, self.frames, self.timer = aligner, registration, graph, frames, timer
-        self.compensation, self._learn_again, self._relearn = MotionCompensation(aligner), learn_again, relearn
+        self.compensation, self._train_now, self._queue_for_training = MotionCompensation(aligner), train_now, queue_for_training
         self.rotation, self.recent, self.gate = ImageRotation(), RecentFrame(aligner, frames), SpeedGate(frames)
         self.search = PoseSearch(aligner, registration, graph, frames, timer, self.compensation, self.recent)
         self._resect = resect
@@ -106,9 +108,10 @@ class AlignmentToMap(FrontEnd):
         view.T_wk = self.rotation.correct(self.aligner.appearances.as_taken(view), view.T_wk, T_seen)
 
     def _by_depth(self, view: Keyframe, motion: MotionPrior | None) -> Tracked | None:
-        """The result of depth alone for a view without colour: nothing ends a doubt, or helps depth that is degenerate.
+        """The pose by depth alone, for a view without a colour image of its own; None if depth finds none, or the camera has not moved
+        since a repeated image was new.
 
-        None where depth does not tell, or the camera has not moved since an image that is repeated was new.
+        It is doubtful if the frame before was, if depth leaves a direction open, or if it leaps: no image can settle that.
         """
         with self.timer.stage("align"):
             aligned = self.aligner.align(view, view.T_wk, [], motion=motion)
@@ -181,7 +184,7 @@ class AlignmentToMap(FrontEnd):
             self.aligner.accept(tracked.alignment, view.T_wk)
         self.compensation.accept(view, tracked, self.search.references())
         if self.compensation.keyframes.is_due(view.index):
-            self._relearn([k for k in self.graph.keyframes if self.compensation.keyframes.rectify(k)])
+            self._queue_for_training([k for k in self.graph.keyframes if self.compensation.keyframes.rectify(k)])
 
     def misfit(self, view: Keyframe, T_wc: Tensor) -> float:
         return self.aligner.evidence(view, T_wc, self.search.references()).photometric_error
@@ -220,7 +223,7 @@ class AlignmentToMap(FrontEnd):
         registered = self.registration.register(view)
         if registered is None or not self.compensation.rectify_first(first, view, registered.T_wc):
             return motion
-        self._learn_again(first)
+        self._train_now(first)
         return self.compensation.begin_again(view, self.search.references())
 
 

@@ -24,9 +24,9 @@ def mean_velocity(keyframes: Sequence[Keyframe]) -> Array | None:
     return np.asarray(np.mean(velocities, 0)) if velocities else None
 
 
-def distorting_velocity(keyframe: Keyframe) -> Array:
+def unrectified_velocity_moments(keyframe: Keyframe) -> Array:
     """(6, 6) second moments of the velocity that a keyframe's images are still distorted by: what they were not rectified with."""
     assert keyframe.velocity is not None and keyframe.velocity_covariance is not None
-    left = keyframe.velocity if keyframe.rectification is None else keyframe.velocity - keyframe.rectification.velocity
-    left = along_world(keyframe.T_wk, left)
-    return np.asarray(turned(keyframe.T_wk[:3, :3].numpy(), keyframe.velocity_covariance) + np.outer(left, left))
+    rest = keyframe.velocity if keyframe.rectification is None else keyframe.velocity - keyframe.rectification.velocity
+    rest = along_world(keyframe.T_wk, rest)
+    return np.asarray(turned(keyframe.T_wk[:3, :3].numpy(), keyframe.velocity_covariance) + np.outer(rest, rest))

@@ -18,7 +18,7 @@ from idfslam.frame import Frame, Status
 from idfslam.graph.keyframe import Keyframe
 from idfslam.sensing.rectification import Rectification, RowTimes, along_camera
 from idfslam.slam.front_end.keyframe_rectification import KeyframeRectification
-from idfslam.slam.front_end.keyframe_velocity import distorting_velocity, give_velocity, mean_velocity
+from idfslam.slam.front_end.keyframe_velocity import give_velocity, mean_velocity, unrectified_velocity_moments
 from idfslam.slam.front_end.temporal_calibration import TemporalCalibration
 from idfslam.slam.tracked import Source, Tracked
 from idfslam.storage.state import State, Stateful
@@ -66,8 +66,8 @@ class MotionCompensation(Stateful):
         """The same with the present view, after the motion has become known."""
         assert self._raw is not None
         prior, times = self.motion.predict(view.timestamp, view.T_wk), self.calibration.times(view)
-        by_times = self.calibration.distorting_velocity(prior.velocity, times, references)
-        errors = [distorting_velocity(k) for k in references if k.velocity is not None]
+        by_times = self.calibration.timing_error_as_velocity(prior.velocity, times, references)
+        errors = [unrectified_velocity_moments(k) for k in references if k.velocity is not None]
         self._reference_covariance = prior.against(errors).reference_covariance
         self._prior = prior.against([error + by_times for error in errors])
         if times.synchronised:

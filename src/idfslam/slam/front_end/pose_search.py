@@ -36,7 +36,11 @@ class Guess(Enum):
 
 
 class PoseSearch:
-    """Aligns a view from the predicted pose. In doubt, and far from the prediction, the neural tracker's pose is tried too, and others."""
+    """Aligns a view from the predicted pose.
+
+    If the result is doubtful, or far from the prediction, it is aligned from the other guesses too, in the order of `Guess`, until one
+    convinces.
+    """
 
     def __init__(
         self,

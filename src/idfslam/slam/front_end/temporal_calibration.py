@@ -71,8 +71,8 @@ class TemporalCalibration(Stateful):
         """Value and standard deviation [s] of the unknown times by name, significant or not; None without any, or before they are told."""
         return self.estimator.estimates(self.stated) or None if self.estimator.has_seen_motion else None
 
-    def distorting_velocity(self, velocity: Array, times: RowTimes, references: Sequence[Keyframe]) -> Array:
-        """(6, 6) second moments, along world axes, of a velocity that distorts a frame as the error of its times does.
+    def timing_error_as_velocity(self, velocity: Array, times: RowTimes, references: Sequence[Keyframe]) -> Array:
+        """(6, 6) second moments, along world axes, of the error of velocity that would distort a frame as the error of its times does.
 
         A frame is distorted by its times times its velocity (6,) against the references: a share of the times is a share of that velocity.
         """

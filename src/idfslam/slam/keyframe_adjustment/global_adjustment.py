@@ -47,8 +47,8 @@ EDGES = 0.2
 _MOST_KEYFRAMES = 300
 
 
-def images_agree(seen: Observations, width: int) -> bool:
-    """Whether landmarks lie where images of this width [px] show them: no farther than places are found, in images that are not bent."""
+def reprojections_agree(seen: Observations, width: int) -> bool:
+    """Whether landmarks are reprojected, into images of this width [px], as near to their corners as corners and images are exact."""
     return noise_of(seen, width) <= math.hypot(_BENT, _UNSHARP * 640 / width)
 
 
@@ -132,7 +132,7 @@ class GlobalAdjustment(KeyframeAdjustment):
         kept = adjusted.problem.seen
         near, width = kept[~kept.distant], model.stated.width
         log.info("bundle adjustment of %d keyframes and %d landmarks: %.2f px", *_counts(adjusted), noise_of(near, width))
-        return adjusted if images_agree(near, width) and adjusted.complete else None
+        return adjusted if reprojections_agree(near, width) and adjusted.complete else None
 
     def covariances(self) -> dict[int, Array]:
         if self.adjusted is None:

@@ -18,14 +18,15 @@ from idfslam.adjustment.landmark_tracks import KeyframeView
 from idfslam.adjustment.observations import Array
 from idfslam.adjustment.residuals import camera_points
 from idfslam.geometry import se3
+from idfslam.geometry.pose_distance import shift_ahead
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.measured_edges import measured_edge
 from idfslam.graph.pose_graph import Edge, RelativePoses
-from idfslam.slam.keyframe_adjustment.global_adjustment import EDGES, images_agree
+from idfslam.slam.keyframe_adjustment.global_adjustment import EDGES, reprojections_agree
 from idfslam.slam.keyframe_adjustment.keyframe_motion import KeyframeMotions
 from idfslam.slam.keyframe_features import KeyframeFeatures
-from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.keyframe_hook import RELEARN_SHIFT, KeyframeHook, Moved
 from idfslam.storage.state import State
 from idfslam.tracking.frame_features import grey_size
 
@@ -34,8 +35,7 @@ _WINDOW = 8  # newest keyframes that are adjusted. More: slower, and errors are 
 _SEARCHED = 6  # older keyframes whose landmarks are looked for in a new one. More: longer tracks, slower
 _STEPS = 3  # of an adjustment. More: slower, more exact
 _LEAST_LANDMARKS = 50  # that the window shares. More: keyframes before bare walls stay as they are
-_MIN_SHIFT = 0.005  # [m] least shift of a point 2 m before a keyframe for the map to learn it again. More: less replay, double surfaces
-_FARTHEST = 0.05  # [m] largest shift of such a point: so large a step is wrong. More: larger errors are mended, and made
+_FARTHEST = 0.05  # [m] largest shift of a point 2 m before a keyframe: so large a step is wrong. More: larger errors are mended, and made
 
 
 class LocalAdjustment(KeyframeHook):
@@ -96,7 +96,7 @@ class LocalAdjustment(KeyframeHook):
             return Moved()
         adjusted, self._noise = adjust_briefly(problem, noise=self._noise, steps=_STEPS)
         with_depth = adjusted.seen[~adjusted.seen.distant]
-        self.agrees = len(with_depth) > 0 and images_agree(with_depth, problem.model.stated.width)
+        self.agrees = len(with_depth) > 0 and reprojections_agree(with_depth, problem.model.stated.width)
         if not self.agrees:
             return Moved()
         seen = adjusted.seen[adjusted.seen.distant & (numbers[adjusted.seen.keyframe] == keyframe.host)]
@@ -157,12 +157,12 @@ class LocalAdjustment(KeyframeHook):
         for number, T in zip(numbers.tolist(), poses):
             keyframe, T_wk = self.graph.keyframes[number], se3.orthonormal(torch.from_numpy(T.copy()))
             change = se3.inverse(keyframe.T_wk) @ T_wk
-            shift = float(change[:3, 3].norm() + 2 * se3.angle(change))
+            shift = shift_ahead(change)
             if shift > _FARTHEST:
                 continue
             self.graph.set_pose(keyframe, T_wk)
             self._held.add(number)
-            if shift > _MIN_SHIFT:
+            if shift > RELEARN_SHIFT:
                 moved.append(keyframe)
         return Moved(moved)
 

@@ -14,8 +14,8 @@ from idfslam.graph.frame_poses import FramePoses
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import CoarseView, in_pixels
 from idfslam.segmentation.image_standstill import at_same_place, is_carried, stands_still
+from idfslam.segmentation.nearest_layer import nearest_layer
 from idfslam.slam.front_end.front_end import FrontEnd
-from idfslam.slam.motion_segmentation.nearest_layer_trial import nearest_layer
 from idfslam.slam.motion_segmentation.tracked_without import tracked_without
 from idfslam.slam.tracked import Tracked
 from idfslam.storage.state import State, Stateful

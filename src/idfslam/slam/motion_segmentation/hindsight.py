@@ -38,7 +38,7 @@ class NoHindsight(Hindsight):
     def run(self) -> None: ...
 
 
-class StoredViews(Hindsight):
+class FreeSpaceHindsight(Hindsight):
     """Hides it in the mapped views, keyframes among them, and in the archive's images."""
 
     def __init__(

@@ -198,7 +198,7 @@ class FreeSpaceSegmentation(MotionSegmentation):
         if not self.graph.keyframes or not tracked.status.trusted or tracked.source is Source.REGISTERED:
             return
         with self.timer.stage("segment"):
-            stored = view.host < len(self.graph.keyframes) and self.graph.keyframes[view.host] is view
+            stored = self.graph.is_stored(view)
             if self._passed_over and not stored:
                 return
             if self._passed_over and (cells := self.segmenter.segment(self._scene(view), view.T_wk.numpy())).any():

@@ -14,6 +14,7 @@ from idfslam.alignment.motion import image_motion
 from idfslam.alignment.usual_error import UsualError
 from idfslam.graph.keyframe import Keyframe
 from idfslam.segmentation.coarse_view import in_pixels
+from idfslam.segmentation.nearest_layer import nearest_layer
 from idfslam.slam.front_end.front_end import FrontEnd
 from idfslam.slam.motion_segmentation.tracked_without import tracked_without
 from idfslam.slam.tracked import Tracked
@@ -44,7 +45,6 @@ _WAITS, _MOST_WAITS = 1, 32
 # Trials in a row in which the pull has not grown enough yet, and after which it counts as none. More: slower walkers are found, and a pull
 # that wavers is more often taken for one that grows. In room 4 the fourth trial found her; with two, poses were off by 9 cm. Chosen by hand
 _IN_A_ROW = 3
-_LAYER = 0.04, 0.7  # [1] least and largest share of the nearest layer. Wider: smaller and larger bodies are tried
 
 
 class NearestLayerTrial(Stateful):
@@ -123,16 +123,3 @@ class NearestLayerTrial(Stateful):
 def _photometric_error(tracked: Tracked) -> float:
     """[1] of the alignment that gave the pose; 0 if none did."""
     return 0.0 if tracked.alignment is None else tracked.alignment.photometric_error
-
-
-def nearest_layer(depth: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """The near part (h, w) of depth (h, w) [m], split where the parts differ most (Otsu 1979, inverse depth); None: too small or large."""
-    measured = depth > 0
-    inverse = np.sort(1 / depth[measured])
-    if len(inverse) < 2:
-        return None
-    count, total = np.arange(1, len(inverse)), inverse.cumsum()
-    below, above = total[:-1] / count, (total[-1] - total[:-1]) / (len(inverse) - count)
-    best = int((count * (len(inverse) - count) * (above - below) ** 2).argmax())
-    layer = measured & (depth < 1 / inverse[best])
-    return layer if _LAYER[0] <= layer.mean() <= _LAYER[1] else None

@@ -11,13 +11,11 @@ from idfslam.config import LoopConfig
 from idfslam.graph.keyframe import Keyframe
 from idfslam.graph.keyframe_graph import KeyframeGraph
 from idfslam.graph.loop_consistency import Loop, LoopConsistency
-from idfslam.slam.keyframe_hook import KeyframeHook, Moved
+from idfslam.slam.keyframe_hook import RELEARN_SHIFT, KeyframeHook, Moved
 from idfslam.slam.place_recognition.relocaliser import Relocaliser
 from idfslam.storage.state import State
 
-# Both were chosen by hand.
-_MIN_SHIFT = 0.005  # [m] least shift of a keyframe for the map to learn it again. More: less replay, and more double surfaces
-_OVERLAPPING = 2  # candidates chosen by their pose; the others are chosen by similarity. More: fewer are chosen by similarity
+_OVERLAPPING = 2  # candidates chosen by their pose; the others are chosen by similarity. More: fewer are chosen by similarity. By hand
 
 
 class LoopCloser(KeyframeHook):
@@ -62,7 +60,7 @@ class LoopCloser(KeyframeHook):
 
     def _offer(self, loop: Loop) -> Moved:
         shifts = self.loops.offer(self.graph, loop)
-        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > _MIN_SHIFT], at_once=bool(shifts))
+        return Moved([moved for moved, shift in zip(self.graph.keyframes, shifts) if shift > RELEARN_SHIFT], at_once=bool(shifts))
 
     def _candidates(self, keyframe: Keyframe, reachable: list[int]) -> list[int]:
         """Stored keyframes without an edge that are covisible at their poses, then those with the most similar descriptors."""
